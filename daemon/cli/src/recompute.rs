@@ -98,7 +98,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Returns the hosts with clock faults, and the faults, from the facts of a run; `None` for an ordinary run.
 fn clock_fault(facts: &[Fact]) -> Option<String> {
-    let owner = |name: &str| match FaultyHost::of_fact(name)? {
+    let owner = |name: &str| match FaultyHost::from_fact_name(name)? {
         FaultyHost::Edge => Some("the edge's".to_owned()),
         FaultyHost::Cloud(cloud) => Some(format!("{cloud}'s")),
     };

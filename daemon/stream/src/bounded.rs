@@ -25,7 +25,7 @@ impl<'de, const MAX: usize, T: Deserialize<'de>> Visitor<'de> for BoundedListVis
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Vec<T>, A::Error> {
-        // Grows with the items that are there: the length that precedes them is only a claim of the peer.
+        // The list grows with the items that arrive. The length that precedes the items is only stated by the peer.
         let mut list = Vec::new();
         while let Some(item) = items.next_element()? {
             if list.len() == MAX {
@@ -43,16 +43,17 @@ mod tests {
 
     #[derive(Debug, Deserialize)]
     #[serde(transparent)]
-    struct Few(#[serde(deserialize_with = "at_most::<3, _, _>")] Vec<u8>);
+    struct ShortList(#[serde(deserialize_with = "at_most::<3, _, _>")] Vec<u8>);
 
     #[test]
     fn too_long_list_is_refused() {
         let read = |items: usize| {
-            rmp_serde::from_slice::<Few>(&rmp_serde::to_vec(&vec![7_u8; items]).expect("writes"))
+            let bytes = rmp_serde::to_vec(&vec![7_u8; items]).expect("a list can be serialised");
+            rmp_serde::from_slice::<ShortList>(&bytes)
         };
-        assert_eq!(read(0).expect("empty").0, [0; 0]);
-        assert_eq!(read(3).expect("as many as may be").0, [7; 3]);
-        let error = read(4).expect_err("one too many").to_string();
+        assert_eq!(read(0).expect("an empty list is short enough").0, [0; 0]);
+        assert_eq!(read(3).expect("a list of 3 items is short enough").0, [7; 3]);
+        let error = read(4).expect_err("a list of 4 items is too long").to_string();
         assert!(error.contains("more than 3"), "{error}");
     }
 }

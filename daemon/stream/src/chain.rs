@@ -19,8 +19,8 @@ impl Chain {
 
     /// Returns the chain of the next batch, which has `events` events with the wire form `body`.
     pub fn next(self, events: u32, body: &[u8]) -> Self {
-        // The only part of variable length comes last, so that the parts cannot be divided in two ways.
-        // The number of events is covered as well: only the chain protects the head that states it.
+        // The only field of variable length comes last, so that different fields never have the same bytes.
+        // The hash covers the number of events, too, because no other hash protects the head of a batch.
         let digest = Sha256::new().chain_update(self.0).chain_update(events.to_be_bytes()).chain_update(body);
         let (chain, _) =
             digest.finalize().0.split_first_chunk().map(|(head, rest)| (*head, rest)).unwrap_or_default();
@@ -54,8 +54,8 @@ mod tests {
         let chain = Chain::START.next(2, b"ab");
         assert_eq!(chain.to_string(), "406eafa51a022395ef1bb1ee145156df");
         assert_eq!(Chain::from_bytes(*chain.as_bytes()), chain);
-        let others =
+        let other_chains =
             [Chain::START.next(1, b"ab"), Chain::START.next(2, b"ac"), chain.next(2, b"ab"), Chain::START];
-        assert!(others.iter().all(|other| *other != chain));
+        assert!(other_chains.iter().all(|other| *other != chain));
     }
 }

@@ -50,7 +50,7 @@ pub struct ClockSample {
     pub up: Option<DelaySecond>,
     /// Delays of data from cloud to edge that were judged in this second; `None` if no delay was judged.
     pub down: Option<DelaySecond>,
-    /// Network of the link. Its serialised form is omitted if it is `zmq-tcp` and no later field follows.
+    /// Network of the link. The serialised form lacks this field if the network is `zmq-tcp` and `basis` is `None`.
     #[serde(default)]
     pub network: NetworkName,
     /// Assumptions with which the bounds are computed; `None` in samples of releases before 0.3, which related wall
@@ -67,8 +67,9 @@ impl ClockSample {
 }
 
 impl Serialize for ClockSample {
-    /// Omits the last fields if they have their defaults, so that a sample of an earlier release keeps its bytes. The
-    /// fields of an array are identified by position: the network can only be omitted together with the field after it.
+    /// Omits the last fields if they have their defaults, so that a sample of an earlier release keeps its bytes.
+    // The fields of an array are identified by position. The network can therefore be omitted only if the basis, which
+    // follows the network, is omitted, too.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let has_network = self.basis.is_some() || !self.network.is_default();
         let fields = 13 + usize::from(has_network) + usize::from(self.basis.is_some());
@@ -128,14 +129,14 @@ pub struct ProbeCounts {
     pub answered: u32,
     /// Probes not answered in time.
     pub lost: u32,
-    /// Packets that arrived and were refused as answers, and probes that could not be sent. Since version 7 of the
+    /// Packets that arrived and were refused as answers, plus probes that could not be sent. Since version 7 of the
     /// event stream.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub refused: u32,
 }
 
 impl ProbeCounts {
-    /// Returns the number of probes that were answered or lost. Newer probes are still on their way.
+    /// Returns the number of probes that were answered or lost. Further probes are still on their way.
     pub const fn ended(&self) -> u32 {
         self.answered.saturating_add(self.lost)
     }
@@ -147,7 +148,7 @@ impl ProbeCounts {
 }
 
 impl Sum for ProbeCounts {
-    /// Adds the counts up. A sum that is too large stays at the largest count.
+    /// Adds the counts up. A sum that does not fit is the largest `u32`.
     fn sum<I: Iterator<Item = Self>>(counts: I) -> Self {
         counts.fold(Self::default(), |sum, added| Self {
             sent: sum.sent.saturating_add(added.sent),
@@ -158,7 +159,7 @@ impl Sum for ProbeCounts {
     }
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
 const fn is_zero(count: &u32) -> bool {
     *count == 0
 }
@@ -195,7 +196,7 @@ pub struct LinkLive {
     pub edge: Option<HostClock>,
     /// Clock of the cloud.
     pub cloud: Option<HostClock>,
-    /// Sample of the last complete second, or of the current second so far if the last one has no sample.
+    /// Sample of the last complete second; of the current second so far if the last second has no sample.
     #[serde(rename = "now")]
     pub latest_sample: ClockSample,
     /// Open connections, one per pipeline, at most [`MAX_PIPELINES`]. Since version 6 of the event stream.
@@ -232,7 +233,7 @@ impl Serialize for LinkLive {
 }
 
 /// Current state of a STAMP reflector that an edge's configuration names for a cloud. The reflector's clock may differ
-/// from the cloud's clock. No delay of data is therefore computed with it.
+/// from the cloud's clock. No delay of data is therefore computed with the reflector's clock.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReflectorLive {
     /// Configured address: `udp://host:port`.

@@ -1,7 +1,6 @@
 //! Encoding of the event stream's messages and batches: MessagePack with one message per frame, and frames of batches.
 //!
-//! A batch's frame begins with a byte that no MessagePack value begins with, so batches and messages cannot be
-//! confused.
+//! A batch's frame begins with a byte that no MessagePack value begins with, so that no batch can be read as a message.
 //! Numbers are big-endian:
 //!
 //! | bytes | content |
@@ -30,20 +29,20 @@ use peernet_logger::HostId;
 pub(super) use self::parts::PART_HEAD_BYTES;
 pub use self::parts::{Part, decode_part, encode_part};
 
-/// Longest message that is read, and longest body of a batch, bytes. Usual batches are far shorter; an event with a
-/// tree of the largest size fits.
+/// Maximum length of a message that is read, and of a batch's body, in bytes. Usual batches are far shorter. An event
+/// with the largest tree fits.
 pub const MAX_MESSAGE_BYTES: usize = 4 * 1024 * 1024;
 
 /// Number of bytes of a batch's frame before its body.
 pub(super) const BATCH_HEAD_BYTES: usize = 2 + 16 + 16 + 8 + 8 + 16 + 16 + 8 + 4 + 4;
 
 /// Deepest nesting of MessagePack values. The nodes of a tree add no levels, because a whole tree is one byte string.
-// The decoder recurses for each level, and the peer chooses the depth.
+// The decoder recurses for each level, and the peer chooses the depth. The limit protects the call stack.
 const MAX_NESTING: usize = 32;
 
-/// First byte of the frame of a batch, of a part of a batch, and of a compressed message. The second byte, the form,
-/// tells them apart.
-const BATCH: u8 = 0xC1;
+/// First byte of all frames that are not plain MessagePack: batches, parts of a batch, and compressed messages. The
+/// second byte, the form, distinguishes these kinds of frames.
+const FRAME_MARKER: u8 = 0xC1;
 
 /// Form byte of a body that is not compressed.
 const PLAIN: u8 = 0;
@@ -51,15 +50,16 @@ const PLAIN: u8 = 0;
 const ZSTD: u8 = 1;
 /// Form byte of a part of a batch's frame.
 const PART: u8 = 2;
-/// Form byte of a compressed message: four bytes with the length of the message follow, and then the compressed
-/// message.
+/// Form byte of a compressed message. Four bytes with the length of the uncompressed message follow, and then the
+/// compressed message.
 const COMPRESSED: u8 = 3;
 
-/// Fastest of the usual levels of Zstandard. It compresses events to about a third; level 3 compresses little more.
+/// Fastest of the usual levels of Zstandard. It compresses events to about a third of their length; level 3 compresses
+/// only a little more.
 const ZSTD_LEVEL: i32 = 1;
 
-/// Maximum number of events for which memory is reserved before they are decoded. The number in the head may be larger:
-/// it comes from an untrusted peer.
+/// Maximum number of events for which memory is reserved before the events are decoded. The number in the head may be
+/// larger, because an untrusted peer states it.
 const MAX_RESERVED_EVENTS: usize = 4096;
 
 /// Reason why bytes are not a message.
@@ -92,25 +92,25 @@ pub fn encode(message: &impl Message) -> Vec<u8> {
     frame
 }
 
-/// Returns the frame of a message for a slow link, compressed if that makes it shorter.
+/// Returns the frame of a message for a slow link. The frame is compressed if this makes it shorter.
 pub fn encode_compressed(message: &impl Message) -> Vec<u8> {
     let plain = encode(message);
     let (Ok(length), Ok(compressed)) = (u32::try_from(plain.len()), zstd::bulk::compress(&plain, ZSTD_LEVEL))
     else {
         return plain;
     };
-    let frame = [&[BATCH, COMPRESSED][..], &length.to_be_bytes(), &compressed].concat();
+    let frame = [&[FRAME_MARKER, COMPRESSED][..], &length.to_be_bytes(), &compressed].concat();
     // A short message can grow when compressed.
     if frame.len() < plain.len() { frame } else { plain }
 }
 
 /// Decompresses the message in a frame that [`encode_compressed`] made.
 fn decompress_message(frame: &[u8]) -> Result<Vec<u8>, CodecError> {
-    let parts = frame
+    let fields = frame
         .split_first_chunk()
         .map(|(length, compressed)| (u32::from_be_bytes(*length) as usize, compressed));
-    let Some((length, compressed)) = parts else {
-        return Err(CodecError::Malformed("a compressed message without a length".into()));
+    let Some((length, compressed)) = fields else {
+        return Err(CodecError::Malformed("the compressed message states no length".into()));
     };
     if length > MAX_MESSAGE_BYTES {
         return Err(CodecError::TooLong(length));
@@ -119,20 +119,20 @@ fn decompress_message(frame: &[u8]) -> Result<Vec<u8>, CodecError> {
     zstd::bulk::decompress(compressed, length).map_err(|error| CodecError::Malformed(error.to_string()))
 }
 
-/// Appends the wire form of plain data.
+/// Appends the wire form of a value.
 pub(super) fn encode_into(out: &mut Vec<u8>, data: &impl Serialize) {
-    rmp_serde::encode::write(out, data).expect("plain data written to memory always serialises");
+    rmp_serde::encode::write(out, data).expect("serialising to memory does not fail");
 }
 
 /// Reads a frame from an untrusted peer.
 ///
 /// # Errors
-/// Unless the frame is exactly one message of this kind within the limits.
+/// If the frame is not exactly one message of this kind within the limits.
 pub fn decode<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
     if frame.len() > MAX_MESSAGE_BYTES {
         return Err(CodecError::TooLong(frame.len()));
     }
-    if let Some(compressed) = frame.strip_prefix(&[BATCH, COMPRESSED]) {
+    if let Some(compressed) = frame.strip_prefix(&[FRAME_MARKER, COMPRESSED]) {
         return decode_plain(&decompress_message(compressed)?);
     }
     decode_plain(frame)
@@ -148,8 +148,8 @@ fn decode_plain<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
     }
 }
 
-/// Returns the frame of a batch of encoded events. It is compressed if `compress` is set and compression makes it
-/// shorter.
+/// Returns the frame of a batch of encoded events. The body is compressed if `compress` is `true` and compression makes
+/// the body shorter.
 pub fn encode_batch(head: &BatchHead, body: &[u8], compress: bool) -> Vec<u8> {
     let compressed = compress.then(|| zstd::bulk::compress(body, ZSTD_LEVEL).ok()).flatten();
     let (form, sent_body) = match &compressed {
@@ -157,7 +157,7 @@ pub fn encode_batch(head: &BatchHead, body: &[u8], compress: bool) -> Vec<u8> {
         _ => (PLAIN, body),
     };
     let mut frame = Vec::with_capacity(BATCH_HEAD_BYTES + sent_body.len());
-    frame.extend([BATCH, form]);
+    frame.extend([FRAME_MARKER, form]);
     frame.extend(head.host.as_bytes());
     frame.extend(head.stream.as_bytes());
     frame.extend(head.process.to_be_bytes());
@@ -184,7 +184,7 @@ pub fn decode_batch_head(frame: &[u8]) -> Option<BatchHead> {
 /// If the frame does not contain a batch, or its body is longer than [`MAX_MESSAGE_BYTES`] or does not match the chain.
 pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
     let Some(Head { form, batch, length }) = read_head(&frame) else {
-        return Err(CodecError::Malformed("not a batch".into()));
+        return Err(CodecError::Malformed("the frame is not a batch".into()));
     };
     if length > MAX_MESSAGE_BYTES {
         return Err(CodecError::TooLong(length));
@@ -198,9 +198,10 @@ pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
                 zstd::bulk::decompress(&frame, length).map_err(|_| CodecError::Damaged(batch.number))?;
             Bytes::from(body)
         }
-        other => return Err(CodecError::Malformed(format!("unknown form of a body: {other}"))),
+        other => return Err(CodecError::Malformed(format!("the form {other} of the body is unknown"))),
     };
-    // The chain covers the body and all batches before it, so it also detects a batch of another history.
+    // The chain covers the body and, through the previous chain, all batches before this batch. The receiver compares
+    // the previous chain with the last stored batch, and thus detects a batch of a copied spool.
     if body.len() != length || batch.previous_chain.next(batch.events, &body) != batch.chain {
         return Err(CodecError::Damaged(batch.number));
     }
@@ -210,7 +211,7 @@ pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
 /// Reads the events of a batch's body.
 ///
 /// # Errors
-/// Unless the body is exactly `count` events.
+/// If the body is not exactly `count` events.
 pub fn decode_events(body: &[u8], count: u32) -> Result<Vec<Event>, CodecError> {
     let count = count as usize;
     // Every event takes at least one byte.
@@ -218,7 +219,7 @@ pub fn decode_events(body: &[u8], count: u32) -> Result<Vec<Event>, CodecError> 
         return Err(CodecError::Malformed(format!("{} bytes cannot hold {count} events", body.len())));
     }
     let mut events = Vec::with_capacity(count.min(MAX_RESERVED_EVENTS));
-    // Borrows trees from the input, without a copy of their bytes.
+    // The reader borrows trees from the input and does not copy their bytes.
     let mut reader = rmp_serde::Deserializer::from_read_ref(body);
     reader.set_max_depth(MAX_NESTING);
     for _ in 0..count {
@@ -240,7 +241,7 @@ struct Head {
 }
 
 fn read_head(frame: &[u8]) -> Option<Head> {
-    let rest = frame.strip_prefix(&[BATCH])?;
+    let rest = frame.strip_prefix(&[FRAME_MARKER])?;
     let (&[form], rest) = rest.split_first_chunk()?;
     // These forms have other fields after the second byte.
     if form == PART || form == COMPRESSED {

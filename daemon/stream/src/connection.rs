@@ -50,8 +50,8 @@ pub struct ConnectionStatistics {
     pub malformed_messages: u64,
     /// Answers that arrived after the request had timed out.
     pub late_messages: u64,
-    /// On the edge: requests that will never be answered, because they or their answers were lost or the connection
-    /// ended. On the cloud: answers that could not be handed to the network.
+    /// On the edge: requests that will never be answered, because the request or its answer was lost, or because the
+    /// connection ended. On the cloud: answers that could not be handed to the network.
     pub lost_messages: u64,
     /// Round trip of the transport's own packets; `None` if the transport does not measure it.
     pub round_trip: Option<TransportRoundTrip>,

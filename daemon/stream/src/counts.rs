@@ -1,4 +1,5 @@
-//! Counts of the events that were submitted, per run. They show which events a killed process lost.
+//! Counts of the events that were submitted to the event stream, per run. The counts show which events a killed process
+//! lost.
 
 use std::collections::BTreeMap;
 
@@ -58,7 +59,7 @@ pub struct SettledEvents {
     pub last: Option<WallTime>,
 }
 
-/// A batch that was sent and is not in the spool. All counts are as of the end of this batch.
+/// A batch that was sent and is not in the spool. All counts include this batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SentUnspooled {
     /// Process that sent the batch ([`super::Hello::process`]).
@@ -69,7 +70,7 @@ pub struct SentUnspooled {
     pub batched: u64,
     /// Number of dropped events that gaps have reported, like [`super::Totals::reported_drops`].
     pub reported_drops: u64,
-    /// Number of events in all batches since the spool was created, including the gap events.
+    /// Number of events in all batches since the spool was created, including gaps.
     pub events: u64,
 }
 
@@ -113,7 +114,7 @@ impl SubmittedEvents {
         SettledEvents { events, batched: self.batched.total, last: self.last }
     }
 
-    /// Counts as dropped the batched events that are not in `retained`.
+    /// Counts the batched events that are not in `retained` as dropped.
     pub(super) fn give_up(&mut self, retained: &RunCounts) {
         let batched = std::mem::replace(&mut self.batched, retained.clone());
         self.dropped.total += batched.total.saturating_sub(retained.total);
@@ -130,11 +131,14 @@ impl SubmittedEvents {
 }
 
 impl CountedEvents {
-    /// Returns the gaps for `lost` events. `accounted` is a number of events that need no gap although they are not in
-    /// the spool: the aggregator has stored them, or they were reported as lost. Their runs are unknown.
+    /// Returns the gaps for `lost` events.
+    ///
+    /// `accounted` is the number of events that are not in the spool and yet need no gap: the aggregator has stored
+    /// these events, or a gap has reported them as lost. The runs of these events are unknown.
     pub(super) fn gaps(&self, settled: &SettledEvents, accounted: u64, lost: u64) -> Vec<Gap> {
         let mut unassigned = lost;
         let gap = |pipeline, run, count, to: WallTime| {
+            // The lost events are newer than the events that the spool accounts for.
             let from = settled.last.unwrap_or(to).min(to);
             Gap { pipeline, run, from, to, count, reason: KILLED_REASON.to_owned() }
         };
@@ -142,8 +146,8 @@ impl CountedEvents {
         for CountedRun { run, pipeline, events, last } in &self.runs {
             let count = events
                 .saturating_sub(settled.events.events_of(*run))
-                // All accounted events may be of this run, because their runs are unknown. The rest is reported without
-                // a run.
+                // The accounted events may all be of this run, because their runs are unknown. The lost events that the
+                // subtraction takes from this run are reported without a run.
                 .saturating_sub(accounted)
                 .min(unassigned);
             unassigned -= count;

@@ -87,9 +87,9 @@ mod tests {
             EndReason::Failed("no camera".into()),
         ];
         for reason in reasons {
-            let bytes = rmp_serde::to_vec(&reason).expect("MessagePack");
-            assert_eq!(bytes, rmp_serde::to_vec(reason.as_str()).expect("MessagePack"));
-            assert_eq!(rmp_serde::from_slice::<EndReason>(&bytes).expect("its text"), reason);
+            let bytes = rmp_serde::to_vec(&reason).expect("a reason can be serialised");
+            assert_eq!(bytes, rmp_serde::to_vec(reason.as_str()).expect("a text can be serialised"));
+            assert_eq!(rmp_serde::from_slice::<EndReason>(&bytes).expect("the text of a reason"), reason);
         }
     }
 

@@ -9,16 +9,16 @@ use serde::{Deserialize, Serialize};
 pub struct EstimateBasis {
     /// Clocks that stamped the exchanges.
     pub clocks: RelatedClocks,
-    /// Free-running clock of the edge at the end of the second, when its wall clock showed the sample's time; `None` if
-    /// it was not read.
+    /// Time of the edge's free-running clock at the end of the second ([`ClockSample::at`](crate::ClockSample::at));
+    /// `None` if this clock was not read.
     pub at_raw: Option<RawTime>,
     /// Limit of the change of the rate between the two clocks, parts per million per second; `None` if no limit is
-    /// assumed. Without it, an exchange bounds the offset at other times by the limit of drift only.
+    /// assumed. In that case, only the limit of drift determines how an exchange bounds the offset at other times.
     pub max_drift_change_ppm_per_s: Option<f64>,
     /// Lowest and highest rate between the two clocks that the exchanges allow, parts per million; `None` if they prove
     /// nothing.
     pub proven_skew_ppm: Option<(f64, f64)>,
-    /// Age of the oldest exchange that bounds the offset; `None` if it is not older than the configured window.
+    /// Age of the oldest exchange that bounds the offset; `None` if this exchange is within the configured window.
     pub grown_window: Option<Span>,
     /// `true` if the claims of both hosts' time daemons may narrow the interval.
     pub claims_trusted: bool,

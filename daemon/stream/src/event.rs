@@ -28,32 +28,32 @@ pub enum Event {
     Clock(Box<ClockSample>),
 }
 
-/// Run and host that an event reports about. A host may report only about itself and its own runs.
+/// Run and host that an event states as its origin. A host may send only events of itself and of its own runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Claim {
-    /// Run that the event reports about, if any.
+pub struct EventOrigin {
+    /// Run that the event belongs to, if any.
     pub run: Option<RunId>,
-    /// Host on which the event says it was measured, if it names one.
+    /// Host that recorded the event, if the event names this host.
     pub reporter: Option<HostId>,
 }
 
 impl Event {
-    /// Returns the run and the host that the event reports about. The aggregator checks the claim of every event
-    /// against the host that sent it before it stores anything of a batch; therefore each kind of event is handled
-    /// here.
-    pub fn claim(&self) -> Claim {
+    /// Returns the run and the host that the event states as its origin. Before the aggregator stores a batch, it
+    /// compares the origin of each event in the batch with the host that sent the batch.
+    pub fn origin(&self) -> EventOrigin {
+        // The `match` has no `_`, so that a new kind of event cannot skip the check.
         match self {
-            Self::RunStarted(run) => Claim { run: Some(run.run), reporter: None },
-            Self::RunEnded(end) => Claim { run: Some(end.run), reporter: None },
+            Self::RunStarted(run) => EventOrigin { run: Some(run.run), reporter: None },
+            Self::RunEnded(end) => EventOrigin { run: Some(end.run), reporter: None },
             Self::Iteration(iteration) => {
                 // The tree may contain other hosts: the edge reports the cloud's part.
                 let edge = iteration.tree.anchors().first().map(|anchor| anchor.host);
-                Claim { run: Some(iteration.run), reporter: edge }
+                EventOrigin { run: Some(iteration.run), reporter: edge }
             }
-            Self::Incident(incident) => Claim { run: incident.run, reporter: None },
-            Self::Gap(gap) => Claim { run: gap.run, reporter: None },
-            // The edge of a sample is always the host that sends it.
-            Self::Clock(_) => Claim { run: None, reporter: None },
+            Self::Incident(incident) => EventOrigin { run: incident.run, reporter: None },
+            Self::Gap(gap) => EventOrigin { run: gap.run, reporter: None },
+            // A clock sample does not name its edge: the edge is the host that sends the sample.
+            Self::Clock(_) => EventOrigin { run: None, reporter: None },
         }
     }
 }
@@ -77,7 +77,7 @@ pub struct RunDescription {
     pub version: String,
     /// Place of the run in an experiment, if it belongs to one.
     pub experiment: Option<Box<ExperimentPosition>>,
-    /// Conditions of the hosts that were found before the run.
+    /// Findings about the hosts before the run.
     pub conditions: Vec<Condition>,
 }
 
@@ -212,7 +212,7 @@ pub enum IncidentKind {
     Refused,
     /// A model was loaded.
     ModelLoaded,
-    /// A model was unloaded while the host is in use. Since version 7 of the event stream.
+    /// A model was unloaded. Since version 7 of the event stream.
     ModelUnloaded,
     /// A clock was stepped, slewed or interrupted.
     ClockStep,
@@ -220,7 +220,7 @@ pub enum IncidentKind {
     Gap,
     /// A pipeline could not start, or had to stop.
     PipelineFailed,
-    /// A user changed the pipelines.
+    /// A person changed the pipelines.
     Control,
 }
 

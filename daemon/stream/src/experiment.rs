@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 pub struct ExperimentPosition {
     /// Name of the experiment in its file.
     pub name: String,
-    /// Random id of the execution of the experiment, which all its runs share.
+    /// Random id of the execution of the experiment; all runs of the execution have this id.
     pub id: String,
-    /// Difference between this configuration and the other configurations: pairs of an axis' name and the value's
-    /// label, in the order of the file.
+    /// What distinguishes this configuration from the others: for each axis, its name and the label of this
+    /// configuration's value on the axis, in the order of the file.
     pub configuration: Vec<(String, String)>,
     /// Repetition of the configuration, from 0.
     pub repeat: u32,

@@ -9,22 +9,23 @@ use crate::{Chain, HostDescription, Release, VersionRange};
 /// Versions of the event stream that an aggregator of this release supports.
 pub const STREAM_VERSIONS: VersionRange = VersionRange::new(5, 7, Release(0, 1, 0));
 
-/// Versions that an agent of this release supports. No older version is supported: events may contain raw stamps, which
-/// version 7 added, and they are encoded before their aggregator is known.
+/// Versions that an agent of this release supports.
+// An agent encodes events before it knows the version of its aggregator. The events may contain raw stamps, which
+// version 7 added. An agent therefore supports no older version.
 pub const AGENT_STREAM_VERSIONS: VersionRange = VersionRange::new(7, 7, Release(0, 3, 0));
 
 /// The only version that PEERNet 0.1.0 supports.
 const FIRST_VERSION: u16 = 5;
 
 random_id! {
-    /// Identifier of a stream of batches. The number is drawn at random when the agent's spool is created, so that a
-    /// new spool is recognised.
+    /// Identifier of a stream of batches. The identifier is drawn at random when the agent's spool is created, so that
+    /// the aggregator recognises a new spool.
     StreamId
 }
 
 /// First message of an agent, which describes its host and its stream.
 ///
-/// It is sent before a version is chosen. Its form therefore never changes: fields of later versions are in the
+/// The hello is sent before a version is chosen. Its form therefore never changes: fields of later versions are in the
 /// extension.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Hello {
@@ -39,13 +40,14 @@ pub struct Hello {
     pub previous_stream: Option<StreamId>,
     /// Number of the first batch that ever existed in the stream.
     pub first: u64,
-    /// Number of the oldest batch that the agent still holds; if it holds none, the number after the newest batch.
+    /// Number of the oldest batch that the agent still holds; the number after the newest batch if the agent holds
+    /// none.
     pub oldest: u64,
     /// Chain of the batch before `oldest`.
     #[serde(rename = "before")]
     pub chain_before_oldest: Chain,
-    /// Number of events in all batches of the spool before `oldest`. The aggregator computes from it how many events it
-    /// lacks.
+    /// Number of events in all batches of the spool before `oldest`. The aggregator computes from this number how many
+    /// events are missing from its database.
     pub events_before_oldest: u64,
     /// Number of events in all batches of the spool before `first`, in earlier streams; `None` if it is unknown.
     pub events_before_first: Option<u64>,
@@ -54,7 +56,7 @@ pub struct Hello {
     pub batch_bytes: u32,
     /// Random number of the process. It distinguishes a reconnect from a second process with a copied host id.
     pub process: u64,
-    /// Fields that the hello of PEERNet 0.1.0 lacks; `None` if none of them is needed.
+    /// Fields that the hello of PEERNet 0.1.0 lacks; `None` if no such field is needed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub extension: Option<HelloExtension>,
 }
@@ -80,8 +82,8 @@ pub struct HelloExtension {
 impl HelloExtension {
     /// Returns the extension for an agent that supports these versions; `None` if none is needed.
     pub fn from_versions(versions: &VersionRange) -> Option<Self> {
-        // PEERNet 0.1.0 cannot read a hello with an extension. An agent that supports only version 5 therefore omits
-        // it.
+        // PEERNet 0.1.0 cannot read a hello with an extension. An agent that supports only version 5 therefore sends no
+        // extension.
         let supports_first_version_only =
             (versions.oldest(), versions.newest()) == (FIRST_VERSION, FIRST_VERSION);
         (!supports_first_version_only).then_some(Self { newest: versions.newest, since: versions.since })

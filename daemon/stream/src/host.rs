@@ -68,6 +68,6 @@ pub struct HostMetrics {
 pub struct ModelMetrics {
     /// Number of loaded models, of all kinds.
     pub loaded: u32,
-    /// Sum over the loaded models: growth of the agent's resident memory while the model was loaded, bytes.
+    /// Bytes by which the agent's resident memory grew during the loading of a model, summed over the loaded models.
     pub memory_bytes: u64,
 }

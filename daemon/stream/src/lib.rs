@@ -18,17 +18,17 @@
 //! The guarantee is achieved by the following means:
 //!
 //! - *Missing events* are counted as the difference between two numbers. The head of each batch states the number of
-//!   events in all batches before it. The stream's row in the database stores this number, and a hello states it for
-//!   the oldest batch that the agent still holds. An aggregator whose database was deleted or restored thus learns how
-//!   many events it lacks.
+//!   events in all earlier batches. The stream's row in the database stores this number, and a hello states it for the
+//!   oldest batch that the agent still holds. An aggregator whose database was deleted or restored thus learns how many
+//!   events are missing from the database.
 //! - *Exactly once* follows from the mark: a batch whose number is not above the mark is acknowledged and not stored
 //!   again.
 //! - *The identity of a spool* is its chain of hashes ([`Chain`]). Numbers alone cannot distinguish a restored disk, a
 //!   copied machine, or a spool that lost its last batches in a power failure, from the original spool. Both ends
-//!   compare the chain at the mark at each welcome, before anything is deleted. If it differs, the agent continues in a
-//!   new stream.
+//!   compare the chain at the mark at each welcome, before anything is deleted. If the chains differ, the agent
+//!   continues in a new stream.
 //! - *Memory* is bounded everywhere: the agent's queue, the memory before the spool, the spool, the bytes in flight,
-//!   and the aggregator's queue. When all of them are full, the newest event is dropped, counted for its run, and
+//!   and the aggregator's queue. When all these places are full, the newest event is dropped, counted for its run, and
 //!   reported in a gap. `produced = stored + waiting + dropped` always holds.
 //!
 //! The tests in `tests` run both state machines against a transport that loses, repeats, reorders and alters frames,
@@ -75,13 +75,15 @@ pub use counts::{
 };
 pub use end_reason::EndReason;
 pub use estimate_basis::EstimateBasis;
-pub use event::{Claim, Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
+pub use event::{
+    Event, EventOrigin, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded,
+};
 pub use experiment::{Condition, ExperimentPosition, Grade};
 pub use hello::{AGENT_STREAM_VERSIONS, Hello, HelloExtension, STREAM_VERSIONS, StreamId};
 pub use host::{Hardware, HostDescription, HostMetrics, ModelMetrics};
 pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,
-    end_names,
+    bound_names,
 };
 pub use message::{Batch, BatchHead, MAX_IN_FLIGHT_BATCHES, Proof, ToAgent, ToAggregator, batch_weight};
 pub use network_name::NetworkName;

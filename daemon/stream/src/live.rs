@@ -43,8 +43,8 @@ pub struct PipelineLive {
     pub placement: Placement,
     /// Configured load as text: `closed`, `5 Hz`.
     pub load: String,
-    /// Seconds that changed since the last update, newest first. Each contains all iterations of the second so far: a
-    /// receiver replaces its copy of the second.
+    /// Seconds that changed since the last update, newest first. Each entry contains all iterations of its second so
+    /// far: a receiver replaces its copy of the entry.
     pub seconds: Vec<Second>,
 }
 
@@ -105,7 +105,7 @@ pub struct Placement {
 }
 
 impl Placement {
-    /// Returns the placement of a sensor without a peer and a model.
+    /// Returns the placement of a sensor that has neither a peer nor a model.
     pub fn sensor_alone() -> Self {
         let (peer, network, address, device) = (None, None, None, None);
         Self { kind: PlacementKind::None, peer, network, address, model: Slug::none(), device }
@@ -152,7 +152,7 @@ pub struct Second {
     /// included.
     pub values: Vec<(Name, Summary)>,
     /// Clock bounds of the delays, in seconds. There are two kinds of entries: the half-widths under the names of the
-    /// stages, `upload` and `download`; and the lower and upper bounds under the names that [`end_names`] returns for
+    /// stages, `upload` and `download`; and the lower and upper bounds under the names that [`bound_names`] returns for
     /// each stage. Agents of earlier versions report the half-widths only.
     pub bounds: Vec<(Name, Summary)>,
     /// Verdicts of the one-way delays: node, name of the verdict, count.
@@ -161,7 +161,7 @@ pub struct Second {
 
 /// Returns the names under which [`Second::bounds`] has the lower and the upper bounds of a delay; the columns of
 /// `data.csv` have the same names. `None` if the stage is not the delay of a message.
-pub fn end_names(stage: &str) -> Option<[Name; 2]> {
+pub fn bound_names(stage: &str) -> Option<[Name; 2]> {
     match stage {
         "upload" => Some([Name::from_static("upload-lo"), Name::from_static("upload-hi")]),
         "download" => Some([Name::from_static("download-lo"), Name::from_static("download-hi")]),
@@ -196,7 +196,7 @@ pub struct Accounting {
     /// Number of events that the agent holds, in memory or in the spool.
     pub waiting: u64,
     /// Number of events that were dropped because no space was left, or lost when the agent was killed. Gaps report
-    /// them.
+    /// these events.
     pub dropped: u64,
     /// Number of gaps that were reported.
     pub gaps: u64,

@@ -15,8 +15,8 @@ pub fn batch_weight(body_bytes: usize) -> u64 {
     body_bytes.max(1_024) as u64
 }
 
-/// Messages from the agent to the aggregator. The message itself contains the host id; the transport's routing id does
-/// not.
+/// Messages from the agent to the aggregator. The host id in the message identifies the agent; the routing id of the
+/// transport does not.
 ///
 /// Batches of the durable lane are frames of another kind ([`super::codec::encode_batch`]): their hash is checked
 /// before they are decoded. A batch that is long for its link is sent in parts ([`super::codec::encode_part`]), so that
@@ -67,8 +67,8 @@ pub enum ToAgent {
         nonce: Nonce,
         /// `true` if the aggregator knows no secret of this host, so that the proof must contain it.
         enrol: bool,
-        /// Version of the event stream that was chosen for this connection; `None` if it is the oldest that the agent
-        /// supports.
+        /// Version of the event stream that was chosen for this connection; `None` if the chosen version is the oldest
+        /// version that the agent supports.
         // An agent of PEERNet 0.1.0 supports one version and cannot read this field.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         version: Option<u16>,
@@ -79,9 +79,9 @@ pub enum ToAgent {
         aggregator: Slug,
         /// Stream of the hello that this message answers.
         stream: StreamId,
-        /// All batches of the stream up to this number are stored; `first - 1` if none is.
+        /// All batches of the stream up to this number are stored; [`Hello::first`] minus 1 if no batch is stored.
         stored: u64,
-        /// Chain hash up to and including the last stored batch; `None` if it is unknown, because no batch is stored.
+        /// Chain hash up to and including the last stored batch; `None` if no batch is stored.
         chain: Option<Chain>,
         /// Process that sent the last stored batch ([`Hello::process`]); `None` if it is unknown.
         process: Option<u64>,
@@ -101,8 +101,8 @@ pub enum ToAgent {
         /// Number of the last stored batch.
         through: u64,
         /// New window of batches in flight, at least 1. The sum of their weights ([`batch_weight`]) may be at most
-        /// `window` times [`Hello::batch_bytes`], and their number at most [`MAX_IN_FLIGHT_BATCHES`]. One batch in flight
-        /// is always allowed.
+        /// `window` times [`Hello::batch_bytes`], and their number at most [`MAX_IN_FLIGHT_BATCHES`]. One batch in
+        /// flight is always allowed.
         window: u32,
     },
     /// Batches are missing; the agent must send them again from this number on.
@@ -115,11 +115,11 @@ pub enum ToAgent {
     /// All bytes before the request for this echo have arrived; they need not be stored yet. The echo is sent at once
     /// and is separate from acknowledgements, so that a slow store is not mistaken for a slow link.
     Echo {
-        /// Number from the request.
+        /// Value of `bytes` in the request.
         bytes: u64,
     },
-    /// The agent must send a hello: a message came from a host without a session (for example because the aggregator was
-    /// restarted), or the chain hash of a batch does not continue that of the previous batch.
+    /// The agent must send a hello: a message came from a host without a session (for example because the aggregator
+    /// was restarted), or the chain hash of a batch does not continue the chain hash of the previous batch.
     Unknown,
 }
 
@@ -145,7 +145,7 @@ pub struct BatchHead {
 }
 
 impl BatchHead {
-    /// Returns the number of events in all batches of the spool up to and including this one.
+    /// Returns the number of events in all batches of the spool up to and including this batch.
     pub const fn events_through(&self) -> u64 {
         self.events_before.saturating_add(self.events as u64)
     }

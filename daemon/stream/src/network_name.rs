@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// Name of a kind of network, such as `zmq-tcp`.
 ///
 /// The default is `zmq-tcp`, the only network up to PEERNet 0.2.0, whose agents send no name. Messages omit the
-/// default, so that they have the form of earlier releases on this network.
+/// default, so that messages about `zmq-tcp` have the form of these releases.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct NetworkName(Slug);

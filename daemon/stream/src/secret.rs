@@ -1,10 +1,10 @@
 //! Host secrets, and the proof that an agent has the secret of its host id.
 //!
-//! The aggregator answers a hello with a challenge, and the agent answers that with a proof: HMAC-SHA-256 (RFC 2104)
-//! with its secret as the key, over the challenge's nonce and the claims of the hello. A hello by itself changes
-//! nothing. The secret is sent only if the aggregator asks for it, because the aggregator has no secret of that host
-//! (trust on first use). Until the event stream is encrypted, whoever can read the network at that moment can read the
-//! secret.
+//! The aggregator answers a hello with a challenge, and the agent answers the challenge with a proof: HMAC-SHA-256 (RFC
+//! 2104) with the host's secret as the key, over the challenge's nonce and fields of the hello. A hello without a proof
+//! changes nothing. The secret itself is sent only if the aggregator asks for it, because the aggregator has no secret
+//! of that host (trust on first use). The event stream is not encrypted: whoever can read the network at that moment
+//! can read the secret.
 
 use std::fmt;
 use std::str::FromStr;
@@ -16,14 +16,14 @@ use sha2::Sha256;
 use super::Hello;
 use peernet_logger::Slug;
 
-/// Domain separator: a code for another purpose that is computed with the same secret is no valid proof.
+/// Domain separator: a code that is computed with the same secret for another purpose is not a valid proof.
 const DOMAIN: &[u8] = b"peernet event stream: proof of a host secret\0";
 
 /// Number of bytes of a secret, of a nonce and of a proof.
 const BYTES: usize = 32;
 
-/// Random secret stored next to the host id. It proves that an agent is the host that it claims to be. `Debug` does not
-/// show it.
+/// Random secret stored next to the host id. With the secret, an agent proves that it is the host with this id. `Debug`
+/// does not show the secret.
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct HostSecret(#[serde(with = "serde_bytes")] [u8; BYTES]);
@@ -33,12 +33,13 @@ pub struct HostSecret(#[serde(with = "serde_bytes")] [u8; BYTES]);
 #[error("a host secret is written as {} hexadecimal digits", 2 * BYTES)]
 pub struct InvalidSecret;
 
-/// Random number that is used once, so that a recorded proof cannot be used again.
+/// Random number that is used once, so that nobody can use a recorded proof again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Nonce(#[serde(with = "serde_bytes")] [u8; BYTES]);
 
-/// Message authentication code. Only [`HostSecret::verify`] compares it, in constant time.
+/// Message authentication code. Codes are compared in constant time, so that the duration reveals nothing about the
+/// valid code.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct ProofCode(#[serde(with = "serde_bytes")] [u8; BYTES]);
@@ -78,14 +79,14 @@ impl HostSecret {
         let mut code =
             <Hmac<Sha256> as KeyInit>::new_from_slice(&self.0).expect("HMAC takes keys of any length");
         code.update(DOMAIN);
-        // The proof covers the newest version, so that nobody between the ends can make the hello claim fewer versions
-        // to force an older one.
+        // The proof covers the newest version. Somebody between the ends therefore cannot lower it in the hello to
+        // force an older version.
         code.update(&hello.versions().newest().to_be_bytes());
         code.update(&nonce.0);
         code.update(hello.host.id.as_bytes());
         code.update(&hello.process.to_be_bytes());
         code.update(hello.stream.as_bytes());
-        // The only part of variable length comes last, so that the parts cannot be divided in two ways.
+        // The only field of variable length comes last, so that different fields never have the same bytes.
         code.update(aggregator.as_str().as_bytes());
         code
     }
@@ -111,7 +112,7 @@ impl FromStr for HostSecret {
 
     /// Reads the format of [`expose_text`](Self::expose_text).
     fn from_str(text: &str) -> Result<Self, InvalidSecret> {
-        // Checked first, because `from_str_radix` also accepts a sign.
+        // The digits are checked first, because `from_str_radix` also accepts a sign.
         let digits = text.as_bytes();
         if digits.len() != 2 * BYTES || !digits.iter().all(u8::is_ascii_hexdigit) {
             return Err(InvalidSecret);
@@ -159,7 +160,7 @@ mod tests {
     use peernet_logger::HostId;
 
     #[test]
-    fn proof_is_valid_for_its_own_claim_only() {
+    fn proof_is_valid_only_for_its_nonce_hello_and_aggregator() {
         let (secret, nonce) = (HostSecret::random(), Nonce::random());
         let hello = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
         let aggregator: Slug = "base".parse().expect("a name");
@@ -173,13 +174,13 @@ mod tests {
         assert!(!is_valid(&secret, &nonce, &hello, "other"));
         assert!(!is_valid(&secret, &nonce, &Hello { process: 2, ..hello.clone() }, "base"));
         assert!(!is_valid(&secret, &nonce, &Hello { stream: StreamId::random(), ..hello.clone() }, "base"));
-        let mut other = hello;
-        other.host.id = HostId::random();
-        assert!(!is_valid(&secret, &nonce, &other, "base"));
+        let mut hello_of_other_host = hello;
+        hello_of_other_host.host.id = HostId::random();
+        assert!(!is_valid(&secret, &nonce, &hello_of_other_host, "base"));
     }
 
     #[test]
-    fn secret_is_read_as_written_and_never_shown() {
+    fn secret_is_read_from_its_text_and_hidden_in_debug_output() {
         let secret = HostSecret::random();
         let text = secret.expose_text();
         assert_eq!(text.parse(), Ok(secret.clone()));

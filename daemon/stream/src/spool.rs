@@ -7,7 +7,7 @@ use crate::counts::{CountedEvents, SettledEvents};
 use crate::totals::{NewestSentBatch, Totals};
 use crate::{Chain, Gap, StreamId, UnresolvedBatches};
 
-/// Maximum number of gaps of earlier processes that are kept separately.
+/// Maximum number of gaps of earlier processes that are kept separately. Further gaps are merged.
 const MAX_UNREPORTED: usize = 64;
 
 /// A number of events and their bytes.
@@ -50,7 +50,7 @@ impl std::ops::Add for Usage {
 pub struct SpooledBatch {
     /// Number of the batch, contiguous within the stream and never used twice.
     pub number: u64,
-    /// Time of its first event on the agent's wall clock.
+    /// Time of the batch's first event on the agent's wall clock.
     pub since: WallTime,
     /// Number of events.
     pub events: u32,
@@ -70,15 +70,15 @@ impl SpooledBatch {
 /// State of a spool when it is opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SpoolState {
-    /// Stream that its batches belong to.
+    /// Stream that the spool's batches belong to.
     pub stream: StreamId,
-    /// Stream that this one replaced.
+    /// Stream that `stream` replaced.
     pub previous_stream: Option<StreamId>,
     /// Number of the stream's first batch.
     pub first: u64,
     /// Number of events in all batches before the stream's first batch; `None` if it is unknown.
     pub events_before_first: Option<u64>,
-    /// Number of the oldest batch in the spool; if the spool contains none, the number after the newest batch.
+    /// Number of the oldest batch in the spool; the number after the newest batch if the spool contains none.
     pub oldest: u64,
     /// Chain of the batch before the oldest.
     pub chain_before_oldest: Chain,
@@ -93,11 +93,11 @@ pub struct SpoolState {
     /// Newest batch that each process may have sent from this spool. A process that is not listed is assumed to have
     /// sent from a copy of the spool.
     pub newest_sent: Vec<NewestSentBatch>,
-    /// Gaps of earlier processes that are not reported yet: events that were dropped, or lost when a process was
+    /// Gaps of earlier processes that are not reported yet: for events that were dropped, or lost when a process was
     /// killed.
     pub unreported: Vec<Gap>,
-    /// The last batches of an earlier process, if only the aggregator knows whether they are stored. No loss is
-    /// reported until this is known.
+    /// The last batches of an earlier process, if only the aggregator knows whether these batches are stored. No loss
+    /// is reported before the aggregator has stated this.
     pub unresolved: Option<UnresolvedBatches>,
 }
 
@@ -134,7 +134,7 @@ impl SpoolState {
         counted: CountedEvents,
         settled: SettledEvents,
     ) -> Option<u64> {
-        // Only one process can be unresolved; the batches of a second one count as lost.
+        // The state has the unresolved batches of one process only. Such batches of a further process count as lost.
         if self.unresolved.is_none() && counted.may_be_stored(&settled, &self.totals) {
             self.unresolved = Some(UnresolvedBatches::new(counted, settled, &self.totals));
             return None;
@@ -149,7 +149,7 @@ impl SpoolState {
     }
 
     fn add_loss(&mut self, lost: Gap) {
-        let is_same = |gap: &&mut Gap| {
+        let has_same_cause = |gap: &&mut Gap| {
             (&gap.pipeline, gap.run, &gap.reason) == (&lost.pipeline, lost.run, &lost.reason)
         };
         let merge = |gap: &mut Gap| {
@@ -157,7 +157,7 @@ impl SpoolState {
             (gap.from, gap.to) = (gap.from.min(lost.from), gap.to.max(lost.to));
         };
         // An agent that is killed again and again would otherwise add a gap each time.
-        if let Some(gap) = self.unreported.iter_mut().find(is_same) {
+        if let Some(gap) = self.unreported.iter_mut().find(has_same_cause) {
             return merge(gap);
         }
         let is_full = self.unreported.len() >= MAX_UNREPORTED;
@@ -210,14 +210,14 @@ mod tests {
         let expected =
             [(Some(first), 10, at(8), at(9)), (Some(second), 4, at(8), at(9)), (None, 1, at(8), at(10))];
         assert_eq!(gaps, expected);
-        // Another process that is killed at once adds only its events.
+        // The next process, which is killed at once, adds only its own events.
         let next = CountedEvents { total: 2, ..counted };
         assert_eq!(state.record_losses_of_killed_process(next, SettledEvents::default()), Some(2));
         assert_eq!((state.unreported.len(), state.unreported[0].count), (3, 12));
     }
 
     #[test]
-    fn nothing_is_lost_when_everything_is_settled() {
+    fn no_loss_is_recorded_if_all_events_are_settled() {
         let (run, mut state) = (RunId::random(), SpoolState::new(StreamId::random()));
         let settled = settled(7, &[(run, 5)], None);
         assert_eq!(state.record_losses_of_killed_process(counted(7, &[(run, 5)]), settled.clone()), Some(0));
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn many_losses_of_earlier_processes_stay_few_gaps() {
+    fn losses_of_many_processes_are_merged_into_few_gaps() {
         let mut state = SpoolState::new(StreamId::random());
         for _ in 0..500 {
             let run = RunId::random();

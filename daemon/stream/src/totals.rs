@@ -5,10 +5,10 @@ use crate::counts::SubmittedEvents;
 
 /// Newest batch that a process may have sent.
 ///
-/// The record is written to the file before the batches are sent. The recorded process or an earlier process sent the
-/// batches in the file up to this number. If the aggregator has a later batch of the recorded process, all batches in
-/// the file are therefore stored: the file lost its end (a power failure, a failed disk), or is an older copy. A batch
-/// of a process that is not recorded in the file proves nothing about the file.
+/// The record is written to the spool's file before the batches are sent. The recorded process or an earlier process
+/// sent the batches in the file up to this number. If the aggregator has a later batch of the recorded process, all
+/// batches in the file are therefore stored: the file lost its newest batches (a power failure, a failed disk), or is
+/// an older copy. A batch of a process that is not recorded in the file proves nothing about the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NewestSentBatch {
     /// Random number of the process ([`super::Hello::process`]).
@@ -17,8 +17,8 @@ pub struct NewestSentBatch {
     pub number: u64,
 }
 
-/// Counts since the spool was created. They are written in the same transaction as the batches, so that counts and
-/// batches agree whenever the process is killed.
+/// Counts since the spool was created. The counts are written in the same transaction as the batches, so that counts
+/// and batches agree whenever the process is killed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
     /// Number of events that were submitted.
@@ -27,14 +27,15 @@ pub struct Totals {
     pub dropped: u64,
     /// Number of gaps that were reported.
     pub gaps: u64,
-    /// Number of dropped events that gaps have reported. The other dropped events must still be reported, after a
-    /// restart as well.
+    /// Number of dropped events that gaps have reported. Gaps must still report the further dropped events, also after
+    /// a restart.
     pub reported_drops: u64,
     /// Events that were submitted to the current process.
     pub submitted: SubmittedEvents,
     /// Newest batch that the current process may have sent; `None` before the aggregator has accepted the process. If
     /// `None`, the records in the spool stay unchanged.
     pub newest_sent: Option<NewestSentBatch>,
-    /// Losses that no gap reports yet. Their presence means that [`SpoolState::unresolved`] is resolved.
+    /// Losses that no gap reports yet; `None` if the losses in the spool stay unchanged. `Some` also means that
+    /// [`SpoolState::unresolved`](crate::SpoolState::unresolved) is resolved.
     pub unreported: Option<Vec<Gap>>,
 }

@@ -1,7 +1,7 @@
 //! Batches that a process sent while its spool could not be written, before the process was killed. The aggregator's
 //! first welcome states whether they are stored.
 //!
-//! Without this check, their events would be reported as lost although they may be stored.
+//! Without this check, the events of these batches would be reported as lost although they may be stored.
 
 use std::collections::VecDeque;
 
@@ -10,7 +10,7 @@ use crate::totals::Totals;
 use crate::{Gap, MAX_IN_FLIGHT_BATCHES};
 
 /// Number of batches for which [`SentUnspooled`] must be kept: the batches that may be in flight, and the last
-/// acknowledged one.
+/// acknowledged batch.
 pub const MAX_SENT_UNSPOOLED: usize = MAX_IN_FLIGHT_BATCHES + 1;
 
 /// The last batches of a process, some of which may be stored although its spool does not contain them.
@@ -26,7 +26,8 @@ pub struct UnresolvedBatches {
     pub events: u64,
 }
 
-/// Result for an earlier process, which is added to the [`Totals`] of the spool.
+/// Numbers of events of an earlier process, after a welcome has stated which of its batches are stored. The numbers are
+/// added to the [`Totals`] of the spool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct ResolvedBatches {
     /// Number of events in batches that are stored and were never written to the spool.
@@ -35,12 +36,12 @@ pub(super) struct ResolvedBatches {
     pub(super) lost: u64,
     /// Number of dropped events that stored gaps report and the totals of the spool do not yet count as reported.
     pub(super) reported_drops: u64,
-    /// Number of submitted events in batches that are stored and were never written to the spool.
+    /// Number of submitted events in these batches: `stored` without the gaps.
     batched: u64,
 }
 
 impl CountedEvents {
-    /// Returns whether batches were sent that are not in the spool.
+    /// Returns whether batches were sent that are not in the spool. The aggregator may have stored these batches.
     pub(super) fn may_be_stored(&self, settled: &SettledEvents, totals: &Totals) -> bool {
         self.sent
             .iter()
@@ -54,7 +55,8 @@ impl UnresolvedBatches {
         Self { counted, settled, reported_drops: totals.reported_drops, events }
     }
 
-    /// Computes the result. The aggregator has stored everything up to batch `number`, which `process` sent.
+    /// Returns which events are stored and which are lost, if the aggregator has stored all batches up to batch
+    /// `number` and `process` sent this batch.
     pub(super) fn resolve(&self, number: u64, process: Option<u64>) -> ResolvedBatches {
         let is_last_stored = |sent: &&SentUnspooled| Some(sent.process) == process && sent.number == number;
         // If another process or a copy of the spool sent the last stored batch, none of these batches counts as
@@ -70,20 +72,21 @@ impl UnresolvedBatches {
     }
 
     /// Updates the losses that no gap reports yet: the gaps in `earlier_gaps`, `earlier_drops` events that earlier
-    /// processes dropped, and the losses of the process itself. Losses that stored gaps of the process reported are
-    /// removed, the oldest first.
+    /// processes dropped, and the losses of the killed process. Losses that stored gaps of the killed process reported
+    /// are removed, the oldest first.
     pub(super) fn update_unreported(
         &self,
         resolved: &ResolvedBatches,
         earlier_gaps: &mut VecDeque<Gap>,
         earlier_drops: &mut u64,
     ) {
-        // Stored gaps say how many losses they reported, but not which; gaps are reported oldest first.
+        // A stored gap states how many losses it reports, but not which. Losses are reported in the order in which they
+        // happened, so the oldest losses are those that were reported.
         let mut reported_drops = resolved.reported_drops;
         while let Some(gap) = earlier_gaps.pop_front_if(|gap| gap.count <= reported_drops) {
             reported_drops -= gap.count;
         }
-        // Gaps report losses in the order in which they happened.
+        // The drops of earlier processes happened after these gaps, and before the losses of the killed process.
         let reported_earlier_drops = reported_drops.min(*earlier_drops);
         *earlier_drops -= reported_earlier_drops;
         reported_drops -= reported_earlier_drops;
@@ -107,7 +110,7 @@ impl UnresolvedBatches {
 }
 
 impl Totals {
-    /// Returns the totals with the result for the earlier process.
+    /// Returns the totals plus the numbers of the earlier process.
     pub(super) fn with_resolved(self, resolved: &ResolvedBatches) -> Self {
         Self {
             produced: self.produced + resolved.stored + resolved.lost,
@@ -128,8 +131,8 @@ mod tests {
 
     const PROCESS: u64 = 7;
 
-    /// Returns a spool with the batches up to 3, which contain 10 of 30 events. Two further batches were sent: batch 4
-    /// with 6 events, and batch 5 with 3 events and a gap of 2 events.
+    /// Returns a spool with the batches up to 3, which accounts for 10 of 30 events. Two further batches were sent:
+    /// batch 4 with 6 events, and batch 5 with 3 events and a gap of 2 events.
     fn unresolved(run: RunId) -> (SpoolState, UnresolvedBatches) {
         let mut state = SpoolState::new(StreamId::random());
         (state.totals.produced, state.totals.dropped, state.totals.reported_drops) = (15, 3, 1);
@@ -153,8 +156,8 @@ mod tests {
         (state, unresolved)
     }
 
-    /// Returns the counts of the gaps with a run and of the gaps without a run.
-    fn gaps(
+    /// Returns the number of unreported losses with a known run, and without a known run.
+    fn unreported_losses(
         unresolved: &UnresolvedBatches,
         resolved: &ResolvedBatches,
         mut earlier_drops: u64,
@@ -162,29 +165,38 @@ mod tests {
         let mut earlier_gaps = VecDeque::new();
         unresolved.update_unreported(resolved, &mut earlier_gaps, &mut earlier_drops);
         assert!(earlier_gaps.iter().all(|gap| gap.reason == KILLED_REASON));
-        let (named, unnamed): (Vec<_>, Vec<_>) = earlier_gaps.iter().partition(|gap| gap.run.is_some());
+        let (with_run, without_run): (Vec<_>, Vec<_>) =
+            earlier_gaps.iter().partition(|gap| gap.run.is_some());
         let sum = |gaps: Vec<&Gap>| gaps.iter().map(|gap| gap.count).sum();
-        (sum(named), earlier_drops + sum(unnamed))
+        (sum(with_run), earlier_drops + sum(without_run))
     }
 
     #[test]
-    fn stored_position_at_aggregator_determines_lost_events() {
+    fn last_stored_batch_determines_lost_events() {
         let (state, unresolved) = unresolved(RunId::random());
-        // 3 - 1 events are not reported; 20 were submitted and neither stored nor dropped.
+        // Of the 3 dropped events, 2 are not reported. 20 events were submitted and neither stored nor dropped.
         let none_stored = unresolved.resolve(3, Some(PROCESS));
         assert_eq!((none_stored.stored, none_stored.lost, none_stored.reported_drops), (0, 20, 0));
-        assert_eq!(gaps(&unresolved, &none_stored, 2), (17, 2 + 3));
-        assert_eq!(unresolved.resolve(5, Some(PROCESS + 1)), none_stored, "another process has batch 5");
+        assert_eq!(unreported_losses(&unresolved, &none_stored, 2), (17, 2 + 3));
+        assert_eq!(
+            unresolved.resolve(5, Some(PROCESS + 1)),
+            none_stored,
+            "a batch 5 of another process proves nothing"
+        );
 
         let one_stored = unresolved.resolve(4, Some(PROCESS));
         assert_eq!((one_stored.stored, one_stored.lost, one_stored.reported_drops), (6, 14, 0));
-        let (named, unnamed) = gaps(&unresolved, &one_stored, 2);
-        assert_eq!((named, named + unnamed), (11, 2 + 14), "of 6 stored events the run is not known");
+        let (with_run, without_run) = unreported_losses(&unresolved, &one_stored, 2);
+        assert_eq!(
+            (with_run, with_run + without_run),
+            (11, 2 + 14),
+            "the runs of the 6 stored events are unknown"
+        );
 
         let both_stored = unresolved.resolve(5, Some(PROCESS));
         assert_eq!((both_stored.stored, both_stored.lost, both_stored.reported_drops), (10, 11, 2));
-        let (named, unnamed) = gaps(&unresolved, &both_stored, 2);
-        assert_eq!(named + unnamed, 11, "the gap in batch 5 reported both unreported losses");
+        let (with_run, without_run) = unreported_losses(&unresolved, &both_stored, 2);
+        assert_eq!(with_run + without_run, 11, "the gap in batch 5 reported the 2 unreported drops");
         let totals = state.totals.with_resolved(&both_stored);
         assert_eq!((totals.produced, totals.dropped, totals.reported_drops), (36, 14, 3));
     }
@@ -222,7 +234,7 @@ mod tests {
         assert_eq!(
             (counts, earlier_drops),
             (vec![3], 0),
-            "5 in the gap, 1 unreported and 1 lost, of which 4 were reported"
+            "of 7 losses (5 in the gap, 1 drop, 1 lost event), 4 were reported"
         );
     }
 

@@ -4,13 +4,13 @@
 //! range and the first release that supports the oldest version in it. The other end chooses the highest version that
 //! both support and states it: the aggregator in its challenge, the cloud when it accepts a session. Without a common
 //! version the connection is refused, with a text that names the end to update and the release that it needs. The older
-//! end cannot know that release by itself; the range of the newer end contains it.
+//! end cannot know that release by itself; the range that the newer end states contains the release.
 //!
-//! A release that changes messages raises the newest version of its range and keeps writing the older forms to peers
-//! that chose them. Messages that are sent before a version is chosen (hello, refusal) never change their form, except
-//! for named values in a hello's extension. Events are encoded and hashed before their aggregator is known, and wait in
-//! the spool; an agent therefore supports no version older than the form of its events, and aggregators are updated
-//! first.
+//! A release that changes messages raises the newest version of its range. On connections for which an older version
+//! was chosen, the release still writes the older forms. Messages that are sent before a version is chosen (hello,
+//! refusal) never change their form, except for named values in a hello's extension. Events are encoded and hashed
+//! before their aggregator is known, and wait in the spool; an agent therefore supports no version older than the form
+//! of its events, and aggregators are updated first.
 
 use std::fmt;
 
@@ -29,15 +29,18 @@ impl fmt::Display for Release {
 
 /// Versions of a protocol that one end supports.
 ///
-/// PEERNet 0.1.0 states one version, which is the oldest and the newest one of this range.
+/// The range that PEERNet 0.1.0 states contains one version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VersionRange {
-    // PEERNet 0.1.0 reads only a field of this name. Keeping the name lets it serve a later peer that still supports
-    // its version.
+    /// Oldest supported version.
+    // PEERNet 0.1.0 reads only the field `protocol`. Because of this name, it can serve a later peer that still
+    // supports the version of 0.1.0.
     #[serde(rename = "protocol")]
     pub(crate) oldest: u16,
+    /// Newest supported version; `None` if the range contains one version.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) newest: Option<u16>,
+    /// First release that supports `oldest`; `None` if it is not stated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) since: Option<Release>,
 }
@@ -58,7 +61,7 @@ impl VersionRange {
         self.oldest
     }
 
-    /// Returns the newest version. It is never below the oldest version, even if a peer states such a range.
+    /// Returns the newest version. The result is never below the oldest version, even if a peer states such a range.
     pub fn newest(&self) -> u16 {
         self.newest.map_or(self.oldest, |newest| newest.max(self.oldest))
     }
@@ -95,8 +98,8 @@ pub struct VersionMismatch {
 }
 
 impl VersionMismatch {
-    /// Returns the text for users, which states the end that is too old and the release that it needs. `protocol`,
-    /// `here` and `peer` name the protocol and the ends, such as `the event stream`, `the aggregator` and `the agent on
+    /// Returns the error text, which names the end to update and the release that it needs. `protocol`, `here` and
+    /// `peer` name the protocol, this end and the peer, such as `the event stream`, `the aggregator` and `the agent on
     /// edge`.
     pub fn describe(&self, protocol: &str, here: &str, peer: &str) -> String {
         let (here, peer) = ((here, self.here), (peer, self.peer));
@@ -107,7 +110,7 @@ impl VersionMismatch {
         let needed =
             newer_range.since.map_or_else(|| format!("the release of {newer}"), |since| since.to_string());
         format!(
-            "{older} speaks {older_range} of {protocol}, {newer} {newer_range}: update {older} to at least {needed}"
+            "{older} speaks {older_range} of {protocol}, {newer} speaks {newer_range}: update {older} to at least {needed}"
         )
     }
 }
@@ -141,17 +144,17 @@ mod tests {
     #[test]
     fn mismatch_names_older_end_and_needed_release() {
         let text = |here: VersionRange, peer: VersionRange| {
-            let mismatch = here.highest_common(&peer).expect_err("nothing in common");
+            let mismatch = here.highest_common(&peer).expect_err("the ranges have no version in common");
             mismatch.describe("the event stream", "the aggregator", "the agent on edge")
         };
         assert_eq!(
             text(range(6, 7), VersionRange::single(5)),
-            "the agent on edge speaks version 5 of the event stream, the aggregator versions 6 to 7: update the agent on \
-             edge to at least PEERNet 0.6.0"
+            "the agent on edge speaks version 5 of the event stream, the aggregator speaks versions 6 to 7: update the agent \
+             on edge to at least PEERNet 0.6.0"
         );
         assert_eq!(
             text(range(5, 5), range(6, 7)),
-            "the aggregator speaks version 5 of the event stream, the agent on edge versions 6 to 7: update the \
+            "the aggregator speaks version 5 of the event stream, the agent on edge speaks versions 6 to 7: update the \
              aggregator to at least PEERNet 0.6.0"
         );
         let unstated = text(range(5, 5), VersionRange::single(9));

@@ -3,7 +3,7 @@
 use peernet_clock::Span;
 use peernet_logger::{Measure, Name, Node, Tree, stage};
 use peernet_statistics::Summary;
-use peernet_stream::{Outcome, OutcomeCounts, Second, end_names};
+use peernet_stream::{Outcome, OutcomeCounts, Second, bound_names};
 
 /// Name of the value that is 1 if an iteration missed its deadline or failed, and 0 otherwise. Absent if the
 /// pipeline has no deadline.
@@ -97,7 +97,7 @@ impl SecondStatistics {
         let Some(delay) = transit.delay else { return };
         if let Some(half_width) = delay.half_width() {
             self.bounds.record(0, &node.name, half_width);
-            if let (Some(names), Some(bounds)) = (end_names(&node.name), delay.bounds) {
+            if let (Some(names), Some(bounds)) = (bound_names(&node.name), delay.bounds) {
                 let ends = [bounds.lo, bounds.hi].map(Span::seconds);
                 names.iter().zip(ends).for_each(|(name, end)| {
                     self.bounds.record(0, name, end);

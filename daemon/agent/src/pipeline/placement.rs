@@ -207,7 +207,7 @@ impl Placement {
             Self::Remote { session, link, .. } => {
                 let mut facts = session.accepted().facts.clone();
                 if let Some(faults) = &session.accepted().host_clock.faults {
-                    facts.push((FaultyHost::Cloud(link.name().as_str()).fact(), faults.to_string()));
+                    facts.push((FaultyHost::Cloud(link.name().as_str()).fact_name(), faults.to_string()));
                 }
                 facts
             }

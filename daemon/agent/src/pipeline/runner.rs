@@ -223,7 +223,7 @@ impl Runner {
         is_continuation: bool,
     ) -> Run {
         if let Some(faults) = self.context.host.clock.injected_faults() {
-            facts.push((FaultyHost::Edge.fact(), faults.to_string()));
+            facts.push((FaultyHost::Edge.fact_name(), faults.to_string()));
         }
         Run::start(
             &self.config,

@@ -7,7 +7,7 @@ use peernet_analysis::transfer::Transfers;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::{Merge, Summary};
-use peernet_stream::{OutcomeCounts, Second, end_names};
+use peernet_stream::{OutcomeCounts, Second, bound_names};
 
 use super::MAX_NAMES;
 use crate::live_state::{LiveSecond, Window};
@@ -19,8 +19,8 @@ pub(super) struct SecondStatistics {
     counts: OutcomeCounts,
     /// Summaries by the name of the quantity: a node of the iteration's tree.
     values: Vec<(Name, Summary)>,
-    /// Clock bounds of each direction: half widths under the name of the stage, lower and upper ends under the two
-    /// [`end_names`] of the stage.
+    /// Clock bounds of each direction: half widths under the name of the stage, lower and upper ends under its two
+    /// [`bound_names`].
     bounds: Vec<(Name, Summary)>,
     /// Number of iterations by stage and clock verdict.
     verdicts: Vec<(Name, Verdict, u64)>,
@@ -120,7 +120,8 @@ impl SecondStatistics {
                     QuantityStatistics::from_summary(summary)
                 };
                 let half_width = statistics(&stage);
-                let ends = end_names(&stage).and_then(|[lo, hi]| Some([statistics(&lo)?, statistics(&hi)?]));
+                let ends =
+                    bound_names(&stage).and_then(|[lo, hi]| Some([statistics(&lo)?, statistics(&hi)?]));
                 let mut verdicts: Vec<(Verdict, u64)> = Vec::new();
                 for verdict in Verdict::ALL {
                     let has_verdict =

@@ -133,7 +133,7 @@ impl TrustInput {
     /// Adds the facts of the run about clock faults, labels, classes and replayed latencies.
     #[must_use]
     pub fn with_facts(self, facts: &[(String, String)]) -> Self {
-        let has_clock_fault = facts.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some());
+        let has_clock_fault = facts.iter().any(|(fact, _)| FaultyHost::from_fact_name(fact).is_some());
         let unknown_labels = self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, facts));
         let replayed = ReplayedLatencies::from_facts(facts).map(|replayed| replayed.distribution);
         Self { has_clock_fault, unknown_labels, replayed, ..self }

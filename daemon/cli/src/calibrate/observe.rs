@@ -110,7 +110,7 @@ impl RunObserver for SweepObserver<'_> {
             Event::RunStarted(run) => {
                 // There is one fact for each host with an artificial clock error.
                 self.measurements.has_clock_fault |=
-                    run.facts.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some());
+                    run.facts.iter().any(|(fact, _)| FaultyHost::from_fact_name(fact).is_some());
                 self.measurements.cloud = run.placement.peer.map(|peer| peer.to_string());
                 self.cloud_clock = running.and_then(cloud_clock);
                 self.peer_wait.record_answer(self.clock.mono());

@@ -120,7 +120,7 @@ async fn error_of_refused_edge_says_what_to_update() {
     assert_eq!(
         result.expect_err("refused").to_string(),
         format!(
-            "this program speaks versions 4 to 6 of the session protocol, the cloud at {address} versions 7 to 8: update this \
+            "this program speaks versions 4 to 6 of the session protocol, the cloud at {address} speaks versions 7 to 8: update this \
              program to at least PEERNet 0.4.0"
         )
     );
@@ -129,7 +129,7 @@ async fn error_of_refused_edge_says_what_to_update() {
     assert_eq!(
         result.expect_err("refused").to_string(),
         format!(
-            "the cloud at {address} speaks version 3 of the session protocol, this program versions 4 to 6: update the cloud at \
+            "the cloud at {address} speaks version 3 of the session protocol, this program speaks versions 4 to 6: update the cloud at \
              {address} to at least PEERNet 0.1.0"
         )
     );

@@ -271,7 +271,7 @@ fn summary(
         misses: deadline_s.map(|_| Misses::new(counts.ok, late.round() as u64, counts.all_failed())),
         actuator,
         total: total.and_then(NameSummary::statistics),
-        has_clock_fault: facts(row)?.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some()),
+        has_clock_fault: facts(row)?.iter().any(|(fact, _)| FaultyHost::from_fact_name(fact).is_some()),
         pinned: row.pinned,
         nodes_from: count(row.nodes_from),
         experiment: row.experiment.as_deref().map(json).transpose()?,

@@ -67,7 +67,7 @@ impl<'a> RejectedBatch<'a> {
             Some(events) => {
                 let mut runs = BTreeMap::<Option<RunId>, Gap>::new();
                 for event in events {
-                    let (run, at) = (event.claim().run, event_time(event));
+                    let (run, at) = (event.origin().run, event_time(event));
                     let run = match run {
                         // A run that does not exist is not created, because none of its events is stored.
                         Some(run) => entities.find_run(connection, reporter, run).await?.and(Some(run)),

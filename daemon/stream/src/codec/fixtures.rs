@@ -5,10 +5,10 @@
 //! and decodes detects.
 //!
 //! A file is `MESSAGE.bin` or `MESSAGE.DETAIL.bin`. A new message or variant gets a value in [`messages`] or [`events`]
-//! with its own `DETAIL`; `write_missing_fixtures` writes its file and never changes an existing one. A file is deleted
-//! only together with a new oldest version in [`STREAM_VERSIONS`](super::super::STREAM_VERSIONS), because agents of the
-//! old version still send those bytes. Files of hellos and refusals are never deleted, because these messages are the
-//! same in all versions.
+//! with its own `DETAIL`; `write_missing_fixtures` writes its file and never changes an existing file. A file is
+//! deleted only together with a new oldest version in [`STREAM_VERSIONS`](super::super::STREAM_VERSIONS), because
+//! agents of the old version still send those bytes. Files of hellos and refusals are never deleted, because these
+//! messages are the same in all versions.
 
 mod events;
 mod messages;
@@ -28,6 +28,7 @@ fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/wire/event-stream")
 }
 
+/// Reads all fixtures.
 fn files() -> Files {
     let folder = folder();
     let entries = fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
@@ -49,20 +50,20 @@ enum Content {
 }
 
 impl Content {
-    /// Decodes a frame. Batches and parts are recognised as the receiver recognises them. The direction of other
-    /// messages is known from the connection, and here from the file's name.
+    /// Decodes a frame. Batches and parts are recognised by their first bytes, as in the receiver. The direction of any
+    /// other message follows from the file's name; a receiver knows the direction from its connection.
     fn decode(file: &str, frame: &Bytes) -> Self {
         if let Some(head) = decode_batch_head(frame) {
-            let body = readable(file, decode_batch_body(frame.clone()));
-            return Self::Batch(head, readable(file, decode_events(&body, head.events)));
+            let body = expect_readable(file, decode_batch_body(frame.clone()));
+            return Self::Batch(head, expect_readable(file, decode_events(&body, head.events)));
         }
         if let Some(part) = decode_part(frame) {
             return Self::Part(part);
         }
         if file.starts_with("to-agent-") {
-            return Self::ToAgent(readable(file, decode(frame)));
+            return Self::ToAgent(expect_readable(file, decode(frame)));
         }
-        Self::ToAggregator(Box::new(readable(file, decode(frame))))
+        Self::ToAggregator(Box::new(expect_readable(file, decode(frame))))
     }
 
     /// Returns the frame without compression.
@@ -86,7 +87,7 @@ impl Content {
     }
 }
 
-fn readable<T>(file: &str, result: Result<T, CodecError>) -> T {
+fn expect_readable<T>(file: &str, result: Result<T, CodecError>) -> T {
     result.unwrap_or_else(|error| panic!("{file} cannot be read any more: {error}"))
 }
 
@@ -101,21 +102,21 @@ fn body_of(events: &[Event]) -> Vec<u8> {
 /// Frames are compared in this form, because another version of Zstandard may compress to other bytes, which every
 /// version can read.
 fn uncompressed(file: &str, frame: &Bytes) -> Vec<u8> {
-    if let Some(compressed) = frame.strip_prefix(&[BATCH, COMPRESSED]) {
-        return readable(file, decompress_message(compressed));
+    if let Some(compressed) = frame.strip_prefix(&[FRAME_MARKER, COMPRESSED]) {
+        return expect_readable(file, decompress_message(compressed));
     }
-    if !frame.starts_with(&[BATCH, ZSTD]) {
+    if !frame.starts_with(&[FRAME_MARKER, ZSTD]) {
         return frame.to_vec();
     }
-    let body = readable(file, decode_batch_body(frame.clone()));
-    [&[BATCH, PLAIN][..], &frame[2..BATCH_HEAD_BYTES], &body[..]].concat()
+    let body = expect_readable(file, decode_batch_body(frame.clone()));
+    [&[FRAME_MARKER, PLAIN][..], &frame[2..BATCH_HEAD_BYTES], &body[..]].concat()
 }
 
 #[test]
 #[ignore = "writes the files of new messages"]
 fn write_missing_fixtures() {
     fs::create_dir_all(folder()).expect("the folder of the fixtures can be made");
-    for (file, frame) in messages::files() {
+    for (file, frame) in messages::encoded_values() {
         let path = folder().join(file);
         if !path.exists() {
             fs::write(path, frame).expect("a fixture can be written");
@@ -127,23 +128,28 @@ fn write_missing_fixtures() {
 fn decoded_fixture_is_encoded_to_same_bytes() {
     for (file, frame) in files() {
         let content = Content::decode(&file, &frame);
-        assert_eq!(file.split('.').next(), Some(content.name()), "{file} holds another message");
+        assert_eq!(
+            file.split('.').next(),
+            Some(content.name()),
+            "the name of {file} is that of another message"
+        );
         assert!(
             content.encode() == uncompressed(&file, &frame),
-            "{file}: decoding loses or changes something"
+            "{file}: decoding and encoding changes the bytes"
         );
     }
 }
 
-/// Detects two fields of one type that changed places: decoding and encoding still yields the same bytes then.
+/// Detects two fields of the same type that changed places. Decoding and encoding does not detect this change, because
+/// both use the new order.
 #[test]
 fn value_is_encoded_as_in_its_fixture() {
     let files = files();
-    let values = messages::files();
+    let values = messages::encoded_values();
     assert_eq!(
         files.keys().collect::<Vec<_>>(),
         values.keys().collect::<Vec<_>>(),
-        "a file or a value is missing"
+        "left: files; right: values"
     );
     for (file, frame) in &values {
         assert!(
@@ -154,9 +160,9 @@ fn value_is_encoded_as_in_its_fixture() {
 }
 
 #[test]
-fn compressed_fixtures_are_really_compressed() {
+fn fixtures_named_compressed_have_compressed_form() {
     let form = |file: &str| files().get(file).map(|frame| [frame[0], frame[1]]);
-    assert_eq!(form("batch.filled.bin"), Some([BATCH, PLAIN]));
-    assert_eq!(form("batch.compressed.bin"), Some([BATCH, ZSTD]));
-    assert_eq!(form("to-aggregator-live.compressed.bin"), Some([BATCH, COMPRESSED]));
+    assert_eq!(form("batch.filled.bin"), Some([FRAME_MARKER, PLAIN]));
+    assert_eq!(form("batch.compressed.bin"), Some([FRAME_MARKER, ZSTD]));
+    assert_eq!(form("to-aggregator-live.compressed.bin"), Some([FRAME_MARKER, COMPRESSED]));
 }

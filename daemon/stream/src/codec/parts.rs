@@ -9,7 +9,7 @@
 
 use bytes::{Buf, Bytes};
 
-use super::{BATCH, MAX_MESSAGE_BYTES, PART};
+use super::{FRAME_MARKER, MAX_MESSAGE_BYTES, PART};
 use peernet_logger::HostId;
 
 /// Number of bytes of a part before its content.
@@ -31,7 +31,7 @@ pub struct Part {
 /// Returns the frame of a part.
 pub fn encode_part(part: &Part) -> Vec<u8> {
     let mut frame = Vec::with_capacity(PART_HEAD_BYTES + part.bytes.len());
-    frame.extend([BATCH, PART]);
+    frame.extend([FRAME_MARKER, PART]);
     frame.extend(part.host.as_bytes());
     frame.extend(part.offset.to_be_bytes());
     frame.extend(part.total.to_be_bytes());
@@ -41,7 +41,7 @@ pub fn encode_part(part: &Part) -> Vec<u8> {
 
 /// Returns the part in a frame; `None` for any other message, and for a part whose fields contradict each other.
 pub fn decode_part(frame: &Bytes) -> Option<Part> {
-    let rest = frame.strip_prefix(&[BATCH, PART])?;
+    let rest = frame.strip_prefix(&[FRAME_MARKER, PART])?;
     let (&host, rest) = rest.split_first_chunk()?;
     let (&offset, rest) = rest.split_first_chunk()?;
     let (&total, _) = rest.split_first_chunk()?;
@@ -67,14 +67,14 @@ mod tests {
         assert_eq!(frame.len(), PART_HEAD_BYTES + 3);
         assert_eq!(decode_part(&frame), Some(written.clone()));
         assert_eq!(decode_batch_head(&[&frame[..], &[0; 200]].concat()), None);
-        assert_eq!(decode_part(&frame.slice(..PART_HEAD_BYTES)), None, "an empty part");
-        let beyond = Part { offset: 301, ..written.clone() };
-        assert_eq!(decode_part(&encode_part(&beyond).into()), None, "beyond the end");
+        assert_eq!(decode_part(&frame.slice(..PART_HEAD_BYTES)), None, "a part without content is invalid");
+        let beyond_end = Part { offset: 301, ..written.clone() };
+        assert_eq!(decode_part(&encode_part(&beyond_end).into()), None, "a part ends within its frame");
         let huge = Part { total: MAX_MESSAGE_BYTES as u32 + 1, ..written };
         assert_eq!(
             decode_part(&encode_part(&huge).into()),
             None,
-            "a part of a frame that is longer than a message may be"
+            "a frame is not longer than the longest message"
         );
     }
 }

@@ -14,8 +14,8 @@ fn interval(lo: i64, hi: i64) -> Interval {
     Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) }
 }
 
-/// Returns a sample with all optional fields.
-fn clock() -> ClockSample {
+/// Returns a clock sample in which some optional fields have values and some have none.
+fn clock_sample() -> ClockSample {
     let at = WallTime::from_unix_nanos;
     let exchange = Exchange {
         sent: RawTime::from_nanos(1_000),
@@ -89,7 +89,11 @@ fn some_events(count: usize) -> Vec<Event> {
         peer: Some(HostId::random()),
         text: "back after 2 s".into(),
     };
-    [Event::Incident(incident), Event::Clock(Box::new(clock()))].into_iter().cycle().take(count).collect()
+    [Event::Incident(incident), Event::Clock(Box::new(clock_sample()))]
+        .into_iter()
+        .cycle()
+        .take(count)
+        .collect()
 }
 
 fn body_of(events: &[Event]) -> Vec<u8> {
@@ -161,14 +165,15 @@ fn compressed_message_is_read_within_size_limit() {
     assert_eq!(
         encode_compressed(&ToAgent::Unknown),
         encode(&ToAgent::Unknown),
-        "shorter without compression"
+        "a message that compression does not shorten is not compressed"
     );
     for length in [MAX_MESSAGE_BYTES as u32 + 1, 100] {
         let mut wrong_length = frame.clone();
         wrong_length[2..6].copy_from_slice(&length.to_be_bytes());
-        decode::<ToAgent>(&wrong_length).expect_err("longer than stated, or than the limit");
+        decode::<ToAgent>(&wrong_length).expect_err("the stated length is wrong");
     }
-    (0..frame.len()).for_each(|end| drop(decode::<ToAgent>(&frame[..end]).expect_err("cut off")));
+    (0..frame.len())
+        .for_each(|end| drop(decode::<ToAgent>(&frame[..end]).expect_err("the frame is truncated")));
 }
 
 #[test]
@@ -195,7 +200,7 @@ fn wrong_number_of_events_is_refused() {
 
 #[test]
 fn body_that_decompresses_beyond_limit_is_refused() {
-    // The body compresses to almost nothing, so only a wrong length in the head could pass the limit.
+    // The compressed body is far shorter than the limit. Only the length in the head shows that the body is too long.
     let body = vec![0; 8 * MAX_MESSAGE_BYTES];
     let mut frame = encode_batch(&head_of(5, 1, &body), &body, true);
     assert!(frame.len() < MAX_MESSAGE_BYTES);
@@ -205,7 +210,7 @@ fn body_that_decompresses_beyond_limit_is_refused() {
 }
 
 #[test]
-fn clock_samples_arrive_unchanged() {
+fn live_update_with_links_is_decoded_as_encoded() {
     let probing = [
         Probing::On { address: "udp://h:8620".into(), rate_hz: 10.0, stamps: "program".into() },
         Probing::Unanswered { address: "udp://h:8620".into(), reason: Some("another key".into()) },
@@ -221,7 +226,7 @@ fn clock_samples_arrive_unchanged() {
         probing,
         edge: Some(host_clock()),
         cloud: None,
-        latest_sample: clock(),
+        latest_sample: clock_sample(),
         connections: Vec::new(),
         reflector: None,
     };
@@ -238,7 +243,7 @@ fn clock_samples_arrive_unchanged() {
 }
 
 #[test]
-fn excess_lengths_and_remaining_bytes_are_refused() {
+fn too_long_too_deep_and_trailing_bytes_are_refused() {
     let frame = encode(&ToAgent::Unknown);
     assert_eq!(decode(&frame), Ok(ToAgent::Unknown));
     assert_eq!(decode::<ToAgent>(&[&frame[..], &[0]].concat()), Err(CodecError::Trailing(1)));
@@ -252,7 +257,7 @@ proptest! {
     #[test]
     fn arbitrary_bytes_cause_no_panic(bytes: Vec<u8>, count: u32) {
         let _ = (decode::<ToAggregator>(&bytes), decode::<ToAgent>(&bytes), decode_events(&bytes, count));
-        let batch: Bytes = [&[BATCH], &bytes[..]].concat().into();
+        let batch: Bytes = [&[FRAME_MARKER], &bytes[..]].concat().into();
         let _ = (decode_batch_head(&batch), decode_batch_body(batch.clone()), decode_batch_head(&bytes), decode_batch_body(bytes.into()));
     }
 
@@ -268,7 +273,7 @@ proptest! {
         let _ = (decode_events(&body, 2), decode_events(&body[..cut.index(at_body + 1)], 2));
     }
 
-    /// Checks that every changed bit is detected: the head belongs to another batch, or the events are not read.
+    /// Checks that every changed bit is detected: either the head differs, or the body is refused.
     #[test]
     fn every_changed_bit_is_detected(bit: prop::sample::Index, compress: bool) {
         let (frame, head, _) = frame_of(2, compress);

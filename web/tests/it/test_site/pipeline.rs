@@ -3,7 +3,7 @@
 use peernet_clock::WallTime;
 use peernet_logger::{Name, RunId, stage};
 use peernet_statistics::{SplitMix64, Summary};
-use peernet_stream::{OutcomeCounts, Placement, PlacementKind, Second, end_names};
+use peernet_stream::{OutcomeCounts, Placement, PlacementKind, Second, bound_names};
 
 /// Relation of the clocks of a pipeline's two hosts.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -221,7 +221,7 @@ impl TestPipeline {
                 } else if name == stage::DOWNLOAD && self.name == "offload-full" {
                     record(stage::DOWNLOAD_THROUGHPUT, 412.0 * 8.0 / value);
                 }
-                if let Some(names) = end_names(&name) {
+                if let Some(names) = bound_names(&name) {
                     for (name, end) in names.into_iter().zip([value - half_width, value + half_width]) {
                         let at = ends.iter().position(|(known, _)| *known == name).unwrap_or_else(|| {
                             ends.push((name, Summary::default()));

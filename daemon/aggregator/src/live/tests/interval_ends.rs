@@ -3,7 +3,7 @@
 use peernet_analysis::delays::IntervalMethod;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
-use peernet_stream::end_names;
+use peernet_stream::bound_names;
 
 use super::{Testbed, second};
 
@@ -19,7 +19,7 @@ fn window_has_interval_from_reported_ends() {
         let mut testbed = Testbed::new();
         for at in 0..2 {
             let mut second = second(at, &DELAYS, 0);
-            let names = end_names("upload").expect("a delay of a message");
+            let names = bound_names("upload").expect("a delay of a message");
             second.bounds.extend(names.into_iter().zip(ends.into_iter().flatten()).map(|(name, end)| {
                 let mut summary = Summary::default();
                 DELAYS.iter().for_each(|_| summary.record(end));

@@ -15,7 +15,7 @@ use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
 use peernet_stream::codec::{self, CodecError};
-use peernet_stream::{BatchHead, Claim, Event, OutcomeCounts};
+use peernet_stream::{BatchHead, Event, EventOrigin, OutcomeCounts};
 
 use self::names::LocalNames;
 pub(super) use self::names::NameKey;
@@ -180,7 +180,7 @@ impl BatchBuilder {
         if let Event::Gap(gap) = &mut event {
             gap.count = gap.count.min(MAX_MISSING_EVENTS);
         }
-        let Claim { run, reporter } = event.claim();
+        let EventOrigin { run, reporter } = event.origin();
         if let Some(other) = reporter.filter(|reporter| *reporter != self.batch.head.host) {
             return Err(BatchError::OtherHost(other));
         }
