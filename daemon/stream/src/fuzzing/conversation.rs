@@ -17,8 +17,8 @@ use peernet_logger::HostId;
 /// Maximum number of executed steps of one script.
 const MAX_STEPS: usize = 2_000;
 
-/// Runs a script. Its first byte selects the receiving or the sending state machine. The other bytes determine its
-/// inputs: frames, decisions of its owner, and the passage of time.
+/// Runs a script. The first byte selects the receiving or the sending state machine. The other bytes determine the
+/// inputs of the state machine: frames, results of actions, and the passage of time.
 ///
 /// # Panics
 /// If a guarantee is violated: batches of a stream are accepted out of order, a window is zero, or events are not
@@ -41,9 +41,7 @@ fn drive_receiving(script: &mut Script<'_>) {
         match script.byte() % 10 {
             0 => {
                 let hello = script.hello();
-                let mark = (script.byte() & 1 == 0)
-                    .then(|| script.host())
-                    .map(|owner| script.stored_position(owner));
+                let mark = (script.byte() & 1 == 0).then(|| script.host()).map(|owner| script.mark(owner));
                 let last_stream = (script.byte() & 1 == 0).then(|| script.stream());
                 let (was_used, previous_mark) =
                     (last_stream == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
@@ -73,7 +71,7 @@ fn drive_receiving(script: &mut Script<'_>) {
                     let previous = accepted.insert(head.stream, head.number);
                     assert!(
                         previous.is_none_or(|previous| head.number == previous + 1),
-                        "accepted out of order"
+                        "batches are accepted in order"
                     );
                     assert!(is_intact == (arrival == Arrival::Accept));
                 }
@@ -85,7 +83,7 @@ fn drive_receiving(script: &mut Script<'_>) {
             }
             6 => {
                 let (stream, owner) = (script.stream(), script.host());
-                let mark = script.stored_position(owner);
+                let mark = script.mark(owner);
                 receiving.handle_stored(stream, mark);
                 accepted.entry(stream).and_modify(|number| *number = mark.stored.max(*number));
             }
@@ -113,7 +111,7 @@ fn drive_receiving(script: &mut Script<'_>) {
     }
 }
 
-/// An agent with a spool that performs the requested actions or fails.
+/// An agent with a spool, which performs the requested actions or fails.
 struct Agent {
     sending: Sending,
     jobs: VecDeque<Action>,
@@ -196,7 +194,7 @@ impl Agent {
         }
     }
 
-    /// Answers the next action on the spool, as failed if `fails` is set.
+    /// Performs the next action on the spool and reports its result. If `fails` is `true`, reports a failure instead.
     fn answer_next_action(&mut self, fails: bool) {
         let now = self.now;
         let reason = || "the disk fails".to_owned();

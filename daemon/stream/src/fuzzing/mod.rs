@@ -11,20 +11,21 @@ use crate::codec::{self, CodecError, MAX_MESSAGE_BYTES, Message};
 use crate::{BatchHead, Chain, StreamId, ToAgent, ToAggregator};
 use peernet_logger::HostId;
 
-/// Bits of the first byte of [`any_batch`]. They select how the other bytes are treated, so that some random inputs
-/// pass the check of the hash.
-const AS_BODY: u8 = 1;
-const COMPRESSED: u8 = 2;
+/// Bit of the first byte of [`any_batch`]: the other bytes are the body of a batch. Without this bit, hardly any random
+/// input would pass the check of the hash.
+const BODY_FLAG: u8 = 1;
+/// Bit of the first byte of [`any_batch`]: the body is compressed.
+const COMPRESSED_FLAG: u8 = 2;
 
 /// Reads arbitrary bytes as a batch. The first byte selects whether the other bytes are the frame of a batch or the
 /// body of an intact batch.
 ///
 /// # Panics
-/// If a guarantee is violated: a body is accepted that does not match its chain or is too long, or a frame is read
-/// differently than it was written.
+/// If a guarantee is violated: a body is accepted that does not match its chain or is too long, or a written frame is
+/// read as another batch.
 pub fn any_batch(data: &[u8]) {
     let Some((&flags, bytes)) = data.split_first() else { return };
-    if flags & AS_BODY == 0 {
+    if flags & BODY_FLAG == 0 {
         handle_frame(bytes);
         return;
     }
@@ -39,18 +40,18 @@ pub fn any_batch(data: &[u8]) {
         events,
         events_before: u64::MAX,
     };
-    let frame = codec::encode_batch(&head, bytes, flags & COMPRESSED != 0);
+    let frame = codec::encode_batch(&head, bytes, flags & COMPRESSED_FLAG != 0);
     assert_eq!(
         handle_frame(&frame),
         (bytes.len() <= MAX_MESSAGE_BYTES).then_some(head),
-        "a framed body is accepted"
+        "a body within the limit is accepted"
     );
 }
 
 /// Handles a frame as the aggregator does. Returns the head of an intact batch.
 fn handle_frame(frame: &[u8]) -> Option<BatchHead> {
     let head = codec::decode_batch_head(frame)?;
-    assert!(codec::decode::<ToAggregator>(frame).is_err(), "a batch's frame is no message");
+    assert!(codec::decode::<ToAggregator>(frame).is_err(), "a batch's frame is not a message");
     let body = codec::decode_batch_body(Bytes::copy_from_slice(frame)).ok()?;
     assert!(body.len() <= MAX_MESSAGE_BYTES);
     assert_eq!(head.previous_chain.next(head.events, &body), head.chain, "an intact body matches its chain");
@@ -72,7 +73,7 @@ pub fn any_message(data: &[u8]) {
 fn assert_round_trip<M: Message>(message: Result<M, CodecError>) {
     let Ok(message) = message else { return };
     let frame = codec::encode(&message);
-    // Compared by bytes, because NaN does not equal itself.
+    // The messages are compared by bytes, because NaN does not equal itself.
     let reencoded = codec::decode::<M>(&frame).map(|message| codec::encode(&message));
     assert!(reencoded.is_ok_and(|reencoded| reencoded == frame), "a message is read as it was written");
 }

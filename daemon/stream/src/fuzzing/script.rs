@@ -8,7 +8,7 @@ use crate::{
 };
 use peernet_logger::HostId;
 
-/// Reader of decisions from bytes. After the last byte it returns zeros.
+/// Reader of decisions from bytes. After the last byte, the reader returns zeros.
 pub(super) struct Script<'a>(pub(super) &'a [u8]);
 
 impl Script<'_> {
@@ -35,7 +35,7 @@ impl Script<'_> {
         match self.byte() {
             small @ 0..200 => u64::from(small % 16),
             near @ 200..228 => u64::MAX - u64::from(near - 200),
-            // // From 14 below the largest `i64` to 13 above it.
+            // From 14 below the largest `i64` to 13 above it.
             near => i64::MAX as u64 + u64::from(near) - 242,
         }
     }
@@ -59,7 +59,7 @@ impl Script<'_> {
         Chain::from_bytes(bytes)
     }
 
-    pub(super) fn stored_position(&mut self, host: HostId) -> HighWaterMark {
+    pub(super) fn mark(&mut self, host: HostId) -> HighWaterMark {
         let stored = self.number();
         let (chain, process) = (self.chain(stored), (stored & 4 == 0).then_some(stored & 3));
         HighWaterMark { host, stored, chain, process, events: (stored & 8 == 0).then(|| self.number()) }

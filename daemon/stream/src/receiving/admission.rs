@@ -1,4 +1,4 @@
-//! Decision which hosts get a session.
+//! Decision about which hosts get a session.
 
 use peernet_clock::MonoTime;
 
@@ -15,8 +15,8 @@ pub(super) fn version_mismatch(hello: &Hello) -> Option<String> {
     Some(mismatch.describe("the event stream", "the aggregator", &agent))
 }
 
-/// Returns whether a host has been in the database for longer than another host. A host that is not in the database has
-/// the lowest seniority. Smaller numbers are more senior ([`StreamRecord::seniority`]).
+/// Returns whether `host` has been in the database for longer than `other`. The arguments are the positions of the two
+/// hosts ([`StreamRecord::seniority`]); `None` is a host that is not in the database.
 const fn is_senior(host: Option<u64>, other: Option<u64>) -> bool {
     match (host, other) {
         (Some(host), Some(other)) => host < other,
@@ -28,11 +28,12 @@ const fn is_senior(host: Option<u64>, other: Option<u64>) -> bool {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Session {
     name: Slug,
+    /// Position of the host in the order in which hosts were first stored ([`StreamRecord::seniority`]).
     seniority: Option<u64>,
     pub(super) process: u64,
     pub(super) stream: StreamId,
     pub(super) last_message_at: MonoTime,
-    /// Weight of a batch of the usual length, as stated in the hello; at most the longest message.
+    /// Weight of a batch of the length that the hello states; at most the weight of the longest message.
     pub(super) batch_bytes: u64,
     /// Number of another process that claims to be this host, and the time of that process's first hello.
     rival_process: Option<(u64, MonoTime)>,
@@ -54,10 +55,11 @@ impl Session {
 
 /// Decision about a hello.
 pub(super) enum Admission {
+    /// The host gets a session.
     Granted,
     /// The host gets no session, for this reason.
     Refused(String),
-    /// No decision yet: the next hello decides.
+    /// No decision yet: the agent's next hello is decided.
     Later,
 }
 
@@ -69,8 +71,8 @@ impl Receiving {
         }
     }
 
-    /// Returns the reason to refuse a hello that holds regardless of another process that is connected with the same
-    /// host id.
+    /// Returns the reason to refuse a hello, if any. Another process with the same host id is no such reason: about
+    /// processes, [`Self::admit_process`] decides.
     fn refusal_reason(&self, hello: &Hello, record: StreamRecord, now: MonoTime) -> Option<String> {
         if let Some(reason) = version_mismatch(hello) {
             return Some(reason);
@@ -83,16 +85,16 @@ impl Receiving {
             ));
         }
         let namesake =
-            // The name belongs to the host that has been in the database longer: a newcomer with the same name must not
+            // The name belongs to the host that has been in the database longer: a new host with the same name must not
             // lock out that host.
             self.find_namesake(hello, now).filter(|(_, session)| !is_senior(record.seniority, session.seniority));
         if let Some((other, _)) = namesake {
             let name = &hello.host.name;
             return Some(format!(
-                "the name {name} is taken by the host with the id {other}: give one of the two another name"
+                "the name {name} is taken by the host with the id {other}: give one of the two hosts another name"
             ));
         }
-        // The owner of batches that wait to be stored counts as well, because their mark is not in the database yet.
+        // A stream whose batches wait to be stored has an owner, too, although its mark is not in the database yet.
         let accepted_owner = self.streams.get(&hello.stream).map(|progress| progress.host);
         let owner =
             accepted_owner.or(record.mark.map(|mark| mark.host)).filter(|owner| *owner != hello.host.id)?;
@@ -120,25 +122,26 @@ impl Receiving {
         Some(other)
     }
 
-    /// Decides between two processes with one host id. The new process takes over if the old one is silent. If both are
-    /// active, one of them uses a copied state directory, and the new process is refused.
+    /// Decides between two processes with the same host id. The new process takes over if the old process is silent. If
+    /// both processes are active, one of them uses a copied state directory, and the new process is refused.
     fn admit_process(&mut self, hello: &Hello, now: MonoTime) -> Admission {
         let host: HostId = hello.host.id;
         let process_timeout = self.config.process_timeout;
-        let other = self.hosts.get_mut(&host).filter(|session| session.process != hello.process);
-        let Some(session) = other.filter(|session| now - session.last_message_at <= process_timeout) else {
+        let old_session = self.hosts.get_mut(&host).filter(|session| session.process != hello.process);
+        let Some(session) = old_session.filter(|session| now - session.last_message_at <= process_timeout)
+        else {
             return Admission::Granted;
         };
         match session.rival_process {
-            // The old process sent something after the new one's first hello: both are alive.
+            // The old process sent a message after the first hello of the new process: both are alive.
             Some((process, first_hello_at))
                 if process == hello.process && session.last_message_at > first_hello_at =>
             {
                 session.rival_process = None;
                 return Admission::Refused(format!(
-                    "another agent with the host id {host} is running: one of the two uses a copy of the other's state \
-                     directory; stop the copy and give it another [agent] state_dir, so that it gets a host id of its \
-                     own. Nothing has to be deleted"
+                    "another agent with the host id {host} is running: one of the two agents uses a copy of the other's \
+                     state directory; stop that agent and give it another [agent] state_dir, so that it gets a host id \
+                     of its own. Nothing has to be deleted"
                 ));
             }
             Some((process, _)) if process == hello.process => {}

@@ -41,7 +41,8 @@ pub enum ProofResult {
     },
     /// The proof was made with a secret that is not the host's.
     Invalid(Box<Hello>),
-    /// The proof answers no challenge of this connection. The agent must send a hello.
+    /// The proof answers no challenge of this connection, or the aggregator has no secret of the host any more. The
+    /// agent must send a hello.
     Unsolicited,
 }
 
@@ -59,7 +60,7 @@ impl<C: Eq + Hash> Challenges<C> {
     /// ([`Receiving::version_refusal`](super::Receiving::version_refusal)).
     ///
     /// A repeated hello gets the same challenge again, because on a slow link the proof may be in flight. Any other
-    /// hello replaces the previous one of its connection.
+    /// hello replaces the previous hello of its connection.
     pub fn challenge(
         &mut self,
         connection: C,
@@ -82,8 +83,8 @@ impl<C: Eq + Hash> Challenges<C> {
         ToAgent::Challenge { aggregator, stream, nonce, enrol, version }
     }
 
-    /// Checks the proof that came on a connection. `known_secret` is the secret of the host in the hello that the proof
-    /// confirms, if the aggregator has one. An answer removes its challenge, whether the answer is valid or not.
+    /// Checks the proof that arrived on a connection. `known_secret` is the stored secret of the host that the hello
+    /// names, if any. An answer removes its challenge, whether the answer is valid or not.
     pub fn check_proof(
         &mut self,
         connection: &C,
@@ -95,11 +96,12 @@ impl<C: Eq + Hash> Challenges<C> {
         if !self.pending.get(connection).is_some_and(is_answered) {
             return ProofResult::Unsolicited;
         }
-        // Removed before the check, so that each nonce is answered at most once.
+        // The challenge is removed before the check, so that each nonce is answered at most once.
         let Some(PendingHello { hello, nonce, enrol, .. }) = self.pending.remove(connection) else {
             return ProofResult::Unsolicited;
         };
-        // A secret that was not requested is ignored: it could replace the known secret.
+        // A secret that was not requested is ignored: it could replace the secret that the host had when it was
+        // challenged.
         let stated_secret = proof.secret.filter(|_| enrol);
         let Some(secret) = known_secret.or(stated_secret.as_ref()) else { return ProofResult::Unsolicited };
         if secret.verify(&proof.code, &nonce, &hello, &self.aggregator) {
@@ -124,7 +126,7 @@ impl<C: Eq + Hash> Challenges<C> {
         self.pending.len()
     }
 
-    /// Returns whether all challenges are answered.
+    /// Returns whether no challenge waits for an answer.
     pub fn is_empty(&self) -> bool {
         self.pending.is_empty()
     }

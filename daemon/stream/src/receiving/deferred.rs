@@ -4,7 +4,7 @@ use std::collections::{BTreeSet, VecDeque};
 
 use super::StreamId;
 
-/// Deferred streams in the order in which they were deferred, each once.
+/// Deferred streams in the order in which they were deferred. Each stream is in the list once.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct DeferredStreams {
     order: VecDeque<StreamId>,

@@ -33,8 +33,8 @@ pub struct ReceivingConfig {
     pub process_timeout: Span,
     /// Silence of a host after which another host may take over its name.
     pub name_timeout: Span,
-    /// Bytes of batches in flight from all agents together, which limit the aggregator's memory. Each agent is allowed
-    /// at least one batch.
+    /// Maximum number of bytes of batches in flight, over all agents. It limits the aggregator's memory. Each agent is
+    /// allowed at least one batch.
     pub budget_bytes: u64,
     /// Largest window of one agent, in batches of the length that its hello states.
     pub max_window: u32,
@@ -53,8 +53,8 @@ impl ReceivingConfig {
     }
 }
 
-/// The mark of a stream: the position up to which its batches are stored. It is written in the transaction that stores
-/// the batch.
+/// The mark of a stream: the position up to which the stream's batches are stored. The mark is written in the
+/// transaction that stores the batches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HighWaterMark {
     /// Host that the stream belongs to.
@@ -96,7 +96,7 @@ impl From<MissingBatches> for HighWaterMark {
 pub struct StreamRecord {
     /// Mark of the hello's stream; `None` if no batch of the stream is stored.
     pub mark: Option<HighWaterMark>,
-    /// `true` if the host used that stream before.
+    /// `true` if the host used the hello's stream before.
     pub was_used: bool,
     /// Stream that the host used most recently; `None` for a new host.
     pub last_stream: Option<StreamId>,
@@ -115,15 +115,16 @@ pub enum HelloResult {
     Welcome {
         /// Message to be sent.
         reply: ToAgent,
-        /// Batches of this stream that neither end has any more. They are to be stored as a gap together with the mark
-        /// `through`.
+        /// Batches of this stream that neither end has any more. The caller stores a gap in place of these batches,
+        /// together with the mark of the last of them.
         missing: Option<MissingBatches>,
-        /// Previous stream of this host, if the new stream does not continue it: the spool was deleted or replaced, and
-        /// the events that the old spool still held are lost. To be stored as a gap of unknown count.
+        /// Previous stream of this host, if the new stream does not continue the previous stream: the spool was deleted
+        /// or replaced, and the events that the old spool still held are lost. The caller stores a gap of unknown
+        /// count.
         replaced: Option<StreamId>,
-        /// Batches of the previous stream, which this stream continues, that are missing in this database: this is an
-        /// older copy of the database that stored the batches. To be stored as a gap. The mark of the previous stream
-        /// does not change, because another copy of the spool may still hold the batches.
+        /// Batches that are missing in this database, of the stream that this stream continues. The database is an
+        /// older copy of the database that stored these batches. The caller stores a gap. The mark of the previous
+        /// stream does not change, because another copy of the spool may still hold the batches.
         missing_previous: Option<MissingPreviousBatches>,
         /// Another host that was connected with the same name. Its session ended, because this host has been stored for
         /// longer.
@@ -136,7 +137,7 @@ pub enum HelloResult {
         /// Reason in the message.
         reason: String,
     },
-    /// No decision yet; nothing is to be sent, and the next hello decides. There are three causes:
+    /// No decision yet; nothing is to be sent, and the agent's next hello is decided. There are three causes:
     ///
     /// - Another process of the same host was active recently. If the other process has ended, the next hello of this
     ///   process is accepted. Otherwise the other process sends something before the next hello.
@@ -145,7 +146,7 @@ pub enum HelloResult {
     Wait,
 }
 
-/// Batches of a stream that the agent no longer holds and that were never stored here.
+/// Batches of a stream that the agent no longer holds and that were never stored in this database.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MissingBatches {
     /// Host that the stream belongs to.
@@ -173,26 +174,26 @@ pub struct MissingPreviousBatches {
     pub stream: StreamId,
     /// Number of the first batch; 1 if nothing of the stream is known.
     pub from: u64,
-    /// Number of the last known batch; `from` if all missing batches come after the last known one.
+    /// Number of the last known batch; `from` if all missing batches come after the last known batch.
     pub through: u64,
-    /// Number of events in the batches, including batches after the last known one; `None` if it is unknown.
+    /// Number of events in the batches, including batches after the last known batch; `None` if it is unknown.
     pub events: Option<u64>,
 }
 
 /// Result of the arrival of a batch.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Arrival {
-    /// The batch is the next one of its stream. Store it, and then call [`Receiving::handle_stored`].
+    /// The batch is the next batch of its stream. Store it, and then call [`Receiving::handle_stored`].
     Accept,
-    /// The batch is the next one of its stream, but its bytes did not match its hash in several attempts. Quarantine it
-    /// unchanged, like a batch that cannot be decoded, and mark it as stored.
+    /// The batch is the next batch of its stream, but its bytes did not match its hash in several attempts. Quarantine
+    /// the batch unchanged, like a batch that cannot be decoded, and mark it as stored.
     AcceptDamaged,
     /// The batch is already stored. The acknowledgement was lost and is to be sent again.
     Duplicate(ToAgent),
     /// The batch is already accepted, and about to be stored.
     Pending,
-    /// Batches before this batch are missing, or it was damaged in transit. The message, if any, requests the missing
-    /// or damaged batches again.
+    /// Batches before this batch are missing, or this batch was damaged in transit. The message, if any, requests the
+    /// missing or damaged batches again.
     Rejected(Option<ToAgent>),
     /// The process has no session with the batch's stream, or the batch contradicts accepted batches. The message
     /// requests a hello.
@@ -206,8 +207,8 @@ pub enum Arrival {
 /// database.
 ///
 /// The memory of this state machine is bounded: it holds a session for each recently active host, and for each stream
-/// the chains of the batches that are accepted and not stored. The number of these batches is little more than twice
-/// [`MAX_IN_FLIGHT_BATCHES`](super::MAX_IN_FLIGHT_BATCHES).
+/// the chains of the batches that are accepted and not stored. The number of these batches is at most a little more
+/// than twice [`MAX_IN_FLIGHT_BATCHES`](super::MAX_IN_FLIGHT_BATCHES).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Receiving {
     config: ReceivingConfig,
@@ -231,18 +232,18 @@ impl Receiving {
 
     /// Removes all sessions and accepted batches after the marks have changed. Every agent must send a hello again.
     pub fn forget_sessions(&mut self) {
-        // Sessions were decided with the marks of the previous database, and its writer drops the accepted batches.
+        // The sessions were decided with marks that are no longer valid, and the writer drops the accepted batches.
         *self = Self::new(self.config.clone());
     }
 
-    /// Returns the reason to refuse a hello before its host proves anything; `None` for an agent that may be challenged
-    /// ([`Challenges`]).
+    /// Returns the reason to refuse a hello whose agent has no version in common with this aggregator; `None` for any
+    /// other hello. Such a hello is refused at once, and every other hello is challenged first ([`Challenges`]).
     pub fn version_refusal(hello: &Hello) -> Option<String> {
         admission::version_mismatch(hello)
     }
 
-    /// Decides about a hello whose host has proven its identity. Missing batches are reported only for a host's first
-    /// hello with a stream.
+    /// Decides about a hello whose host has proven its identity. Missing batches are reported once, and not again for
+    /// later hellos of the host with the same stream.
     ///
     /// The mark takes precedence over the agent's statement. Batches after the mark that the agent does not hold are
     /// [`MissingBatches`], even if the agent states that its stream began later than the mark. A hello whose oldest
@@ -274,8 +275,8 @@ impl Receiving {
             let stored = record.previous_mark.map_or(Some(0), |mark| mark.events);
             let events =
                 hello.events_before_first.zip(stored).map(|(sent, stored)| sent.saturating_sub(stored));
-            // A process that died may have sent batches from memory, after the last batch in its spool. The newer
-            // database may have stored them.
+            // A process that died may have sent batches from memory, after the last batch in its spool. A newer copy of
+            // this database may have stored these batches.
             let is_missing = from <= through || events.is_some_and(|events| events > 0);
             is_missing.then_some(MissingPreviousBatches {
                 stream: previous_stream,
@@ -286,21 +287,21 @@ impl Receiving {
         });
         let displaced = self.take_back_name(hello, now);
         let replaced_session = self.hosts.insert(host, Session::new(hello, seniority, now));
-        // Another process may hold other batches with the same numbers, so batches that its predecessor sent are not
-        // confirmed for it.
+        // A new process may hold other batches with the same numbers. Batches that an earlier process sent are
+        // therefore not confirmed for the new process.
         let is_same_process = replaced_session
             .as_ref()
             .is_some_and(|session| session.process == hello.process && session.stream == stream);
         let progress = self.streams.entry(stream).or_insert_with(|| Progress::new(hello, mark));
         let missing = progress.handle_hello(hello, mark, is_same_process);
-        let (stored, last) = progress.stored();
+        let (stored, last_mark) = progress.stored();
         self.deferred.remove(stream);
         self.parts.forget(host);
         if let Some(replaced_session) = replaced_session {
             self.forget_if_stored(replaced_session.stream);
         }
         let aggregator = self.config.aggregator.clone();
-        let (chain, process) = (last.map(|last| last.chain), last.and_then(|last| last.process));
+        let (chain, process) = (last_mark.map(|mark| mark.chain), last_mark.and_then(|mark| mark.process));
         let window = self.window(host);
         let reply = ToAgent::Welcome { aggregator, stream, stored, chain, process, window };
         HelloResult::Welcome { reply, missing, replaced, missing_previous, displaced }
@@ -321,7 +322,7 @@ impl Receiving {
         let window = self.window(head.host);
         let session = self.hosts.get_mut(&head.host);
         let session =
-            // A host that moved to another stream or process must not add batches to the old one.
+            // A host that changed its stream or process must not add batches to the old stream.
             session.filter(|session| session.stream == head.stream && session.process == head.process);
         let (Some(session), Some(progress)) = (session, self.streams.get_mut(&head.stream)) else {
             return Arrival::Unknown(ToAgent::Unknown);
@@ -336,8 +337,8 @@ impl Receiving {
         self.parts.add(part)
     }
 
-    /// Returns the answer to a request for an echo; the answer is to be sent at once. `bytes` is the position of the
-    /// request in the connection.
+    /// Returns the answer to a request for an echo ([`ToAggregator::Echo`](super::ToAggregator::Echo)). The answer is
+    /// to be sent at once.
     pub fn handle_echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
         self.handle_live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
@@ -370,7 +371,7 @@ impl Receiving {
         requested
     }
 
-    /// Records the arrival of a live update. Returns the message to a host without a session.
+    /// Records the arrival of a live update. Returns the answer to a host without a session; `None` for any other host.
     pub fn handle_live(&mut self, host: HostId, now: MonoTime) -> Option<ToAgent> {
         match self.hosts.get_mut(&host) {
             Some(session) => {
@@ -381,7 +382,7 @@ impl Receiving {
         }
     }
 
-    /// Ends the session of an agent that stops. Its name and its host id are free at once.
+    /// Ends the session of an agent that stops. Other agents may use its name and its host id at once.
     pub fn handle_goodbye(&mut self, host: HostId) {
         self.parts.forget(host);
         if let Some(session) = self.hosts.remove(&host) {
@@ -404,8 +405,8 @@ impl Receiving {
     }
 
     /// Records that storing failed: batches that are accepted and not stored count as not received. The writer must
-    /// drop its batches of the stream, or a later batch would be stored before the failed one. Returns the request to
-    /// send them again and its receiver.
+    /// drop its batches of the stream, or a later batch would be stored before the failed batch. Returns the request to
+    /// send the batches again, and the host that receives the request.
     pub fn handle_failed_store(&mut self, stream: StreamId) -> Option<(HostId, ToAgent)> {
         let request = self.streams.get_mut(&stream)?.record_storing_failure(stream);
         let receiver = self.current_sender(stream);
@@ -418,21 +419,23 @@ impl Receiving {
         self.hosts.get(&host).is_some_and(|session| now - session.last_message_at <= max_silence)
     }
 
-    /// Ends sessions of hosts that were silent for longer than `silence`. They are asked for a hello when they return.
+    /// Ends sessions of hosts that were silent for longer than `silence`. Such a host is asked for a hello when it
+    /// returns.
     pub fn forget_silent(&mut self, silence: Span, now: MonoTime) {
         let silent = self.hosts.iter().filter(|(_, session)| now - session.last_message_at > silence);
         let silent_hosts: Vec<HostId> = silent.map(|(host, _)| *host).collect();
         silent_hosts.into_iter().for_each(|host| self.handle_goodbye(host));
     }
 
-    /// Returns the window of a host, counted in batches of the length that its hello states: the host's share of the
-    /// budget. The share depends on the number of connected hosts and on the host's own batch length, not on the batch
-    /// lengths of other hosts: a host that has or claims large batches does not slow down the others.
+    /// Returns the window of a host, counted in batches of the length that the host's hello states.
+    ///
+    /// The window depends on the number of connected hosts and on the host's own batch length, not on the batch lengths
+    /// of other hosts: a host that has or states large batches does not slow down the other hosts.
     fn window(&self, host: HostId) -> u32 {
         let batch_bytes = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
-        // Each connected host gets an equal share of the memory, so that all of them together stay within the budget.
-        let share = self.config.budget_bytes / (self.hosts.len() as u64).max(1) / batch_bytes;
-        u32::try_from(share).unwrap_or(u32::MAX).clamp(1, self.config.max_window.max(1))
+        // Each connected host gets an equal share of the memory, so that all hosts together stay within the budget.
+        let batches = self.config.budget_bytes / (self.hosts.len() as u64).max(1) / batch_bytes;
+        u32::try_from(batches).unwrap_or(u32::MAX).clamp(1, self.config.max_window.max(1))
     }
 
     /// Returns the host that currently sends a stream.
@@ -441,8 +444,8 @@ impl Receiving {
         self.hosts.get(&host).is_some_and(|session| session.stream == stream).then_some(host)
     }
 
-    /// Removes a stream from memory if no host sends it and all its accepted batches are stored. Its mark remains in
-    /// the database.
+    /// Removes a stream from memory if no host sends the stream and all its accepted batches are stored. The stream's
+    /// mark remains in the database.
     fn forget_if_stored(&mut self, stream: StreamId) {
         if self.current_sender(stream).is_none() {
             self.deferred.remove(stream);

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use super::super::codec::Part;
 use peernet_logger::HostId;
 
-/// Batches with missing parts: at most one per host, with a limit on the bytes of all together.
+/// Batches with missing parts: at most one per host, with a limit on the sum of their bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct PartAssembler {
     incomplete: BTreeMap<HostId, IncompleteBatch>,
@@ -30,11 +30,11 @@ impl PartAssembler {
     }
 
     /// Adds a part. Returns the frame of the batch if the part completes the batch. A part that does not follow the
-    /// previous one discards the batch.
+    /// previous part discards the batch.
     pub(super) fn add(&mut self, part: &Part) -> Option<Bytes> {
         if part.offset == 0 {
             self.forget(part.host);
-            // Grows with the parts that arrive: the total length is only a claim of the peer.
+            // The buffer grows with the parts that arrive. The total length is only stated by the peer.
             self.incomplete.insert(part.host, IncompleteBatch { total: part.total, bytes: Vec::new() });
         }
         let incomplete = self.incomplete.get_mut(&part.host)?;
@@ -79,10 +79,10 @@ mod tests {
     }
 
     #[test]
-    fn part_that_does_not_follow_discards_batch() {
+    fn part_out_of_order_discards_batch() {
         let host = HostId::from_bytes([1; 16]);
         let mut parts = PartAssembler::new(100);
-        assert_eq!(parts.add(&part(host, 3, 6, b"def")), None, "without a beginning");
+        assert_eq!(parts.add(&part(host, 3, 6, b"def")), None, "the first part is missing");
         for wrong in [part(host, 4, 6, b"ef"), part(host, 3, 7, b"def"), part(host, 2, 6, b"cdef")] {
             assert_eq!(parts.add(&part(host, 0, 6, b"abc")), None);
             assert_eq!(parts.add(&wrong), None);

@@ -9,7 +9,7 @@ use peernet_logger::HostId;
 /// Largest accepted batch number: the largest integer of SQLite.
 pub(super) const MAX_BATCH_NUMBER: u64 = i64::MAX as u64;
 
-/// Number of damaged arrivals in a row with which a batch is accepted as damaged.
+/// Number of damaged arrivals in a row after which a batch is accepted as damaged.
 const MAX_DAMAGED_ARRIVALS: u32 = 3;
 
 /// Maximum number of batches that are accepted and not stored. An agent that respects its window causes at most half as
@@ -56,8 +56,8 @@ impl Progress {
     pub(super) fn new(hello: &Hello, mark: Option<HighWaterMark>) -> Self {
         let start = Position {
             number: hello.first.saturating_sub(1),
-            // `hello.chain_before_oldest` is the chain before the oldest batch, which is the first one only if none was
-            // deleted.
+            // The hello states the chain before the oldest batch. This is the chain before the first batch only if no
+            // batch was deleted.
             chain: (hello.oldest == hello.first).then_some(hello.chain_before_oldest),
             events: hello.events_before_first,
         };
@@ -86,7 +86,7 @@ impl Progress {
         if let Some(mark) = mark {
             self.apply_mark(mark);
         }
-        // Nothing of the stream is stored or waits, so this hello replaces an earlier one.
+        // No batch of the stream is stored or accepted. What an earlier hello stated is therefore no longer needed.
         if self.mark.is_none() && self.is_all_stored() {
             *self = Self::new(hello, None);
         }
@@ -107,7 +107,7 @@ impl Progress {
     }
 
     /// Returns the number of the last stored batch, and the mark that the agent compares with its own batches. If no
-    /// batch is stored, the number is the one before the first batch.
+    /// batch is stored, the number is that of the first batch minus 1.
     pub(super) const fn stored(&self) -> (u64, Option<HighWaterMark>) {
         (self.stored.number, self.mark)
     }
@@ -130,7 +130,8 @@ impl Progress {
             self.accept(number, head.chain, head.events_through());
             Arrival::Accept
         } else {
-            // The batch is of another history. The hello compares the chains of both ends.
+            // The batch continues another chain: the spool is a copy or was restored. After its next hello, the agent
+            // compares the chains of both ends.
             Arrival::Unknown(ToAgent::Unknown)
         }
     }
@@ -142,8 +143,8 @@ impl Progress {
         let Some((_, chain)) = pending_batch else {
             return Arrival::Pending;
         };
-        // The batch has the same number and other content: the spool is a copy or was restored. The hello compares both
-        // ends.
+        // The batch has the same number and other content: the spool is a copy or was restored. After its next hello,
+        // the agent compares the chains of both ends.
         if *chain != head.chain {
             return Arrival::Unknown(ToAgent::Unknown);
         }
@@ -158,7 +159,7 @@ impl Progress {
 
     /// Handles the next batch if it does not match its hash: it was damaged in transit or in the spool.
     fn handle_damaged(&mut self, head: &BatchHead) -> Arrival {
-        // Only arrivals with the same head count: if the head itself is damaged, it seems to be of another batch.
+        // Only arrivals with the same head are counted: a damaged head looks like the head of another batch.
         let earlier = self.damaged.filter(|(damaged, _)| damaged == head);
         let arrivals = earlier.map_or(0, |(_, arrivals)| arrivals) + 1;
         if arrivals < MAX_DAMAGED_ARRIVALS {
@@ -182,7 +183,8 @@ impl Progress {
         self.accepted.chain == Some(head.previous_chain)
     }
 
-    /// Records everything up to a batch as accepted; `events` is the number of events in all batches up to it.
+    /// Records all batches up to batch `number` as accepted; `events` is the number of events in these batches and all
+    /// earlier batches of the spool.
     fn accept(&mut self, number: u64, chain: Chain, events: u64) {
         self.accepted = Position { number, chain: Some(chain), events: Some(events) };
         self.confirmed = number;
@@ -225,7 +227,7 @@ impl Progress {
     /// Records that storing failed. Returns the request to send the batches again.
     pub(super) fn record_storing_failure(&mut self, stream: StreamId) -> ToAgent {
         self.accepted = self.stored;
-        // Batches after the last stored one must be sent again, and are then confirmed again.
+        // Batches after the last stored batch must be sent again, and are then confirmed again.
         self.confirmed = self.confirmed.min(self.stored.number);
         self.pending.retain(|(number, _)| *number <= self.stored.number);
         self.damaged = None;

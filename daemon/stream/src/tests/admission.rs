@@ -19,7 +19,7 @@ pub(crate) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, olde
     }
 }
 
-/// Returns the chain of a batch in the stream that all of these tests use.
+/// Returns the chain of a batch in the stream that these tests use.
 pub(super) fn chain(number: u64) -> Chain {
     (0..number).fold(Chain::START, |chain, _| chain.next(1, b"event"))
 }
@@ -73,10 +73,10 @@ fn message_without_session_requests_hello() {
 
 #[test]
 fn hello_with_impossible_batch_numbers_is_refused() {
-    let good = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
+    let valid_hello = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
     for (first, oldest) in [(0, 0), (0, 1), (5, 4), (u64::MAX, u64::MAX), (1, u64::MAX), (1, 1 << 63)] {
-        let bad = Hello { first, oldest, ..good.clone() };
-        let reason = expect_refusal(receiving().handle_hello(&bad, record_with(None), at(0).mono));
+        let invalid_hello = Hello { first, oldest, ..valid_hello.clone() };
+        let reason = expect_refusal(receiving().handle_hello(&invalid_hello, record_with(None), at(0).mono));
         assert!(reason.contains("spool of this agent is damaged"), "{reason}");
     }
 }
@@ -126,7 +126,7 @@ fn second_process_of_host_is_refused_while_first_lives() {
 }
 
 #[test]
-fn crashed_agent_is_accepted_after_its_silence() {
+fn restarted_agent_is_accepted_after_silence_of_crashed_process() {
     let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
     aggregator.handle_hello(&hello(id, "edge", 1, stream, 1), record_with(None), at(0).mono);
     aggregator.handle_live(id, at(200).mono);
@@ -167,24 +167,25 @@ fn deleted_or_replaced_spool_is_reported_once() {
         HelloResult::Welcome { replaced, .. } => replaced,
         other => panic!("expected a welcome, got {other:?}"),
     };
-    let last = |last_stream| StreamRecord { last_stream, ..StreamRecord::default() };
+    let record_of_host = |last_stream| StreamRecord { last_stream, ..StreamRecord::default() };
     let first = hello(id, "edge", 1, old, 1);
     assert_eq!(replaced(aggregator.handle_hello(&first, record_with(None), at(0).mono)), None);
     aggregator.handle_goodbye(id);
-    assert_eq!(replaced(aggregator.handle_hello(&first, last(Some(old)), at(1).mono)), None);
+    assert_eq!(replaced(aggregator.handle_hello(&first, record_of_host(Some(old)), at(1).mono)), None);
     aggregator.handle_goodbye(id);
     let second = hello(id, "edge", 2, new, 1);
-    assert_eq!(replaced(aggregator.handle_hello(&second, last(Some(old)), at(2).mono)), Some(old));
-    assert_eq!(replaced(aggregator.handle_hello(&second, last(Some(old)), at(3).mono)), None);
+    assert_eq!(replaced(aggregator.handle_hello(&second, record_of_host(Some(old)), at(2).mono)), Some(old));
+    assert_eq!(replaced(aggregator.handle_hello(&second, record_of_host(Some(old)), at(3).mono)), None);
     aggregator.handle_goodbye(id);
-    // A stream that continues the previous one replaces nothing, nor does a stream that was used before.
+    // A stream that continues the previous stream replaces nothing. A stream that was used before replaces nothing
+    // either.
     let renewed = Hello { previous_stream: Some(old), ..second.clone() };
-    assert_eq!(replaced(aggregator.handle_hello(&renewed, last(Some(old)), at(4).mono)), None);
+    assert_eq!(replaced(aggregator.handle_hello(&renewed, record_of_host(Some(old)), at(4).mono)), None);
     aggregator.handle_goodbye(id);
-    let stored = StreamRecord { mark: Some(mark(id, 3)), ..last(Some(old)) };
+    let stored = StreamRecord { mark: Some(mark(id, 3)), ..record_of_host(Some(old)) };
     assert_eq!(replaced(aggregator.handle_hello(&second, stored, at(5).mono)), None);
     aggregator.handle_goodbye(id);
-    let was_used = StreamRecord { was_used: true, ..last(Some(old)) };
+    let was_used = StreamRecord { was_used: true, ..record_of_host(Some(old)) };
     assert_eq!(replaced(aggregator.handle_hello(&hello(id, "edge", 3, new, 1), was_used, at(6).mono)), None);
 }
 
@@ -238,7 +239,7 @@ fn host_that_changes_its_streams_waits_for_writer() {
         aggregator.handle_hello(&hello(id, "edge", 1, StreamId::random(), 5), record_with(None), at(0).mono)
     {
         streams.push(missing.expect("four missing batches").stream);
-        assert!(streams.len() < 100, "one host can fill the memory");
+        assert!(streams.len() < 100, "one host must not fill the memory");
     }
     streams.iter().for_each(|stream| drop(aggregator.handle_stored(*stream, mark(id, 4))));
     let next = hello(id, "edge", 1, StreamId::random(), 1);

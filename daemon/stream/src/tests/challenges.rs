@@ -95,7 +95,7 @@ fn cleared_secret_is_requested_again() {
 }
 
 #[test]
-fn repeated_hello_gets_the_same_challenge() {
+fn repeated_hello_gets_same_challenge() {
     let (mut challenges, hello) = (challenges(), some_hello());
     let first = challenges.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     assert_eq!(challenges.challenge(1, hello.clone(), false, nonce(2), at(1_000).mono), first);
@@ -105,7 +105,7 @@ fn repeated_hello_gets_the_same_challenge() {
     );
     assert_eq!(challenges.len(), 1, "one challenge for each connection");
     challenges.remove_expired(at(16_001).mono);
-    assert!(challenges.is_empty(), "memory of silent connections is freed");
+    assert!(challenges.is_empty(), "challenges without answer are removed after a time");
 }
 
 proptest! {

@@ -21,38 +21,45 @@ pub(super) fn config() -> SendingConfig {
     }
 }
 
-/// Maximum number of pieces of work in the aggregator's queue.
+/// Maximum number of tasks in the queue of the aggregator's writer.
 const CAPACITY: usize = 5;
 
 /// Maximum number of machines with the same host id.
 const MAX_MACHINES: u8 = 3;
 
+/// A step of the simulation: an action of one end, a fault, or the passage of time.
 #[derive(Clone, Debug)]
 enum Step {
     /// A number of events is offered.
     Offer(u8),
     /// A number of milliseconds passes.
     Pass(u16),
-    /// The `nth` frame in flight arrives; with `keep`, it also stays in flight.
+    /// The `nth` frame in flight to the aggregator arrives; with `keep`, a copy stays in flight.
     Up {
         nth: u8,
         keep: bool,
     },
+    /// A frame in flight to the aggregator is lost.
     LoseUp(u8),
+    /// A bit of a batch in flight changes.
     Damage {
         nth: u8,
         bit: u16,
     },
+    /// The `nth` message in flight to the agent arrives; with `keep`, a copy stays in flight.
     Down {
         nth: u8,
         keep: bool,
     },
+    /// A message in flight to the agent is lost.
     LoseDown(u8),
     /// The spool's disk completes an action.
-    Work,
+    CompleteJob,
     /// The spool's disk begins to fail, or works again.
-    SetBroken(bool),
+    SetDiskBroken(bool),
+    /// The aggregator's writer commits a number of tasks.
     Commit(u8),
+    /// A commit fails.
     FailToCommit,
     /// A commit is written to the disk, and the aggregator is killed before it reports the commit.
     CommitAndKill,
@@ -61,9 +68,13 @@ enum Step {
     KillAgent {
         done: u8,
     },
+    /// The connection is opened again.
     Disconnect,
+    /// The database is copied.
     BackUp,
+    /// The database is replaced by its older copy.
     Restore,
+    /// The spool of the running machine is copied to a new machine.
     Copy,
     /// The running machine is killed, and the next machine is started.
     Move {
@@ -72,21 +83,21 @@ enum Step {
     DeleteSpool,
 }
 
-/// State that the choice of the next step depends on. `USER_FAULTS` adds faults caused by users: old backups, copies,
-/// deletions.
+/// State that the choice of the next step depends on. `HUMAN_FAULTS` adds faults that people cause: old backups,
+/// copies, deletions.
 #[derive(Clone, Debug)]
-struct Plan<const USER_FAULTS: bool> {
-    broken: bool,
-    backed_up: bool,
+struct Plan<const HUMAN_FAULTS: bool> {
+    is_disk_broken: bool,
+    has_backup: bool,
     machines: u8,
 }
 
-impl<const USER_FAULTS: bool> ReferenceStateMachine for Plan<USER_FAULTS> {
+impl<const HUMAN_FAULTS: bool> ReferenceStateMachine for Plan<HUMAN_FAULTS> {
     type State = Self;
     type Transition = Step;
 
     fn init_state() -> BoxedStrategy<Self> {
-        Just(Self { broken: false, backed_up: false, machines: 1 }).boxed()
+        Just(Self { is_disk_broken: false, has_backup: false, machines: 1 }).boxed()
     }
 
     fn transitions(state: &Self) -> BoxedStrategy<Step> {
@@ -102,8 +113,11 @@ impl<const USER_FAULTS: bool> ReferenceStateMachine for Plan<USER_FAULTS> {
             (2, (any::<u8>(), any::<u16>()).prop_map(|(nth, bit)| Step::Damage { nth, bit }).boxed()),
             (16, (nth(), keep()).prop_map(|(nth, keep)| Step::Down { nth, keep }).boxed()),
             (2, any::<u8>().prop_map(Step::LoseDown).boxed()),
-            (12, Just(Step::Work).boxed()),
-            (if state.broken { 3 } else { 1 }, Just(Step::SetBroken(!state.broken)).boxed()),
+            (12, Just(Step::CompleteJob).boxed()),
+            (
+                if state.is_disk_broken { 3 } else { 1 },
+                Just(Step::SetDiskBroken(!state.is_disk_broken)).boxed(),
+            ),
             (10, (1_u8..4).prop_map(Step::Commit).boxed()),
             (1, Just(Step::FailToCommit).boxed()),
             (1, Just(Step::CommitAndKill).boxed()),
@@ -111,8 +125,8 @@ impl<const USER_FAULTS: bool> ReferenceStateMachine for Plan<USER_FAULTS> {
             (2, (0_u8..3).prop_map(|done| Step::KillAgent { done }).boxed()),
             (1, Just(Step::Disconnect).boxed()),
         ];
-        if USER_FAULTS {
-            steps.push((1, Just(if state.backed_up { Step::Restore } else { Step::BackUp }).boxed()));
+        if HUMAN_FAULTS {
+            steps.push((1, Just(if state.has_backup { Step::Restore } else { Step::BackUp }).boxed()));
             steps.push((1, Just(Step::DeleteSpool).boxed()));
             if state.machines < MAX_MACHINES {
                 steps.push((1, Just(Step::Copy).boxed()));
@@ -126,8 +140,8 @@ impl<const USER_FAULTS: bool> ReferenceStateMachine for Plan<USER_FAULTS> {
 
     fn preconditions(state: &Self, step: &Step) -> bool {
         match step {
-            Step::SetBroken(broken) => *broken != state.broken,
-            Step::Restore => state.backed_up,
+            Step::SetDiskBroken(is_disk_broken) => *is_disk_broken != state.is_disk_broken,
+            Step::Restore => state.has_backup,
             Step::Move { .. } => state.machines > 1,
             Step::Copy => state.machines < MAX_MACHINES,
             _ => true,
@@ -136,9 +150,9 @@ impl<const USER_FAULTS: bool> ReferenceStateMachine for Plan<USER_FAULTS> {
 
     fn apply(mut state: Self, step: &Step) -> Self {
         match step {
-            Step::SetBroken(broken) => state.broken = *broken,
-            Step::BackUp => state.backed_up = true,
-            Step::Restore => state.backed_up = false,
+            Step::SetDiskBroken(is_disk_broken) => state.is_disk_broken = *is_disk_broken,
+            Step::BackUp => state.has_backup = true,
+            Step::Restore => state.has_backup = false,
             Step::Copy => state.machines += 1,
             _ => {}
         }
@@ -146,7 +160,7 @@ impl<const USER_FAULTS: bool> ReferenceStateMachine for Plan<USER_FAULTS> {
     }
 }
 
-impl<const USER_FAULTS: bool> StateMachineTest for Plan<USER_FAULTS> {
+impl<const HUMAN_FAULTS: bool> StateMachineTest for Plan<HUMAN_FAULTS> {
     type SystemUnderTest = Simulation;
     type Reference = Self;
 
@@ -157,14 +171,14 @@ impl<const USER_FAULTS: bool> StateMachineTest for Plan<USER_FAULTS> {
     fn apply(mut simulation: Simulation, _: &Self, step: Step) -> Simulation {
         match step {
             Step::Offer(count) => (0..count).for_each(|_| simulation.offer()),
-            Step::Pass(millis) => simulation.pass(i64::from(millis)),
+            Step::Pass(millis) => simulation.pass_time(i64::from(millis)),
             Step::Up { nth, keep } => simulation.deliver_up(nth.into(), keep),
             Step::LoseUp(nth) => simulation.lose_up(nth.into()),
             Step::Damage { nth, bit } => simulation.damage(nth.into(), bit.into()),
             Step::Down { nth, keep } => simulation.deliver_down(nth.into(), keep),
             Step::LoseDown(nth) => simulation.lose_down(nth.into()),
-            Step::Work => simulation.work(),
-            Step::SetBroken(broken) => simulation.broken = broken,
+            Step::CompleteJob => simulation.complete_job(),
+            Step::SetDiskBroken(is_disk_broken) => simulation.is_disk_broken = is_disk_broken,
             Step::Commit(count) => simulation.commit(count.into(), true),
             Step::FailToCommit => simulation.fail_commit(),
             Step::CommitAndKill => simulation.commit(usize::MAX, false),

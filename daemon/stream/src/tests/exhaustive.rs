@@ -2,15 +2,16 @@
 //!
 //! The model consists of the real state machines of both ends, a spool file and a database, from the moment at which
 //! the batches are closed. In each state every move is tried: a message in flight arrives (so that messages overtake
-//! one another in every order), the disk completes an action, the writer commits one work. While faults are left, every
+//! one another in every order), the disk completes an action, the writer commits one task. While faults are left, every
 //! fault is tried as well: a message is lost, or arrives and stays in flight; a commit fails; the aggregator is killed,
 //! before a commit or between a commit and its acknowledgement; the agent is killed, before or after the disk performed
 //! its actions; the connection is reopened; time passes until the next deadline. States that were reached before are
 //! not explored again: messages in flight count as a set, and a state is identified by a hash of 64 bits.
 //!
-//! Checks: in each state the checks of [`Simulation::check`]; at each deletion in the spool that all deleted batches
-//! are stored; at each commit that it continues its stream; and from each state in which only faults are possible, that
-//! both ends settle in bounded time with each spooled event in the database exactly once and in order.
+//! Checks: in each state the checks of [`Simulation::check`]; at each deletion in the spool, that all deleted batches
+//! are stored; at each commit, that the batch follows the last stored batch of its stream; and from each state in which
+//! only faults are possible, that both ends settle in bounded time with each spooled event in the database exactly once
+//! and in order.
 
 use std::collections::{HashSet, VecDeque};
 use std::fmt::{self, Write as _};
@@ -25,13 +26,13 @@ use super::*;
 enum Move {
     Up(usize),
     Down(usize),
-    Work,
+    CompleteJob,
     Commit,
     RepeatUp(usize),
     RepeatDown(usize),
     LoseUp(usize),
     LoseDown(usize),
-    Break,
+    FailJob,
     FailToCommit,
     CommitAndKill,
     KillAggregator,
@@ -44,7 +45,7 @@ enum Move {
 fn regular_moves(simulation: &Simulation) -> Vec<Move> {
     let mut regular_moves: Vec<Move> = (0..simulation.up.len()).map(Move::Up).collect();
     regular_moves.extend((0..simulation.down.len()).map(Move::Down));
-    regular_moves.extend((!simulation.jobs.is_empty()).then_some(Move::Work));
+    regular_moves.extend((!simulation.jobs.is_empty()).then_some(Move::CompleteJob));
     regular_moves.extend((!simulation.aggregator.is_idle()).then_some(Move::Commit));
     regular_moves
 }
@@ -61,7 +62,7 @@ fn faults(simulation: &Simulation) -> Vec<Move> {
         faults.extend([Move::FailToCommit, Move::CommitAndKill]);
     }
     if !simulation.jobs.is_empty() {
-        faults.extend([Move::KillAgent(1), Move::Break]);
+        faults.extend([Move::KillAgent(1), Move::FailJob]);
     }
     faults
 }
@@ -70,16 +71,16 @@ fn apply(simulation: &mut Simulation, step: Move) {
     match step {
         Move::Up(n) => simulation.deliver_up(n, false),
         Move::Down(n) => simulation.deliver_down(n, false),
-        Move::Work => simulation.work(),
+        Move::CompleteJob => simulation.complete_job(),
         Move::Commit => simulation.commit(1, true),
         Move::RepeatUp(n) => simulation.deliver_up(n, true),
         Move::RepeatDown(n) => simulation.deliver_down(n, true),
         Move::LoseUp(n) => simulation.lose_up(n),
         Move::LoseDown(n) => simulation.lose_down(n),
-        Move::Break => {
-            simulation.broken = true;
-            simulation.work();
-            simulation.broken = false;
+        Move::FailJob => {
+            simulation.is_disk_broken = true;
+            simulation.complete_job();
+            simulation.is_disk_broken = false;
         }
         Move::FailToCommit => simulation.fail_commit(),
         Move::CommitAndKill => simulation.commit(1, false),
@@ -117,17 +118,17 @@ fn key(simulation: &Simulation, faults: u32) -> u64 {
     let mut digest = Digest(DefaultHasher::new());
     let Simulation { now, sending, jobs, aggregator, .. } = simulation;
     write!(digest, "{now}{sending:?}{jobs:?}{:?}{aggregator:?}{up:?}{down:?}{faults}", simulation.file())
-        .expect("a hash takes everything");
+        .expect("writing to a hasher does not fail");
     digest.0.finish()
 }
 
 /// Explores all states. Returns the numbers of states, of transitions between them, and of states from which both ends
 /// were settled.
 fn explore(start: Simulation, max_faults: u32) -> (usize, usize, usize) {
-    let mut seen = HashSet::from([key(&start, max_faults)]);
-    let mut waiting = VecDeque::from([(start, max_faults)]);
+    let mut reached = HashSet::from([key(&start, max_faults)]);
+    let mut unexplored = VecDeque::from([(start, max_faults)]);
     let (mut transitions, mut settled) = (0, 0);
-    while let Some((simulation, remaining_faults)) = waiting.pop_front() {
+    while let Some((simulation, remaining_faults)) = unexplored.pop_front() {
         let mut steps: Vec<(Move, u32)> =
             regular_moves(&simulation).into_iter().map(|step| (step, remaining_faults)).collect();
         if steps.is_empty() {
@@ -144,20 +145,20 @@ fn explore(start: Simulation, max_faults: u32) -> (usize, usize, usize) {
             apply(&mut next, step);
             next.check();
             transitions += 1;
-            if seen.insert(key(&next, remaining_faults)) {
-                waiting.push_back((next, remaining_faults));
+            if reached.insert(key(&next, remaining_faults)) {
+                unexplored.push_back((next, remaining_faults));
             }
         }
     }
-    (seen.len(), transitions, settled)
+    (reached.len(), transitions, settled)
 }
 
 /// Returns a simulation in which batches of one event each are about to be spooled.
 fn simulation(batches: usize) -> Simulation {
     let config = SendingConfig { batch_nodes: 1, batch_bytes: 1_024, window: 2, ..SendingConfig::default() };
     let mut simulation = Simulation::new(config, 2);
-    // Proofs are left out: they precede everything that is explored here, and each further message multiplies the
-    // states.
+    // The hosts prove nothing: proofs precede everything that is explored, and each further message multiplies the
+    // number of states.
     simulation.aggregator.asks_for_proofs = false;
     (0..batches).for_each(|_| simulation.offer());
     simulation.agent(|sending, now| sending.flush(now.wall));
@@ -167,13 +168,13 @@ fn simulation(batches: usize) -> Simulation {
 #[test]
 fn one_batch_is_stored_once_despite_any_two_faults() {
     let (states, transitions, settled) = explore(simulation(1), 2);
-    println!("{states} states, {transitions} transitions, {settled} brought to rest");
+    println!("{states} states, {transitions} transitions, {settled} settled");
     assert!(states > 20_000, "{states} states");
 }
 
 #[test]
 fn two_batches_are_stored_once_in_any_order() {
     let (states, transitions, settled) = explore(simulation(2), 0);
-    println!("{states} states, {transitions} transitions, {settled} brought to rest");
+    println!("{states} states, {transitions} transitions, {settled} settled");
     assert!(states > 100, "{states} states");
 }

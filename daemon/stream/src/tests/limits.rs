@@ -40,6 +40,7 @@ fn simulation_with_memory_for(events: u64) -> Simulation {
     Simulation::new(SendingConfig { memory: Usage { events, bytes: 1_000_000 }, ..roomy_config() }, 100)
 }
 
+/// Returns the default configuration with a reserve of 2 events.
 fn roomy_config() -> SendingConfig {
     SendingConfig { reserve_events: 2, ..SendingConfig::default() }
 }
@@ -52,10 +53,12 @@ fn offer(simulation: &mut Simulation, event: &Event, now: i64) {
 /// Returns all events that are stored in the end.
 fn drain(simulation: &mut Simulation) -> Vec<Event> {
     simulation.settle();
-    // Some losses are reported only when there is space again.
+    // Some losses are reported only after the first call has freed space.
     simulation.settle();
     let bodies = simulation.expected_content.bodies.iter();
-    bodies.flat_map(|(count, body)| codec::decode_events(body, *count).expect("our own events")).collect()
+    bodies
+        .flat_map(|(count, body)| codec::decode_events(body, *count).expect("stored events are readable"))
+        .collect()
 }
 
 #[test]
@@ -77,7 +80,7 @@ fn newest_iterations_are_dropped_and_gap_names_their_pipeline_and_run() {
         )
         .collect();
     assert_eq!(stored_numbers, [1, 2, 3, 4, 5, 6, 7]);
-    let Some(Event::Gap(gap)) = events.last() else { panic!("a gap at the end: {events:?}") };
+    let Some(Event::Gap(gap)) = events.last() else { panic!("expected a gap at the end: {events:?}") };
     assert_eq!((gap.count, gap.run, gap.pipeline.as_ref().map(Slug::as_str)), (13, Some(run), Some("line")));
     assert_eq!((gap.from, gap.to), (at(8).wall, at(20).wall));
 
@@ -86,7 +89,7 @@ fn newest_iterations_are_dropped_and_gap_names_their_pipeline_and_run() {
 }
 
 #[test]
-fn run_ends_although_iterations_no_longer_fit() {
+fn end_of_run_is_stored_although_its_iterations_are_dropped() {
     let (mut simulation, run) = (simulation_with_memory_for(10), RunId::random());
     (1..=20).for_each(|number| offer(&mut simulation, &iteration(run, number, tree()), 0));
     let dropped = simulation.sending.accounting().dropped;
@@ -101,10 +104,10 @@ fn run_ends_although_iterations_no_longer_fit() {
 #[test]
 fn invalid_event_is_not_sent_and_blocks_no_other_event() {
     let (mut simulation, run) = (simulation_with_memory_for(100), RunId::random());
-    let mut broken = tree();
-    let node = broken.add(NodeId::ROOT, Name::from("x"), Span::ZERO, Measure::Value(1.0, Unit::NONE));
-    *broken.measure_mut(node).expect("added") = Measure::Value(f64::NAN, Unit::NONE);
-    offer(&mut simulation, &iteration(run, 1, broken), 0);
+    let mut invalid_tree = tree();
+    let node = invalid_tree.add(NodeId::ROOT, Name::from("x"), Span::ZERO, Measure::Value(1.0, Unit::NONE));
+    *invalid_tree.measure_mut(node).expect("the node was added") = Measure::Value(f64::NAN, Unit::NONE);
+    offer(&mut simulation, &iteration(run, 1, invalid_tree), 0);
     offer(&mut simulation, &iteration(run, 2, tree()), 1);
     let events = drain(&mut simulation);
     let [Event::Gap(gap), Event::Iteration(stored)] = &events[..] else { panic!("{events:?}") };
@@ -115,12 +118,12 @@ fn invalid_event_is_not_sent_and_blocks_no_other_event() {
 #[test]
 fn continuing_loss_is_reported_each_second_and_at_end() {
     let (mut simulation, run) = (simulation_with_memory_for(10_000), RunId::random());
-    let mut broken = tree();
-    let node = broken.add(NodeId::ROOT, Name::from("x"), Span::ZERO, Measure::Value(1.0, Unit::NONE));
-    *broken.measure_mut(node).expect("added") = Measure::Value(f64::NAN, Unit::NONE);
+    let mut invalid_tree = tree();
+    let node = invalid_tree.add(NodeId::ROOT, Name::from("x"), Span::ZERO, Measure::Value(1.0, Unit::NONE));
+    *invalid_tree.measure_mut(node).expect("the node was added") = Measure::Value(f64::NAN, Unit::NONE);
     offer(&mut simulation, &started(run), 0);
     for n in 0..1_500 {
-        offer(&mut simulation, &iteration(run, 2 * n, broken.clone()), 2 * n as i64);
+        offer(&mut simulation, &iteration(run, 2 * n, invalid_tree.clone()), 2 * n as i64);
         offer(&mut simulation, &iteration(run, 2 * n + 1, tree()), 2 * n as i64 + 1);
     }
     let ended = RunEnded { run, ended: at(3_000).wall, reason: EndReason::Finished };

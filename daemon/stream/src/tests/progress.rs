@@ -93,7 +93,7 @@ fn missing_batches_are_requested_once() {
 }
 
 #[test]
-fn failed_batch_is_requested_again_with_later_ones() {
+fn failed_batch_is_requested_again_with_later_batches() {
     let mut aggregator = AggregatorEnd::with_stored_batches(0);
     (1..=3).for_each(|number| assert_eq!(aggregator.receive_batch(number), Arrival::Accept));
     aggregator.report_stored(1);
@@ -135,14 +135,14 @@ fn lost_batches_are_reported_missing_once() {
 }
 
 #[test]
-fn non_consecutive_batch_causes_request_for_hello() {
+fn batch_of_other_stream_host_or_chain_causes_request_for_hello() {
     let mut aggregator = AggregatorEnd::with_stored_batches(4);
-    let other = BatchHead { stream: StreamId::random(), ..aggregator.head(5) };
-    assert_eq!(aggregator.receiving.handle_batch(&other, true, at(1).mono), UNKNOWN);
-    let stranger = BatchHead { host: HostId::random(), ..aggregator.head(5) };
-    assert_eq!(aggregator.receiving.handle_batch(&stranger, true, at(1).mono), UNKNOWN);
-    let copied = BatchHead { previous_chain: chain(9), ..aggregator.head(5) };
-    assert_eq!(aggregator.receiving.handle_batch(&copied, true, at(1).mono), UNKNOWN);
+    let other_stream = BatchHead { stream: StreamId::random(), ..aggregator.head(5) };
+    assert_eq!(aggregator.receiving.handle_batch(&other_stream, true, at(1).mono), UNKNOWN);
+    let other_host = BatchHead { host: HostId::random(), ..aggregator.head(5) };
+    assert_eq!(aggregator.receiving.handle_batch(&other_host, true, at(1).mono), UNKNOWN);
+    let other_chain = BatchHead { previous_chain: chain(9), ..aggregator.head(5) };
+    assert_eq!(aggregator.receiving.handle_batch(&other_chain, true, at(1).mono), UNKNOWN);
     assert_eq!(aggregator.receive_batch(5), Arrival::Accept);
 }
 
@@ -155,11 +155,11 @@ fn batches_of_dead_process_are_stored_before_next_session() {
     aggregator.report_stored(3);
     let HelloResult::Welcome { reply: ToAgent::Welcome { stored, .. }, .. } = aggregator.restart_agent(1)
     else {
-        panic!("no batch waits to be stored")
+        panic!("expected a welcome, because no batch waits to be stored")
     };
     assert_eq!(stored, 3);
 
-    // After storing failed, the next process may send a different batch with the same number.
+    // If storing failed, the next process may send a different batch with the same number.
     let mut aggregator = AggregatorEnd::with_stored_batches(1);
     assert_eq!(aggregator.receive_batch(2), Arrival::Accept);
     assert!(matches!(aggregator.restart_agent(1), HelloResult::Wait));
@@ -188,8 +188,8 @@ fn damaged_batch_is_requested_twice_then_quarantined() {
     assert_eq!(aggregator.receive_batch(2), Arrival::Rejected(None));
     assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), resend);
     // Different damage shows that the batch was damaged in transit.
-    let other = BatchHead { events: 2, ..head };
-    assert_eq!(aggregator.receiving.handle_batch(&other, false, at(1).mono), resend);
+    let other_damage = BatchHead { events: 2, ..head };
+    assert_eq!(aggregator.receiving.handle_batch(&other_damage, false, at(1).mono), resend);
     assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), resend);
     assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), resend);
     assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), Arrival::AcceptDamaged);
@@ -229,10 +229,10 @@ fn deferred_streams_are_requested_oldest_first() {
     let request = |agent: usize| (agents[agent].0, ToAgent::Resend { stream: agents[agent].1, from: 1 });
     assert_eq!(aggregator.request_deferred(0), []);
     assert_eq!(aggregator.request_deferred(2), [request(2), request(0)]);
-    // Batches that a hello brings again are not requested.
+    // After a hello, the agent sends its batches again. They are not requested.
     aggregator.handle_hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), record_with(None), at(1).mono);
     assert_eq!(aggregator.request_deferred(2), []);
-    // The queue had no capacity for a requested batch again.
+    // The queue had no capacity for a requested batch, which is deferred again.
     aggregator.defer_batch(agents[2].1);
     assert_eq!(aggregator.request_deferred(9), [request(2)]);
     aggregator.defer_batch(agents[0].1);

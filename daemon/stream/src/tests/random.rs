@@ -33,7 +33,8 @@ fn corpus_of_fuzz_targets_causes_no_panic() {
         let entries = std::fs::read_dir(&corpus).expect("the corpus is part of the checkout");
         let mut file_count = 0;
         for entry in entries {
-            target(&std::fs::read(entry.expect("readable").path()).expect("readable"));
+            let path = entry.expect("the corpus can be listed").path();
+            target(&std::fs::read(path).expect("a file of the corpus can be read"));
             file_count += 1;
         }
         assert!(file_count >= 3, "only {file_count} files in {}", corpus.display());

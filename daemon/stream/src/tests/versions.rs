@@ -46,12 +46,13 @@ fn later_agent_is_served_in_newest_common_version() {
 fn unknown_keys_of_hello_extension_are_ignored() {
     let later = hello_of(STREAM_VERSIONS.oldest(), extension(9));
     let mut frame = encode(&ToAggregator::Hello(later.clone()));
-    // The extension is a map with two keys and the last value in the frame. So another key can be appended at the end.
+    // The extension is a map with two keys and the last value in the frame. A key can therefore be appended to the
+    // frame.
     let mut extension = Vec::new();
     codec::encode_into(&mut extension, &later.extension);
-    let map = frame.len() - extension.len();
-    assert_eq!((&frame[map..], frame[map]), (&extension[..], 0x82));
-    frame[map] += 1;
+    let map_start = frame.len() - extension.len();
+    assert_eq!((&frame[map_start..], frame[map_start]), (&extension[..], 0x82));
+    frame[map_start] += 1;
     codec::encode_into(&mut frame, &"colour");
     codec::encode_into(&mut frame, &["green"]);
     assert_eq!(decode(&frame), Ok(ToAggregator::Hello(later)));

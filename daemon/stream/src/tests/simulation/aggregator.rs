@@ -5,13 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use bytes::Bytes;
 
 use super::super::*;
-use super::{SECRET, event_numbers, missing_reported};
+use super::{SECRET, event_numbers, missing_in_gaps};
 
-/// Work for the writer.
+/// Task of the writer.
 #[derive(Clone, Debug)]
-enum Work {
-    /// A host sent a hello: its stream, the stream that it replaced, and the batches that are missing in the previous
-    /// stream. All are stored in one transaction.
+enum WriterTask {
+    /// A host sent a hello: the hello's stream, the stream that this stream replaced, and the batches that are missing
+    /// in the previous stream. All are stored in one transaction.
     Hello(StreamId, Option<StreamId>, Option<MissingPreviousBatches>),
     Batch {
         head: BatchHead,
@@ -21,11 +21,11 @@ enum Work {
     MissingBatches(MissingBatches),
 }
 
-/// Content of a stream.
+/// An entry of a stream in the database.
 #[derive(Clone, Debug, PartialEq)]
 pub(in super::super) enum Entry {
     /// A batch and its events.
-    Batch { number: u64, event_numbers: Vec<u64>, missing_reported: u64 },
+    Batch { number: u64, event_numbers: Vec<u64>, missing_in_gaps: u64 },
     /// A batch that was quarantined.
     Damaged { number: u64, chain: Chain },
     /// Batches that neither end had, and the number of their events.
@@ -37,8 +37,8 @@ pub(in super::super) struct Database {
     pub(in super::super) marks: BTreeMap<StreamId, HighWaterMark>,
     pub(in super::super) entries: BTreeMap<StreamId, Vec<Entry>>,
     pub(in super::super) replaced: Vec<StreamId>,
-    seen: BTreeSet<StreamId>,
-    last: Option<StreamId>,
+    used_streams: BTreeSet<StreamId>,
+    last_stream: Option<StreamId>,
 }
 
 #[derive(Clone, Debug)]
@@ -50,16 +50,17 @@ pub(in super::super) struct Aggregator {
     /// `true` if hosts must prove their identity.
     pub(in super::super) asks_for_proofs: bool,
     /// Number of challenges, so that each nonce is different.
-    challenged: u64,
-    queue: Vec<Work>,
+    challenge_count: u64,
+    queue: Vec<WriterTask>,
     capacity: usize,
     /// Connection with the host's session.
-    route: Option<u64>,
-    /// Streams that the host used, including streams in the queue, and the last stream.
-    seen: BTreeSet<StreamId>,
-    last: Option<StreamId>,
+    session_connection: Option<u64>,
+    /// Streams that the host used, including streams in the queue.
+    used_streams: BTreeSet<StreamId>,
+    /// Stream that the host used most recently.
+    last_stream: Option<StreamId>,
     /// Number of welcomes that reported missing batches.
-    pub(in super::super) missing: u32,
+    pub(in super::super) missing_batch_reports: u32,
 }
 
 impl Aggregator {
@@ -70,13 +71,13 @@ impl Aggregator {
             backup: None,
             challenges: challenges(),
             asks_for_proofs: true,
-            challenged: 0,
+            challenge_count: 0,
             queue: Vec::new(),
             capacity,
-            route: None,
-            seen: BTreeSet::new(),
-            last: None,
-            missing: 0,
+            session_connection: None,
+            used_streams: BTreeSet::new(),
+            last_stream: None,
+            missing_batch_reports: 0,
         }
     }
 
@@ -84,24 +85,24 @@ impl Aggregator {
         self.queue.is_empty()
     }
 
-    pub(super) fn live(&mut self, connection: u64, host: HostId, now: MonoTime) -> Option<ToAgent> {
-        if self.route != Some(connection) {
+    pub(super) fn handle_live(&mut self, connection: u64, host: HostId, now: MonoTime) -> Option<ToAgent> {
+        if self.session_connection != Some(connection) {
             return Some(ToAgent::Unknown);
         }
         self.receiving.handle_live(host, now)
     }
 
     /// Handles a frame. Returns the answer for its connection.
-    pub(super) fn frame(&mut self, connection: u64, frame: &Bytes, now: MonoTime) -> Option<ToAgent> {
+    pub(super) fn handle_frame(&mut self, connection: u64, frame: &Bytes, now: MonoTime) -> Option<ToAgent> {
         if let Some(part) = codec::decode_part(frame) {
-            if self.route != Some(connection) {
+            if self.session_connection != Some(connection) {
                 return Some(ToAgent::Unknown);
             }
             let whole = self.receiving.handle_part(&part, now)?;
-            return self.frame(connection, &whole, now);
+            return self.handle_frame(connection, &whole, now);
         }
         if let Some(head) = codec::decode_batch_head(frame) {
-            if self.route != Some(connection) {
+            if self.session_connection != Some(connection) {
                 return Some(ToAgent::Unknown);
             }
             if self.queue.len() >= self.capacity {
@@ -112,11 +113,11 @@ impl Aggregator {
             return match self.receiving.handle_batch(&head, body.is_ok(), now) {
                 Arrival::Accept => {
                     let body = body.expect("only intact batches are accepted");
-                    self.queue.push(Work::Batch { head, body });
+                    self.queue.push(WriterTask::Batch { head, body });
                     None
                 }
                 Arrival::AcceptDamaged => {
-                    self.queue.push(Work::Damaged(head));
+                    self.queue.push(WriterTask::Damaged(head));
                     None
                 }
                 Arrival::Duplicate(reply) | Arrival::Unknown(reply) => Some(reply),
@@ -125,45 +126,47 @@ impl Aggregator {
             };
         }
         match codec::decode(frame).ok()? {
-            ToAggregator::Hello(hello) if !self.asks_for_proofs => self.hello(connection, &hello, now),
+            ToAggregator::Hello(hello) if !self.asks_for_proofs => self.handle_hello(connection, &hello, now),
             ToAggregator::Hello(hello) => {
-                self.challenged += 1;
+                self.challenge_count += 1;
                 let mut nonce = [0; 32];
-                nonce[..8].copy_from_slice(&self.challenged.to_be_bytes());
+                nonce[..8].copy_from_slice(&self.challenge_count.to_be_bytes());
                 Some(self.challenges.challenge(connection, hello, false, Nonce::from_bytes(nonce), now))
             }
             ToAggregator::Proof(proof) => {
                 match self.challenges.check_proof(&connection, proof, Some(&SECRET)) {
-                    ProofResult::Valid { hello, .. } => self.hello(connection, &hello, now),
+                    ProofResult::Valid { hello, .. } => self.handle_hello(connection, &hello, now),
                     ProofResult::Unsolicited => Some(ToAgent::Unknown),
                     ProofResult::Invalid(hello) => panic!("the proof of {hello:?} is wrong"),
                 }
             }
-            ToAggregator::Echo { host, bytes } if self.route == Some(connection) => {
+            ToAggregator::Echo { host, bytes } if self.session_connection == Some(connection) => {
                 Some(self.receiving.handle_echo(host, bytes, now))
             }
             ToAggregator::Echo { .. } => Some(ToAgent::Unknown),
-            ToAggregator::Live(_) | ToAggregator::Goodbye(_) => unreachable!("never sent here"),
+            ToAggregator::Live(_) | ToAggregator::Goodbye(_) => {
+                unreachable!("the simulation does not send these messages")
+            }
         }
     }
 
-    fn hello(&mut self, connection: u64, hello: &Hello, now: MonoTime) -> Option<ToAgent> {
+    fn handle_hello(&mut self, connection: u64, hello: &Hello, now: MonoTime) -> Option<ToAgent> {
         let mark_of = |stream| self.database.marks.get(&stream).copied();
         let record = StreamRecord {
             mark: mark_of(hello.stream),
-            was_used: self.seen.contains(&hello.stream),
-            last_stream: self.last,
+            was_used: self.used_streams.contains(&hello.stream),
+            last_stream: self.last_stream,
             previous_mark: hello.previous_stream.and_then(mark_of),
             seniority: None,
         };
         match self.receiving.handle_hello(hello, record, now) {
             HelloResult::Welcome { reply, missing, replaced, missing_previous, .. } => {
-                self.route = Some(connection);
-                self.missing += u32::from(missing.is_some());
-                self.queue.push(Work::Hello(hello.stream, replaced, missing_previous));
-                self.queue.extend(missing.map(Work::MissingBatches));
-                self.last = Some(hello.stream);
-                self.seen.insert(hello.stream);
+                self.session_connection = Some(connection);
+                self.missing_batch_reports += u32::from(missing.is_some());
+                self.queue.push(WriterTask::Hello(hello.stream, replaced, missing_previous));
+                self.queue.extend(missing.map(WriterTask::MissingBatches));
+                self.last_stream = Some(hello.stream);
+                self.used_streams.insert(hello.stream);
                 Some(reply)
             }
             HelloResult::Refused { reply, .. } => Some(reply),
@@ -171,11 +174,11 @@ impl Aggregator {
         }
     }
 
-    /// Applies the next `count` works to the database. Returns the entries that they stored.
+    /// Applies the next `count` tasks to the database. Returns the entries that the tasks stored.
     pub(super) fn commit(&mut self, count: usize) -> Vec<(StreamId, Entry)> {
         let count = count.min(self.queue.len());
-        let works: Vec<Work> = self.queue.drain(..count).collect();
-        works.into_iter().filter_map(|work| self.database.apply(work)).collect()
+        let tasks: Vec<WriterTask> = self.queue.drain(..count).collect();
+        tasks.into_iter().filter_map(|task| self.database.apply(task)).collect()
     }
 
     /// Reports the commit. Returns the messages for the connection of the host.
@@ -190,18 +193,18 @@ impl Aggregator {
         self.to_connection(replies)
     }
 
-    /// Lets the next commit fail, together with all waiting works.
-    pub(super) fn fail(&mut self) -> Vec<(u64, ToAgent)> {
+    /// Lets the next commit and all waiting tasks fail.
+    pub(super) fn fail_commit(&mut self) -> Vec<(u64, ToAgent)> {
         let mut replies = Vec::new();
-        for work in std::mem::take(&mut self.queue) {
-            match work {
-                Work::Batch { head, .. } | Work::Damaged(head) => {
+        for task in std::mem::take(&mut self.queue) {
+            match task {
+                WriterTask::Batch { head, .. } | WriterTask::Damaged(head) => {
                     replies.extend(self.receiving.handle_failed_store(head.stream));
                 }
-                Work::MissingBatches(missing) => {
+                WriterTask::MissingBatches(missing) => {
                     replies.extend(self.receiving.handle_failed_store(missing.stream));
                 }
-                hello @ Work::Hello(..) => self.queue.push(hello),
+                hello @ WriterTask::Hello(..) => self.queue.push(hello),
             }
         }
         self.to_connection(replies)
@@ -210,13 +213,13 @@ impl Aggregator {
     pub(in super::super) fn kill(&mut self) {
         self.queue.clear();
         (self.receiving, self.challenges) = (receiving(), challenges());
-        self.route = None;
-        self.last = self.database.last;
-        self.seen = self.database.seen.clone();
+        self.session_connection = None;
+        self.last_stream = self.database.last_stream;
+        self.used_streams = self.database.used_streams.clone();
     }
 
     fn to_connection(&self, replies: Vec<(HostId, ToAgent)>) -> Vec<(u64, ToAgent)> {
-        replies.into_iter().filter_map(|(_, reply)| Some((self.route?, reply))).collect()
+        replies.into_iter().filter_map(|(_, reply)| Some((self.session_connection?, reply))).collect()
     }
 }
 
@@ -225,12 +228,12 @@ fn challenges() -> Challenges<u64> {
 }
 
 impl Database {
-    /// Applies a work. Returns the stored entry and its stream.
-    fn apply(&mut self, work: Work) -> Option<(StreamId, Entry)> {
-        let (stream, mark, entry) = match work {
-            Work::Hello(stream, replaced, missing_previous) => {
-                self.last = Some(stream);
-                if self.seen.insert(stream) {
+    /// Applies a task. Returns the stored entry and its stream.
+    fn apply(&mut self, task: WriterTask) -> Option<(StreamId, Entry)> {
+        let (stream, mark, entry) = match task {
+            WriterTask::Hello(stream, replaced, missing_previous) => {
+                self.last_stream = Some(stream);
+                if self.used_streams.insert(stream) {
                     self.replaced.extend(replaced);
                     if let Some(MissingPreviousBatches { stream, from, through, events }) = missing_previous {
                         let gap = Entry::Gap { from, through, events };
@@ -239,23 +242,26 @@ impl Database {
                 }
                 return None;
             }
-            Work::Batch { head, body } => {
+            WriterTask::Batch { head, body } => {
                 let previous = self.marks.get(&head.stream);
                 if let Some(previous) = previous {
-                    assert_eq!(head.number, previous.stored + 1, "stored out of order");
-                    assert_eq!(head.previous_chain, previous.chain, "stored after a batch of another chain");
+                    assert_eq!(head.number, previous.stored + 1, "batches are stored in order");
+                    assert_eq!(
+                        head.previous_chain, previous.chain,
+                        "a batch continues the chain of the last stored batch"
+                    );
                 }
                 assert_eq!(head.chain, head.previous_chain.next(head.events, &body));
-                let (event_numbers, missing_reported) =
-                    (event_numbers(head.events, &body), missing_reported(head.events, &body));
-                let entry = Entry::Batch { number: head.number, event_numbers, missing_reported };
+                let (event_numbers, missing_in_gaps) =
+                    (event_numbers(head.events, &body), missing_in_gaps(head.events, &body));
+                let entry = Entry::Batch { number: head.number, event_numbers, missing_in_gaps };
                 (head.stream, HighWaterMark::from(head), entry)
             }
-            Work::Damaged(head) => {
+            WriterTask::Damaged(head) => {
                 let entry = Entry::Damaged { number: head.number, chain: head.chain };
                 (head.stream, HighWaterMark::from(head), entry)
             }
-            Work::MissingBatches(missing) => {
+            WriterTask::MissingBatches(missing) => {
                 let MissingBatches { stream, from, through, events, .. } = missing;
                 if let Some(previous) = self.marks.get(&stream) {
                     assert_eq!(from, previous.stored + 1, "a gap follows the last stored batch");

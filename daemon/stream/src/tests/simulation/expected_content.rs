@@ -1,4 +1,4 @@
-//! Expected content of the database, from an observer of everything that happens.
+//! Expected content of the database, computed from everything that happens in the simulation.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -6,28 +6,29 @@ use bytes::Bytes;
 
 use super::super::*;
 use super::aggregator::{Aggregator, Database, Entry};
-use super::{SpoolFile, event_numbers, missing_reported};
+use super::{SpoolFile, event_numbers, missing_in_gaps};
 
 #[derive(Clone, Debug, Default)]
 pub(in super::super) struct ExpectedContent {
     /// Events that were in a spool and not deleted with it.
     spooled: BTreeSet<u64>,
-    /// All places of each event in the database so far.
+    /// For each event, the streams and batch numbers with which the event has been stored so far.
     places: BTreeMap<u64, BTreeSet<(StreamId, u64)>>,
-    /// Content of the sent batches by their chains: events, and the number of events that their gaps report.
+    /// Content of the sent batches by their chains: the batch's events, and the number of missing events that its gaps
+    /// report.
     contents: HashMap<Chain, (Vec<u64>, u64)>,
-    /// Number of events of each batch sent in each stream.
-    sizes: BTreeMap<(StreamId, u64), u64>,
-    /// Sent parts of a batch.
+    /// Number of events of each sent batch, by stream and batch number.
+    event_counts: BTreeMap<(StreamId, u64), u64>,
+    /// Sent parts of the batch that is being sent in parts.
     parts: Vec<u8>,
     /// Wire forms of the events of the sent batches, each batch once.
     pub(in super::super) bodies: Vec<(u32, Bytes)>,
     /// Streams whose spool was deleted.
-    deleted: BTreeSet<StreamId>,
+    deleted_streams: BTreeSet<StreamId>,
     /// `true` if a spool was copied: events that both copies hold may be in two streams.
-    pub(super) copied: bool,
+    pub(super) was_spool_copied: bool,
     /// `true` if the database was replaced by an older copy.
-    pub(super) restored: bool,
+    pub(super) was_database_restored: bool,
 }
 
 impl ExpectedContent {
@@ -43,10 +44,10 @@ impl ExpectedContent {
         }
         let Some(head) = codec::decode_batch_head(frame) else { return };
         let body = codec::decode_batch_body(frame.clone()).expect("a batch is intact when it is sent");
-        self.sizes.insert((head.stream, head.number), head.events.into());
+        self.event_counts.insert((head.stream, head.number), head.events.into());
         if self
             .contents
-            .insert(head.chain, (event_numbers(head.events, &body), missing_reported(head.events, &body)))
+            .insert(head.chain, (event_numbers(head.events, &body), missing_in_gaps(head.events, &body)))
             .is_none()
         {
             self.bodies.push((head.events, body));
@@ -73,7 +74,7 @@ impl ExpectedContent {
 
     /// Records that a spool was deleted with its content.
     pub(super) fn record_deleted_spool(&mut self, file: &SpoolFile) {
-        self.deleted.insert(file.stream);
+        self.deleted_streams.insert(file.stream);
         for event_number in file.batches.values().flat_map(|batch| event_numbers(batch.events, &batch.body)) {
             self.spooled.remove(&event_number);
         }
@@ -109,26 +110,26 @@ impl ExpectedContent {
                 .collect();
             assert!(
                 event_numbers.windows(2).all(|pair| pair[0] < pair[1]),
-                "not in order, or twice in a stream: {event_numbers:?}"
+                "the events of a stream are in order and stored once: {event_numbers:?}"
             );
             event_numbers.iter().for_each(|event_number| *stored.entry(*event_number).or_default() += 1);
         }
         for (event_number, times) in &stored {
-            assert!(*times == 1 || self.copied, "event {event_number} is stored {times} times");
+            assert!(*times == 1 || self.was_spool_copied, "event {event_number} is stored {times} times");
         }
         for event_number in self.spooled.iter().filter(|event_number| !stored.contains_key(event_number)) {
             assert!(
-                self.restored && self.is_accounted(*event_number, database),
+                self.was_database_restored && self.is_accounted(*event_number, database),
                 "event {event_number} is lost"
             );
         }
-        self.check_deleted(database);
+        self.check_replaced_spools(database);
         self.check_gaps(database);
     }
 
     /// Checks that every submitted event is stored or reported in a gap, regardless of when processes were killed.
-    pub(super) fn check_sum(&self, offered: u64, aggregator: &Aggregator) {
-        if self.restored || self.copied || !self.deleted.is_empty() {
+    pub(super) fn check_totals(&self, offered: u64, aggregator: &Aggregator) {
+        if self.was_database_restored || self.was_spool_copied || !self.deleted_streams.is_empty() {
             return;
         }
         let entries = aggregator.database.entries.values().flatten();
@@ -136,18 +137,17 @@ impl ExpectedContent {
         for entry in entries {
             stored += self.events(entry).len() as u64;
             missing += match entry {
-                Entry::Batch { missing_reported, .. } => *missing_reported,
+                Entry::Batch { missing_in_gaps, .. } => *missing_in_gaps,
                 Entry::Damaged { chain, .. } => {
-                    self.contents.get(chain).map_or(0, |(_, missing_reported)| *missing_reported)
+                    self.contents.get(chain).map_or(0, |(_, missing_in_gaps)| *missing_in_gaps)
                 }
                 Entry::Gap { .. } => 0,
             };
         }
-        assert_eq!(stored + missing, offered, "{stored} stored and {missing} in gaps");
+        assert_eq!(stored + missing, offered, "{stored} events are stored and gaps report {missing} events");
     }
 
-    /// Checks that a gap states the number of events of its batches. With two copies it is unknown which batches the
-    /// database lacks.
+    /// Checks that each gap states the number of events of its batches. If a spool was copied, this number is unknown.
     fn check_gaps(&self, database: &Database) {
         for (stream, entry) in database
             .entries
@@ -155,27 +155,31 @@ impl ExpectedContent {
             .flat_map(|(stream, entries)| entries.iter().map(move |entry| (stream, entry)))
         {
             let Entry::Gap { from, through, events } = entry else { continue };
-            let held = (*from..=*through).map(|number| self.sizes.get(&(*stream, number)));
-            if let (false, Some(held)) = (self.copied, held.sum::<Option<u64>>()) {
-                // Batches after the last one in a spool may also be missing in a restored database.
-                let is_right = *events == Some(held) || self.restored && *events > Some(held);
-                assert!(is_right, "{events:?} events of batches {from} to {through}, which held {held}");
+            let held = (*from..=*through).map(|number| self.event_counts.get(&(*stream, number)));
+            if let (false, Some(held)) = (self.was_spool_copied, held.sum::<Option<u64>>()) {
+                // Batches that were sent from memory, after the last batch in a spool, may also be missing in a
+                // restored database.
+                let is_correct = *events == Some(held) || self.was_database_restored && *events > Some(held);
+                assert!(
+                    is_correct,
+                    "the gap states {events:?} events for batches {from} to {through}, which contain {held}"
+                );
             }
         }
     }
 
-    /// Returns whether an event that is missing in a restored database is covered by a gap, or its spool was deleted.
-    /// With two copies, different batches with the same numbers may be missing in the database.
+    /// Returns whether a gap covers an event that is missing in a restored database, or the event's spool was deleted.
+    /// If a spool was copied, different batches with the same numbers may be missing in the database.
     fn is_accounted(&self, event_number: u64, database: &Database) -> bool {
         self.places.get(&event_number).into_iter().flatten().any(|(stream, number)| {
             let entries = database.entries.get(stream).into_iter().flatten();
             let covers = |entry: &Entry| matches!(entry, Entry::Gap { from, through, .. } if (from..=through).contains(&number));
-            entries.clone().any(covers) || self.deleted.contains(stream) || self.copied
+            entries.clone().any(covers) || self.deleted_streams.contains(stream) || self.was_spool_copied
         })
     }
 
-    fn check_deleted(&self, database: &Database) {
-        if self.restored || self.copied {
+    fn check_replaced_spools(&self, database: &Database) {
+        if self.was_database_restored || self.was_spool_copied {
             return;
         }
         let mut replaced = database.replaced.clone();
@@ -183,10 +187,11 @@ impl ExpectedContent {
         replaced.dedup();
         assert_eq!(replaced.len(), database.replaced.len(), "a replaced spool is reported once");
         assert!(
-            replaced.is_empty() || !self.deleted.is_empty(),
+            replaced.is_empty() || !self.deleted_streams.is_empty(),
             "a spool is reported as replaced although none was deleted"
         );
-        let stored_streams = self.deleted.iter().filter(|stream| database.entries.contains_key(stream));
+        let stored_streams =
+            self.deleted_streams.iter().filter(|stream| database.entries.contains_key(stream));
         stored_streams.for_each(|stream| assert!(replaced.contains(stream), "a deleted spool is reported"));
     }
 }

@@ -15,7 +15,8 @@ pub(in super::super) struct SpoolFile {
     newest: (u64, Chain),
     totals: Totals,
     newest_sent: Vec<NewestSentBatch>,
-    /// Losses that no gap reports yet, each with the number of reported events after its report.
+    /// Losses that no gap reports yet, each with the value that [`Totals::reported_drops`] has after the loss is
+    /// reported.
     unreported: Vec<(u64, Gap)>,
     unresolved: Option<UnresolvedBatches>,
     /// Counts in shared memory, which survive the process.
@@ -77,8 +78,8 @@ impl SpoolFile {
     /// Sets the losses to be reported.
     fn set_unreported(&mut self, unreported: &[Gap]) {
         let mut reported = self.totals.reported_drops;
-        let with_position = |gap: &Gap| (reported += gap.count, (reported, gap.clone())).1;
-        self.unreported = unreported.iter().map(with_position).collect();
+        let with_reported_drops = |gap: &Gap| (reported += gap.count, (reported, gap.clone())).1;
+        self.unreported = unreported.iter().map(with_reported_drops).collect();
     }
 
     /// Records a batch that is sent without being in the file.
@@ -134,7 +135,7 @@ impl SpoolFile {
         let kept = self.batches.split_off(&(through + 1));
         let deleted = std::mem::replace(&mut self.batches, kept);
         if let Some(last) = deleted.get(&through) {
-            assert_eq!(last.chain, chain, "the chain is that of the last deleted batch");
+            assert_eq!(last.chain, chain, "the action states the chain of the last deleted batch");
         }
         self.previous_chain = chain;
         if through > self.newest.0 {

@@ -22,24 +22,32 @@ const SETTLE_TIMEOUT_MS: i64 = 300_000;
 /// Maximum number of turns of both ends in `SETTLE_TIMEOUT_MS`.
 const MAX_TURNS: usize = 5_000;
 
+/// An agent and an aggregator with the frames between them.
 #[derive(Clone, Debug)]
 pub(super) struct Simulation {
+    /// Simulated time, milliseconds.
     pub(super) now: i64,
     config: SendingConfig,
     host: HostId,
+    /// Number of events that were offered.
     offered: u64,
+    /// Number of processes of the agent that were started.
     processes: u64,
-    /// Machines with the same host id, each with its own spool file. One of them runs.
+    /// Machines with the same host id, each with its own spool file. One machine runs.
     pub(super) machines: Vec<SpoolFile>,
+    /// Index of the machine that runs.
     pub(super) machine: usize,
     pub(super) sending: Sending,
     /// Actions for the spool, in order.
     pub(super) jobs: VecDeque<Action>,
     /// `true` while the spool's disk fails.
-    pub(super) broken: bool,
+    pub(super) is_disk_broken: bool,
+    /// Number of the current connection.
     connection: u64,
     pub(super) aggregator: Aggregator,
+    /// Frames in flight to the aggregator, each with the number of its connection.
     pub(super) up: Vec<(u64, Bytes)>,
+    /// Messages in flight to the agent, each with the number of its connection.
     pub(super) down: Vec<(u64, ToAgent)>,
     pub(super) expected_content: ExpectedContent,
 }
@@ -58,7 +66,7 @@ impl Simulation {
             machines: vec![file],
             machine: 0,
             jobs: VecDeque::new(),
-            broken: false,
+            is_disk_broken: false,
             connection: 1,
             aggregator: Aggregator::new(capacity),
             up: Vec::new(),
@@ -75,7 +83,7 @@ impl Simulation {
 
     /// Calls the sending end, and performs its actions.
     pub(super) fn agent<T>(&mut self, act: impl FnOnce(&mut Sending, Stamp) -> T) -> T {
-        let done = act(&mut self.sending, at(self.now));
+        let result = act(&mut self.sending, at(self.now));
         while let Some(action) = self.sending.next(at(self.now).mono) {
             match action {
                 Action::Send(frame) => {
@@ -89,7 +97,7 @@ impl Simulation {
                 job => self.jobs.push_back(job),
             }
         }
-        done
+        result
     }
 
     pub(super) fn offer(&mut self) {
@@ -99,38 +107,38 @@ impl Simulation {
         self.agent(|sending, now| sending.offer(&event, now));
     }
 
-    pub(super) fn pass(&mut self, millis: i64) {
+    pub(super) fn pass_time(&mut self, millis: i64) {
         self.now += millis;
         self.agent(|sending, now| sending.tick(now));
-        self.live();
+        self.exchange_live_update();
     }
 
     /// Lets time pass until the agent's next deadline.
     pub(super) fn pass_to_deadline(&mut self) {
         let pause =
             self.sending.deadline().map(|deadline| (deadline - at(self.now).mono).nanos() / 1_000_000);
-        self.pass(pause.unwrap_or_default().clamp(1, 20_000));
+        self.pass_time(pause.unwrap_or_default().clamp(1, 20_000));
     }
 
     /// Simulates the live lane, through which an agent learns that the aggregator has no session of its host.
-    fn live(&mut self) {
+    fn exchange_live_update(&mut self) {
         if self.sending.is_up() {
-            let reply = self.aggregator.live(self.connection, self.host, at(self.now).mono);
+            let reply = self.aggregator.handle_live(self.connection, self.host, at(self.now).mono);
             self.down.extend(reply.map(|reply| (self.connection, reply)));
         }
     }
 
     /// Completes the next action of the spool, or lets it fail.
-    pub(super) fn work(&mut self) {
+    pub(super) fn complete_job(&mut self) {
         let Some(job) = self.jobs.pop_front() else { return };
-        if self.broken {
+        if self.is_disk_broken {
             let reason = "the disk fails".to_owned();
             self.agent(|sending, now| match job {
                 Action::Append { .. } => sending.on_append_failed(reason, now),
                 Action::Load { .. } => sending.on_load_failed(reason, now),
                 Action::Delete { .. } => sending.on_delete_failed(reason, now),
                 Action::Renew { .. } => sending.on_renew_failed(reason, now),
-                Action::Send(_) => unreachable!("not a job"),
+                Action::Send(_) => unreachable!("sending is not an action of the spool"),
             });
             return;
         }
@@ -140,7 +148,7 @@ impl Simulation {
             Action::Load { .. } => drop(sending.on_loaded(loaded, now)),
             Action::Delete { .. } => sending.on_deleted(),
             Action::Renew { .. } => sending.on_renewed(now),
-            Action::Send(_) => unreachable!("not a job"),
+            Action::Send(_) => unreachable!("sending is not an action of the spool"),
         });
     }
 
@@ -160,23 +168,23 @@ impl Simulation {
             Action::Renew { stream, previous_stream, first, events_before_first } => {
                 file.renew(*stream, *previous_stream, *first, *events_before_first);
             }
-            Action::Send(_) => unreachable!("not a job"),
+            Action::Send(_) => unreachable!("sending is not an action of the spool"),
         }
         Vec::new()
     }
 
-    /// Delivers a frame to the aggregator. With `keep` a copy stays in flight, except of a damaged frame: nothing
-    /// damages several frames in the same way.
+    /// Delivers a frame to the aggregator. With `keep`, a copy stays in flight.
     pub(super) fn deliver_up(&mut self, index: usize, keep: bool) {
         if self.up.is_empty() {
             return;
         }
         let index = index % self.up.len();
         let (connection, frame) = self.up.remove(index);
+        // No copy of a damaged frame stays in flight: in reality, several frames are not damaged in the same way.
         if keep && !self.expected_content.is_damaged(&frame) {
             self.up.insert(index, (connection, frame.clone()));
         }
-        let reply = self.aggregator.frame(connection, &frame, at(self.now).mono);
+        let reply = self.aggregator.handle_frame(connection, &frame, at(self.now).mono);
         self.down.extend(reply.map(|reply| (connection, reply)));
     }
 
@@ -189,7 +197,7 @@ impl Simulation {
         let (connection, message) = if keep { self.down[index].clone() } else { self.down.remove(index) };
         if connection == self.connection {
             let frame = codec::encode(&message);
-            let message = codec::decode(&frame).expect("our own frame");
+            let message = codec::decode(&frame).expect("the aggregator's frame is readable");
             self.agent(|sending, now| drop(sending.on_message(&message, now)));
         }
     }
@@ -206,7 +214,7 @@ impl Simulation {
         }
     }
 
-    /// Flips a bit of a batch in flight. Hellos are excluded, because they are not protected by a hash and not
+    /// Flips a bit of a batch in flight. Hellos are excluded, because no hash protects a hello and a lost hello is not
     /// repeated.
     pub(super) fn damage(&mut self, index: usize, bit: usize) {
         let batches = self.up.iter_mut().filter(|(_, frame)| codec::decode_batch_head(frame).is_some());
@@ -222,7 +230,8 @@ impl Simulation {
         *frame = Bytes::from(damaged);
     }
 
-    /// Commits `count` works. Unless `is_acknowledged`, the aggregator is killed between commit and acknowledgement.
+    /// Commits `count` tasks. If `is_acknowledged` is `false`, the aggregator is killed between commit and
+    /// acknowledgement.
     pub(super) fn commit(&mut self, count: usize, is_acknowledged: bool) {
         let stored = self.aggregator.commit(count);
         stored.iter().for_each(|(stream, entry)| self.expected_content.record_committed(*stream, entry));
@@ -236,7 +245,7 @@ impl Simulation {
     }
 
     pub(super) fn fail_commit(&mut self) {
-        let replies = self.aggregator.fail();
+        let replies = self.aggregator.fail_commit();
         self.down.extend(replies);
     }
 
@@ -251,7 +260,8 @@ impl Simulation {
     /// Kills the agent and starts an agent at a machine. Before the kill, the disk has performed `done` further actions
     /// whose completion the agent did not learn of.
     pub(super) fn start_agent(&mut self, machine: usize, done: usize) {
-        let jobs: Vec<Action> = self.jobs.drain(..).take(if self.broken { 0 } else { done }).collect();
+        let jobs: Vec<Action> =
+            self.jobs.drain(..).take(if self.is_disk_broken { 0 } else { done }).collect();
         jobs.iter().for_each(|job| drop(self.apply(job)));
         self.machine = machine;
         self.processes += 1;
@@ -268,7 +278,7 @@ impl Simulation {
         let mut copy = self.file().clone();
         copy.counted = CountedEvents::default();
         self.machines.push(copy);
-        self.expected_content.copied = true;
+        self.expected_content.was_spool_copied = true;
     }
 
     /// Kills the agent and starts the next machine's agent, whose spool may be a copy of an older spool.
@@ -294,14 +304,14 @@ impl Simulation {
     pub(super) fn restore(&mut self) {
         if let Some(backup) = self.aggregator.backup.clone() {
             self.aggregator.database = backup;
-            self.expected_content.restored = true;
+            self.expected_content.was_database_restored = true;
             self.aggregator.kill();
         }
     }
 
     /// Ends all faults, and runs until everything in the spool of every machine is stored.
     pub(super) fn settle(&mut self) {
-        self.broken = false;
+        self.is_disk_broken = false;
         self.settle_machine();
         for other in (0..self.machines.len()).filter(|other| *other != self.machine).collect::<Vec<_>>() {
             self.start_agent(other, usize::MAX);
@@ -313,23 +323,23 @@ impl Simulation {
         let limit = self.now + SETTLE_TIMEOUT_MS;
         self.agent(|sending, now| sending.flush(now.wall));
         for _ in 0..MAX_TURNS {
-            self.live();
+            self.exchange_live_update();
             while !(self.up.is_empty()
                 && self.down.is_empty()
                 && self.jobs.is_empty()
                 && self.aggregator.is_idle())
             {
                 self.deliver_up(0, false);
-                self.work();
+                self.complete_job();
                 self.commit(usize::MAX, true);
                 self.deliver_down(0, false);
                 self.check();
             }
-            let is_at_rest = self.sending.is_idle() && self.sending.has_reported_all();
-            if self.sending.is_up() && is_at_rest && self.file().batches.is_empty() {
-                // The aggregator may have been killed after its welcome. The live lane then reports that it has no
-                // session.
-                self.live();
+            let is_settled = self.sending.is_idle() && self.sending.has_reported_all();
+            if self.sending.is_up() && is_settled && self.file().batches.is_empty() {
+                // The aggregator may have been killed after its welcome. Over the live lane, it then states that the
+                // host has no session.
+                self.exchange_live_update();
                 if self.down.is_empty() {
                     return;
                 }
@@ -345,8 +355,8 @@ impl Simulation {
     pub(super) fn check(&self) {
         let Accounting { produced, stored, waiting, dropped, .. } = self.sending.accounting();
         assert_eq!(produced, stored + waiting + dropped, "produced = stored + waiting + dropped");
-        if !self.expected_content.restored && !self.expected_content.copied {
-            assert_eq!(self.aggregator.missing, 0, "batches went missing");
+        if !self.expected_content.was_database_restored && !self.expected_content.was_spool_copied {
+            assert_eq!(self.aggregator.missing_batch_reports, 0, "no batch is missing");
         }
     }
 
@@ -354,14 +364,17 @@ impl Simulation {
     pub(super) fn check_settled(&self) {
         self.check();
         self.expected_content.check(&self.aggregator);
-        self.expected_content.check_sum(self.offered, &self.aggregator);
-        assert!(self.machines.iter().all(|file| file.batches.is_empty()), "everything was acknowledged");
+        self.expected_content.check_totals(self.offered, &self.aggregator);
+        assert!(
+            self.machines.iter().all(|file| file.batches.is_empty()),
+            "all batches were acknowledged and deleted"
+        );
     }
 }
 
 /// Returns the number of missing events that the gaps in a body report.
-fn missing_reported(events: u32, body: &[u8]) -> u64 {
-    let events = codec::decode_events(body, events).expect("our own events");
+fn missing_in_gaps(events: u32, body: &[u8]) -> u64 {
+    let events = codec::decode_events(body, events).expect("the agent's events are readable");
     let count = |event| match event {
         Event::Gap(gap) => gap.count,
         _ => 0,
@@ -371,7 +384,7 @@ fn missing_reported(events: u32, body: &[u8]) -> u64 {
 
 /// Returns the numbers of the events in a body in order, without gaps.
 fn event_numbers(events: u32, body: &[u8]) -> Vec<u64> {
-    let events = codec::decode_events(body, events).expect("our own events");
+    let events = codec::decode_events(body, events).expect("the agent's events are readable");
     let event_number = |event| match event {
         Event::Incident(incident) => Some(incident.text.parse().expect("a number")),
         _ => None,
