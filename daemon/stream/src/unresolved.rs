@@ -86,7 +86,8 @@ impl UnresolvedBatches {
         while let Some(gap) = earlier_gaps.pop_front_if(|gap| gap.count <= reported_drops) {
             reported_drops -= gap.count;
         }
-        // The drops of earlier processes happened after these gaps, and before the losses of the killed process.
+        // After these gaps, the killed process reported drops that the spool counts, and then drops that the spool does
+        // not know.
         let reported_earlier_drops = reported_drops.min(*earlier_drops);
         *earlier_drops -= reported_earlier_drops;
         reported_drops -= reported_earlier_drops;

@@ -8,8 +8,8 @@ use crate::totals::Totals;
 use peernet_logger::Slug;
 
 /// Action that the owner of the state machine has to perform. Actions are performed in the order in which they are
-/// returned. Every action except `Send` is answered by one of the methods that its description names. Until it is
-/// answered, no second action of the same kind is returned.
+/// returned. The owner answers every action except `Send` by a call of one of the methods that the action's description
+/// names. Before this answer, no second action of the same kind is returned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
     /// Write these batches and totals to the spool in one transaction. Answer: [`Sending::on_appended`] or
@@ -19,9 +19,9 @@ pub enum Action {
     /// they may be sent ([`Totals::newest_sent`]). This record should be on the medium, not only in the system's
     /// memory, before the action is answered.
     Append {
-        /// Batches, contiguous and following the newest in the spool; empty if only the totals changed.
+        /// Contiguous batches that follow the newest batch in the spool; empty if only the totals changed.
         batches: Vec<SpooledBatch>,
-        /// Totals up to the last of the batches.
+        /// Totals up to the last of these batches.
         totals: Totals,
     },
     /// Read batches from a number on: at least one, and more until their bodies exceed a number of bytes.
@@ -32,18 +32,19 @@ pub enum Action {
         /// Number of bytes of bodies to read.
         bytes: usize,
     },
-    /// Delete the batches up to a number and keep the chain of that batch. Answer: [`Sending::on_deleted`], or
-    /// [`Sending::on_delete_failed`], after which the deletion is requested again later.
+    /// Delete the batches up to a number and keep the chain of the last deleted batch. Answer: [`Sending::on_deleted`],
+    /// or [`Sending::on_delete_failed`], after which the deletion is requested again later.
     ///
     /// The number may be beyond the newest batch in the spool if batches were sent from memory and stored while the
-    /// spool failed. It is then the newest number used so far, and the next appended batch has the number after it.
+    /// spool failed. This number then becomes the newest number of the spool, and the next appended batch has the
+    /// following number.
     Delete {
         /// Number of the last batch.
         through: u64,
         /// Chain of that batch.
         chain: Chain,
     },
-    /// Replace the stream by a new one, in which the batches in the spool keep their numbers and chains. Answer:
+    /// Replace the stream by a new stream, in which the batches in the spool keep their numbers and chains. Answer:
     /// [`Sending::on_renewed`] or [`Sending::on_renew_failed`].
     Renew {
         /// New stream.

@@ -10,7 +10,7 @@ use crate::totals::Totals;
 /// Interval at which the number of dropped events is written while no batch is written.
 const LOSS_WRITE_INTERVAL: Span = Span::from_seconds(1);
 
-/// Last state written to the spool, and the transaction in progress.
+/// Totals that were last written to the spool, and the transaction in progress.
 #[derive(Clone, Debug)]
 pub(super) struct Appends {
     job: Job<RunningAppend>,
@@ -20,7 +20,7 @@ pub(super) struct Appends {
     has_failed: bool,
     /// `true` after a failure to write batches: the number of dropped events is then written alone before the batches
     /// are tried again.
-    were_batches_refused: bool,
+    has_failed_with_batches: bool,
     /// Start of the last transaction.
     started_at: MonoTime,
 }
@@ -36,7 +36,7 @@ struct RunningAppend {
     freed_bytes: u64,
     /// Totals up to the last batch, without the additions of [`Totals::with_resolved`].
     totals: Totals,
-    /// `true` if the transaction records the result for an earlier process.
+    /// `true` if the transaction records which batches of an earlier process are stored.
     resolves_earlier_process: bool,
 }
 
@@ -45,10 +45,11 @@ struct RunningAppend {
 pub(super) struct AppendResult {
     /// Number and chain of the last batch; `None` if only the totals were written.
     pub(super) last: Option<(u64, Chain)>,
+    /// Bytes of the written bodies.
     pub(super) bytes: u64,
     /// Number of written bytes whose batches the aggregator stored meanwhile.
     pub(super) freed_bytes: u64,
-    /// `true` if the transaction recorded the result for an earlier process.
+    /// `true` if the transaction recorded which batches of an earlier process are stored.
     pub(super) resolves_earlier_process: bool,
 }
 
@@ -58,7 +59,7 @@ impl Appends {
             job: Job::default(),
             written_totals,
             has_failed: false,
-            were_batches_refused: false,
+            has_failed_with_batches: false,
             started_at: MonoTime::default(),
         }
     }
@@ -73,9 +74,9 @@ impl Appends {
         self.has_failed
     }
 
-    /// Returns whether batches could not be written and nothing was written since.
-    pub(super) const fn were_batches_refused(&self) -> bool {
-        self.were_batches_refused
+    /// Returns whether batches could not be written and nothing was written since then.
+    pub(super) const fn has_failed_with_batches(&self) -> bool {
+        self.has_failed_with_batches
     }
 
     pub(super) const fn is_in_progress(&self) -> bool {
@@ -92,12 +93,12 @@ impl Appends {
         self.job.retry_at()
     }
 
-    /// Returns the number of the newest batch that is being written; 0 if none is.
+    /// Returns the number of the newest batch that is being written; 0 if no batch is being written.
     pub(super) fn newest_in_progress(&mut self) -> u64 {
         self.job.in_progress_mut().and_then(|appending| appending.last).map_or(0, |(number, _)| number)
     }
 
-    /// Records that the aggregator stored batches which are being written.
+    /// Records that the aggregator stored batches that are being written; `bytes` is the length of their bodies.
     pub(super) fn add_freed(&mut self, bytes: u64) {
         if let Some(appending) = self.job.in_progress_mut() {
             appending.freed_bytes += bytes;
@@ -114,7 +115,7 @@ impl Appends {
     ) {
         let last = batches.last().map(|batch| (batch.number, batch.chain));
         let bytes = batches.iter().map(|batch| batch.body.len() as u64).sum();
-        (self.started_at, self.were_batches_refused) = (now, false);
+        (self.started_at, self.has_failed_with_batches) = (now, false);
         self.job.start(RunningAppend {
             last,
             bytes,
@@ -140,8 +141,8 @@ impl Appends {
 
     /// Ends the transaction as failed; `None` if no transaction is in progress.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
-        // Only a transaction with batches is followed by one with the counts alone, which needs less space.
-        self.were_batches_refused = self.job.end()?.last.is_some();
+        // After a transaction with batches failed, a transaction with the counts alone is tried. It needs less space.
+        self.has_failed_with_batches = self.job.end()?.last.is_some();
         self.job.fail(now, pause);
         self.has_failed = true;
         Some(())

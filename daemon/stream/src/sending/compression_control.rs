@@ -1,15 +1,15 @@
-//! Decides from the observed rate of the link whether batches are compressed.
+//! Decision whether batches are compressed, from the observed rate of the link.
 
 use peernet_clock::{MonoTime, Span};
 
 use super::Compression;
 
-/// A link is slow if its rate in bytes per second is lower than this. An agent at full speed produces a few megabytes
+/// A link is slow if its rate in bytes per second is below this limit. An agent at full speed produces a few megabytes
 /// of events per second, which is little for a cable and too much for a poor radio link. Above this rate, compression
 /// would have no benefit and would use processor time of a host that is being measured.
 const SLOW_BYTES_PER_S: f64 = (4 << 20) as f64;
 
-/// A slow link stops being slow if its rate is higher than this. This limit is well above `SLOW_BYTES_PER_S`, so that a
+/// A slow link stops being slow if its rate is above this limit. The limit is well above `SLOW_BYTES_PER_S`, so that a
 /// link with a rate between the two limits does not switch compression repeatedly.
 const FAST_BYTES_PER_S: f64 = 2.0 * SLOW_BYTES_PER_S;
 
@@ -20,20 +20,20 @@ const MIN_OBSERVATION: Span = Span::from_seconds(1);
 const IDLE_BEFORE_STOP: Span = Span::from_seconds(10);
 
 /// Measures the rate of acknowledged bytes while the window is full, and switches compression. The path to the store
-/// limits the rate only while the window is full; otherwise the number of events limits it.
+/// limits the rate only while the window is full; otherwise the number of events limits the rate.
 ///
-/// A slow store cannot be distinguished from a slow link here; compression then costs some processor time and does no
-/// harm. A pause of the store, for example because its disk was full, must not count: the longest wait is therefore
-/// ignored. A slow link causes many waits.
+/// A slow store looks like a slow link; compression then costs some processor time and does no harm. A pause of the
+/// store, for example because its disk was full, must not count: the longest wait is therefore ignored. A slow link
+/// causes many waits.
 #[derive(Clone, Debug)]
 pub(super) struct CompressionControl {
     compression: Compression,
     is_compressing: bool,
-    /// Start of the current wait, in which the window has been full; `None` if it is not full.
+    /// Start of the current wait, in which the window has been full; `None` if the window is not full.
     full_since: Option<MonoTime>,
     /// Last time at which the window was full.
     last_full: MonoTime,
-    /// Time in which the window was full.
+    /// Sum of the waits since the rate was last computed.
     full_time: Span,
     /// Bytes that were acknowledged in `full_time`.
     full_bytes: u64,
@@ -70,8 +70,8 @@ impl CompressionControl {
         self.is_compressing |= self.compression == Compression::Auto;
     }
 
-    /// Records that nothing is to be sent. On a slow link compression stays on, because without it batches would soon
-    /// wait again.
+    /// Records that nothing is to be sent. On a slow link, compression continues: without compression, batches would
+    /// soon wait again.
     pub(super) fn record_idle(&mut self, is_slow: bool, now: MonoTime) {
         self.end_wait(now);
         if self.compression == Compression::Auto
@@ -88,7 +88,7 @@ impl CompressionControl {
         self.full_since = None;
     }
 
-    /// Records that frames were acknowledged.
+    /// Records that batches were acknowledged; `bytes` is the number of bytes of their frames.
     pub(super) fn record_ack(&mut self, bytes: u64, now: MonoTime) {
         let Some(full_since) = self.full_since else { return };
         self.end_wait(now);
@@ -127,7 +127,7 @@ mod tests {
     }
 
     /// Simulates a number of seconds in which the window is always full and `rate` bytes per second are acknowledged.
-    /// Returns the time of its end.
+    /// Returns the time at the end, in milliseconds.
     fn acknowledge_steadily(
         compression_control: &mut CompressionControl,
         from: i64,
@@ -170,13 +170,13 @@ mod tests {
         assert!(compression_control.is_compressing());
         compression_control.record_idle(false, at(now + 10_001));
         assert!(!compression_control.is_compressing(), "the backlog is gone");
-        // Without compression batches would soon wait again.
+        // On a slow link, compression continues although nothing waits.
         compression_control.record_slow_link();
         compression_control.record_idle(true, at(now + 30_000));
         assert!(compression_control.is_compressing(), "the link is slow");
         compression_control.record_idle(false, at(now + 30_000));
         assert!(!compression_control.is_compressing());
-        // An outage does not count as slow.
+        // An interruption of the connection does not count as a slow link.
         compression_control.record_full_window(at(200_000));
         compression_control.record_interruption();
         compression_control.record_ack(10, at(300_000));

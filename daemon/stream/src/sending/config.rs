@@ -31,8 +31,8 @@ pub struct SendingConfig {
     pub spool_bytes: u64,
     /// Maximum number of events and bytes that wait in memory because they are not in the spool yet.
     pub memory: Usage,
-    /// Capacity in memory that is reserved for events other than iterations, as a number of events. It must be well
-    /// below `memory`, or no iteration ever fits.
+    /// Capacity in memory that is reserved for events other than iterations, as a number of events. This number must be
+    /// well below `memory`, or no iteration ever fits.
     pub reserve_events: u64,
     /// Compression of batches.
     pub compression: Compression,

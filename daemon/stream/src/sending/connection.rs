@@ -38,9 +38,9 @@ impl Sending {
     /// Handles a message from the aggregator.
     pub fn on_message(&mut self, message: &ToAgent, now: Stamp) -> Option<Notice> {
         match message {
-            // A message of a connection that has ended meanwhile.
+            // The message is of a connection that has ended meanwhile.
             _ if matches!(self.session.state, ConnectionState::Down) => {}
-            // Answers to messages of a stream that has been left, or is being left.
+            // The message answers a message of a stream that this agent has left or is leaving.
             ToAgent::Challenge { stream, .. }
             | ToAgent::Welcome { stream, .. }
             | ToAgent::Ack { stream, .. }
@@ -67,7 +67,7 @@ impl Sending {
                 self.durable_lane.record_echo(*bytes, now.mono);
             }
             ToAgent::Refused { reason } => self.handle_refusal(reason, now.mono),
-            // In the other states a hello is due or was just answered.
+            // In any other state, a hello is due or was just answered.
             ToAgent::Unknown if self.is_up() => self.schedule_hello(now.mono),
             ToAgent::Unknown => {}
         }
@@ -85,7 +85,7 @@ impl Sending {
         let ConnectionState::Up { next, last_progress } = self.session.state else { return None };
         let output = self.durable_lane.next(next, &mut self.spooler, self.host.id, now);
         if output.starts_batch {
-            // The timeout starts with the first batch in flight.
+            // The timeout of acknowledgements starts with the first batch in flight.
             let is_idle = next == self.spooler.backlog.oldest();
             self.session.state = ConnectionState::Up {
                 next: next + 1,
@@ -181,8 +181,8 @@ impl Sending {
     fn handle_resend(&mut self, from: u64, now: MonoTime) {
         let ConnectionState::Up { next, last_progress } = self.session.state else { return };
         if from < self.spooler.backlog.oldest() {
-            // The aggregator lacks batches that this agent no longer holds. The hello states so, and the aggregator
-            // records the gap.
+            // The aggregator lacks batches that this agent no longer holds. The hello states the oldest batch that this
+            // agent holds, and the aggregator records a gap.
             self.schedule_hello(now);
         } else {
             self.session.state = ConnectionState::Up { next: next.min(from), last_progress };
@@ -193,7 +193,8 @@ impl Sending {
     fn handle_ack(&mut self, through: u64, now: Stamp) {
         let ConnectionState::Up { next, .. } = self.session.state else { return };
         if through > self.spooler.backlog.newest_sent() {
-            // Batches that were not sent cannot be stored. The hello finds out what the aggregator has.
+            // Batches that were not sent cannot be stored. The answer to the hello states what the aggregator has
+            // stored.
             self.schedule_hello(now.mono);
         } else if through >= self.spooler.backlog.oldest() {
             self.session.record_progress(next.max(through + 1), now.mono);
@@ -202,13 +203,13 @@ impl Sending {
         }
     }
 
-    /// Handles a welcome. The aggregator's last batch is compared with this end's batch of the same number.
+    /// Handles a welcome. The aggregator's last batch is compared with this agent's batch of the same number.
     fn handle_welcome(&mut self, mut welcome: Welcome, now: Stamp) {
         welcome.last_stored = welcome.last_stored.max(self.spooler.backlog.origin.first - 1);
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
         match self.session.state {
             ConnectionState::Handshake { .. } => {}
-            // This is the answer to a second hello that was in flight.
+            // This welcome answers a second hello that was in flight.
             ConnectionState::Up { .. } if welcome.last_stored > acknowledged => {
                 return match self.spooler.backlog.chain(welcome.last_stored) {
                     own_chain if own_chain == welcome.chain => self.handle_ack(welcome.last_stored, now),
@@ -217,7 +218,7 @@ impl Sending {
             }
             _ => return,
         }
-        // The welcome states whether the batches of an earlier process are stored, even if this end leaves the stream
+        // The welcome states whether the batches of an earlier process are stored, even if this agent leaves the stream
         // afterwards.
         self.spooler.resolve_earlier(welcome.last_stored, welcome.process);
         if welcome.last_stored > self.spooler.backlog.newest() {
@@ -239,7 +240,8 @@ impl Sending {
         }
     }
 
-    /// Continues after the file was read up to batch `through`. `scanned` is `None` if that batch was not in the file.
+    /// Continues the comparison or the leaving of the stream after the file was read up to batch `through`. `scanned`
+    /// is `None` if that batch was not in the file.
     fn finish_comparison(
         &mut self,
         through: u64,
@@ -265,8 +267,7 @@ impl Sending {
         }
     }
 
-    /// Starts sending if the chain hash of the aggregator's last batch equals `own_chain`, and leaves the stream
-    /// otherwise.
+    /// Starts sending if the chain of the aggregator's last batch equals `own_chain`, and leaves the stream otherwise.
     fn compare_chains(
         &mut self,
         welcome: Welcome,
@@ -289,8 +290,8 @@ impl Sending {
     }
 
     /// Returns whether this process or an earlier process of this spool sent the aggregator's last batch, which the
-    /// spool no longer contains. If not, a copy of this spool sent the batch, and its chain cannot be compared: the
-    /// aggregator's database may be a backup from a time when it received the batches of that copy.
+    /// spool no longer contains. If not, a process with a copy of this spool sent that batch. The aggregator's database
+    /// may then be a backup from a time when the aggregator received the batches of that copy.
     fn has_sent_last_stored(&self, welcome: &Welcome) -> bool {
         let is_sender = |newest_sent: &NewestSentBatch| {
             Some(newest_sent.process) == welcome.process && newest_sent.number >= welcome.last_stored
@@ -313,10 +314,10 @@ impl Sending {
     ///
     /// The process that sent the aggregator's last batch decides what is known:
     ///
-    /// - The process wrote to this spool. The spool then lost its last batches, or it is a copy, made before that
-    ///   process wrote its last batches to the original. All batches that this spool has from the process are stored
-    ///   ([`NewestSentBatch`]); later batches of the spool were never stored.
-    /// - The process never wrote to this spool. The spool is then a copy of unknown age. All of its batches are sent,
+    /// - The process wrote to this spool. The spool then lost its last batches, or the spool is a copy that was made
+    ///   before that process wrote its last batches to the original. All batches that this spool has from the process
+    ///   are stored ([`NewestSentBatch`]). Later batches of the spool were never stored.
+    /// - The process never wrote to this spool. The spool is then a copy of unknown age. All its batches are sent,
     ///   because it is better to store events twice, in two streams, than not at all.
     fn leave_stream(&mut self, welcome: &Welcome, now: Stamp) {
         let (last_stored, newest) = (welcome.last_stored, self.spooler.backlog.newest());
@@ -326,7 +327,8 @@ impl Sending {
             .newest_sent_by_earlier_processes()
             .iter()
             .find(|newest_sent| Some(newest_sent.process) == welcome.process);
-        // If the aggregator has a different batch with a number that the process recorded as sent, nothing is certain.
+        // If the process recorded a batch with this number as sent and the aggregator has a different batch with the
+        // number, no batch is certain to be stored.
         let last_common = newest_sent
             .filter(|newest_sent| last_stored > newest_sent.number)
             .map_or(0, |newest_sent| newest_sent.number.min(newest));
@@ -355,12 +357,12 @@ impl Sending {
     pub(super) fn handle_loaded(&mut self, loading: LoadPurpose, batches: Vec<SpooledBatch>, now: Stamp) {
         match loading {
             LoadPurpose::Scan(from) => self.handle_scan(from, &batches, now),
-            LoadPurpose::Probe(from) => {
-                if self.reader.handle_probe(from, &batches, &self.spooler.backlog) {
+            LoadPurpose::GapSearch(from) => {
+                if self.reader.handle_gap_search(from, &batches, &self.spooler.backlog) {
                     self.pass_gap(now);
                 }
             }
-            LoadPurpose::Ahead(from) => self.handle_read_ahead(from, batches, now),
+            LoadPurpose::ReadAhead(from) => self.handle_read_ahead(from, batches, now),
         }
     }
 
@@ -391,7 +393,7 @@ impl Sending {
         }
     }
 
-    /// Continues after a gap in the spool once everything before it is stored by the aggregator.
+    /// Continues after a gap in the spool as soon as the aggregator has stored everything before the gap.
     fn pass_gap(&mut self, now: Stamp) {
         if self.session.is_comparing() {
             return;
@@ -407,7 +409,7 @@ impl Sending {
     /// Frees the batches up to `through`, which the aggregator stored.
     fn free_acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
         if scanned.is_some() {
-            // The gap is before the acknowledged batches, or it will be found again.
+            // The gap is before the acknowledged batches. Any other gap will be found again.
             self.reader.forget_gap();
         }
         self.spooler.free_acknowledged(through, scanned, now);

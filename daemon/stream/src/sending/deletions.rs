@@ -1,4 +1,4 @@
-//! Deletion of batches from the spool that the aggregator stored.
+//! Deletion of stored batches from the spool.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -18,7 +18,7 @@ pub(super) struct Deletions {
     job: Job<RunningDeletion>,
     /// Number up to which the file contains no batch.
     through: u64,
-    /// Bytes that batches which the aggregator stored still take in the file.
+    /// Bytes of stored batches that are still in the file.
     waiting_bytes: u64,
     /// Time since which a batch waits for deletion.
     waiting_since: Option<MonoTime>,
@@ -40,7 +40,7 @@ impl Deletions {
         self.through
     }
 
-    /// Adds bytes in the file whose batches are stored by the aggregator or given up.
+    /// Adds bytes of batches in the file that the aggregator stored or that the agent skips.
     pub(super) fn add(&mut self, bytes: u64, now: MonoTime) {
         self.waiting_bytes += bytes;
         self.waiting_since.get_or_insert(now);
@@ -61,11 +61,11 @@ impl Deletions {
         self.job.may_start(now)
     }
 
-    /// Returns whether the batches up to `through` are to be deleted now: because they are many, because they have at
-    /// least `many_bytes` bytes, or because they have waited long enough.
-    pub(super) fn is_due(&self, through: u64, many_bytes: u64, now: MonoTime) -> bool {
+    /// Returns whether the batches up to `through` are to be deleted now: because there are many of them, because they
+    /// have at least `max_waiting_bytes` bytes, or because they have waited long enough.
+    pub(super) fn is_due(&self, through: u64, max_waiting_bytes: u64, now: MonoTime) -> bool {
         through - self.through >= MAX_WAITING_BATCHES
-            || self.waiting_bytes >= many_bytes
+            || self.waiting_bytes >= max_waiting_bytes
             || self.waiting_since.is_none_or(|waiting_since| now - waiting_since >= MAX_WAIT)
     }
 
@@ -79,7 +79,7 @@ impl Deletions {
         self.job.retry_at()
     }
 
-    /// Begins the deletion of everything up to a batch.
+    /// Begins the deletion of all batches up to a batch.
     pub(super) fn start(&mut self, through: (u64, Chain)) {
         let bytes = std::mem::take(&mut self.waiting_bytes);
         self.waiting_since = None;

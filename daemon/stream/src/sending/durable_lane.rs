@@ -11,8 +11,8 @@ use super::partial_batch::PartialBatch;
 use super::spooler::EventSpooler;
 use crate::{ToAggregator, batch_weight, codec};
 
-/// Maximum number of bytes of batches that are sent and not stored, in units of the allowance. It is larger than 1
-/// because storing takes time, and because the allowance counts compressed bytes.
+/// Maximum number of bytes of batches that are sent and not stored, in units of the allowance. The number is larger
+/// than 1, because storing takes time, and because the allowance counts compressed bytes.
 const UNSTORED_PER_ALLOWANCE: u64 = 8;
 
 /// The batches in flight to the aggregator, and the flow control of both lanes.
@@ -42,7 +42,7 @@ impl DurableLane {
     pub(super) fn new(config: SendingConfig, max_bytes: u64) -> Self {
         Self {
             config,
-            // Until the welcome states the window, which it does before the first batch.
+            // The welcome states the window before the first batch is sent.
             window: 1,
             compression: CompressionControl::new(config.compression),
             flow: FlowControl::new(max_bytes),
@@ -64,7 +64,7 @@ impl DurableLane {
         let part_bytes = self.flow.part_bytes();
         let frame_bytes = |bytes: usize| bytes.min(part_bytes) + PartialBatch::OVERHEAD;
         if let Some(remaining) = self.partial.as_ref().map(PartialBatch::len) {
-            // A batch that was begun is finished first, because the receiver assembles one batch per host at a time.
+            // A batch that was begun is completed first, because the receiver assembles one batch per host at a time.
             let echo_request =
                 self.request_echo(host, !self.flow.has_capacity(frame_bytes(remaining)), false, now);
             return without_batch_start(echo_request.or_else(|| self.next_part(host, part_bytes)));
@@ -89,7 +89,7 @@ impl DurableLane {
         if let echo_request @ Some(_) = self.request_echo(host, is_waiting, !is_waiting, now) {
             return without_batch_start(echo_request);
         }
-        // While the batch has to wait, only an echo request may be sent: its answer frees the allowance.
+        // While the batch has to wait, only echo requests are sent: an echo frees the allowance.
         let sent = if is_waiting { None } else { spooler.send(next, include_unspooled, host) };
         let Some((head, body)) = sent else { return without_batch_start(None) };
         let frame = codec::encode_batch(&head, &body, self.compression.is_compressing());
@@ -124,8 +124,8 @@ impl DurableLane {
         Some(codec::encode(&ToAggregator::Echo { host, bytes }))
     }
 
-    /// Returns the largest total weight of the batches in flight. On a slow link it is reduced, because batches that
-    /// could not be stored must be sent over the link again.
+    /// Returns the maximum sum of the weights of the batches in flight. On a slow link this maximum is reduced, because
+    /// batches that could not be stored must be sent over the link again.
     fn max_weight_in_flight(&self) -> u64 {
         let window = u64::from(self.window) * batch_weight(self.config.batch_bytes);
         if self.flow.is_slow() { window.min(UNSTORED_PER_ALLOWANCE * self.flow.allowance()) } else { window }
@@ -154,13 +154,13 @@ impl DurableLane {
         let (bytes, end) = self.in_flight.remove_through(through);
         self.compression.record_ack(bytes, now);
         self.flow.record_arrival(end, now);
-        // The rest of a stored batch need not be sent.
+        // If the batch that is being sent is stored already, its remaining parts need not be sent.
         self.partial.take_if(|partial| partial.number() <= through);
     }
 
     /// Sets the window that the aggregator allows.
     pub(super) fn set_window(&mut self, window: u32) {
-        // The window is at least one batch: with a window of 0 nothing would ever be sent again.
+        // The window is at least one batch: with a window of 0, no batch would ever be sent again.
         self.window = window.clamp(1, self.config.window.max(1));
     }
 
@@ -182,7 +182,7 @@ impl DurableLane {
         self.flow.echo_retry_at()
     }
 
-    /// Returns the time at which bytes of the lane last arrived.
+    /// Returns the time at which bytes of the durable lane last arrived.
     pub(super) const fn last_arrival_at(&self) -> MonoTime {
         self.flow.last_arrival_at()
     }

@@ -1,15 +1,15 @@
-//! The last batches of an earlier process. Only the aggregator knows whether they are stored.
+//! The last batches of an earlier process. Only the aggregator knows which of these batches are stored.
 
 use super::super::unresolved::ResolvedBatches;
 use super::super::{Gap, SentUnspooled, Totals, UnresolvedBatches};
 
-/// The last batches of an earlier process, until it is known whether they are stored. They are unresolved until the
-/// aggregator's first welcome. The result is then written to the spool. Losses are reported only after this write, so
-/// that each loss is reported once even if a process is killed in between.
+/// The last batches of an earlier process, until the spool records which of these batches are stored. The aggregator's
+/// first welcome states which are stored. The result is then written to the spool. Losses are reported only after this
+/// write, so that each loss is reported once even if a process is killed in between.
 #[derive(Clone, Debug)]
 pub(super) struct EarlierProcess {
     unresolved: Option<UnresolvedBatches>,
-    /// Counts that the spool's totals contain in addition to the counts of this process.
+    /// Counts that are added to the counts of this process when the spool's totals are written.
     resolved: ResolvedBatches,
     /// Gaps that must still be written to the spool.
     unwritten: Option<Vec<Gap>>,
@@ -45,8 +45,8 @@ impl EarlierProcess {
         }
     }
 
-    /// Resolves the earlier process. The aggregator has stored everything up to `number`, which `process` sent. Returns
-    /// the unresolved batches and their result.
+    /// Resolves the batches of the earlier process. The aggregator has stored all batches up to batch `number`, which
+    /// `process` sent. Returns the unresolved batches and the result.
     pub(super) fn resolve(
         &mut self,
         number: u64,

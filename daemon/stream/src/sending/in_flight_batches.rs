@@ -9,9 +9,9 @@ use super::super::{MAX_IN_FLIGHT_BATCHES, batch_weight};
 struct InFlightBatch {
     number: u64,
     weight: u64,
-    /// Number of bytes of its frame.
+    /// Number of bytes of the batch's frame.
     frame_bytes: u64,
-    /// Position in the connection after its last byte; 0 while a part of it has not been handed over.
+    /// Position in the connection after the last byte of the batch; 0 until the whole batch was handed over.
     end: u64,
 }
 
@@ -38,16 +38,16 @@ impl InFlightBatches {
         self.batches.push_back(InFlightBatch { number, weight, frame_bytes: frame_bytes as u64, end: 0 });
     }
 
-    /// Records that the last batch is completely handed over. `end` is the position in the connection after its last
-    /// byte.
+    /// Records that the whole last batch was handed over to the connection. `end` is the position in the connection
+    /// after the batch's last byte.
     pub(super) fn record_handed_over(&mut self, end: u64) {
         if let Some(batch) = self.batches.back_mut() {
             batch.end = end;
         }
     }
 
-    /// Removes the batches up to `through`. Returns the bytes of their frames, and the position in the connection after
-    /// the last of them.
+    /// Removes the batches up to `through`. Returns the number of bytes of their frames, and the position in the
+    /// connection after the last removed batch.
     pub(super) fn remove_through(&mut self, through: u64) -> (u64, u64) {
         let (mut bytes, mut end) = (0, 0);
         while let Some(batch) = self.batches.pop_front_if(|batch| batch.number <= through) {

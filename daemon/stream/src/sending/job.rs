@@ -1,4 +1,5 @@
-//! Work that was requested from the owner: one request of each kind at a time, with a pause before a retry.
+//! Work on the spool that was requested from the owner: one request of each kind at a time, with a pause before a
+//! retry.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -40,7 +41,7 @@ impl<T> Job<T> {
         self.in_progress = Some(work);
     }
 
-    /// Ends the work and returns it; `None` if none is in progress.
+    /// Ends the work and returns it; `None` if no work is in progress.
     pub(super) const fn end(&mut self) -> Option<T> {
         self.in_progress.take()
     }

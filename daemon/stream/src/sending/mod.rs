@@ -1,8 +1,8 @@
 //! The agent's end of the durable lane, and the flow control of both lanes.
 //!
-//! Events are numbered in batches in the spool ([`EventSpooler`]), read from there ([`SpoolReader`]), and handed over
-//! ([`DurableLane`]) while the aggregator has accepted the host ([`Session`]); [`StreamRenewal`] moves the spool to a
-//! new stream. These parts do not depend on each other.
+//! [`EventSpooler`] groups events into numbered batches and writes the batches to the spool. [`SpoolReader`] reads
+//! batches from the spool. [`DurableLane`] sends batches while the aggregator has accepted the host ([`Session`]).
+//! [`StreamRenewal`] moves the spool to a new stream. [`Sending`] calls these components.
 
 mod action;
 mod appends;
@@ -45,11 +45,12 @@ use peernet_logger::{HostId, RunId};
 ///
 /// The owner calls [`next`](Self::next) after every other call until it returns `None`, and [`tick`](Self::tick) when
 /// the [`deadline`](Self::deadline) is reached. The state machine recovers from everything that the transport loses,
-/// repeats or reorders; reports of opened and closed connections only make this faster.
+/// repeats or reorders. It needs no reports of opened and closed connections for this recovery, but recovers faster
+/// with such reports.
 ///
 /// The agent's task for the spool performs the actions on the file, so that neither the queue of events nor a live
 /// update waits for a disk. A batch is sent after it was written to the spool. While the spool fails, batches are sent
-/// from memory, because it is better to store them at the aggregator than nowhere.
+/// from memory, because it is better that only the aggregator stores the batches than that nobody does.
 #[derive(Clone, Debug)]
 pub struct Sending {
     config: SendingConfig,
@@ -76,7 +77,8 @@ impl Sending {
         process: u64,
         mut spool: SpoolState,
     ) -> Self {
-        // Twice the window: one window of batches is in flight while the next is read from the spool.
+        // The budget is twice the window: one window of batches is in flight while the next window of batches is read
+        // from the spool.
         let budget = 2 * u64::from(config.window.max(1)) * config.batch_bytes as u64;
         Self {
             renewal: StreamRenewal::new(std::mem::take(&mut spool.newest_sent)),
@@ -92,8 +94,8 @@ impl Sending {
         }
     }
 
-    /// Accepts an event, or drops and counts it. It never waits and never fails: without capacity the newest events are
-    /// dropped, and a gap is sent in their place as soon as there is capacity.
+    /// Accepts an event, or drops and counts the event. Never waits and never fails: without capacity, the newest
+    /// events are dropped, and a gap is sent in their place as soon as there is capacity.
     pub fn offer(&mut self, event: &Event, now: Stamp) {
         self.spooler.offer(event, now);
     }
@@ -103,8 +105,8 @@ impl Sending {
         self.spooler.record_loss(gap, now);
     }
 
-    /// Handles the passage of time: closes the batch under construction if it is old enough, reports losses, and sends
-    /// a hello if no acknowledgement arrived for too long.
+    /// Handles the passage of time: closes the batch under construction if the batch is old enough, reports losses, and
+    /// schedules a hello if no acknowledgement arrived for too long.
     pub fn tick(&mut self, now: Stamp) {
         self.spooler.tick(now);
         self.check_ack_timeout(now.mono);
@@ -139,10 +141,10 @@ impl Sending {
         self.spooler.is_appending()
     }
 
-    /// Counts as dropped all events that are in memory only, because the process ends without writing them to the
-    /// spool. The returned totals are to be written to the spool, so that the next process reports how many events are
-    /// missing. Events that were sent and not acknowledged count as dropped, too, because it is unknown whether they
-    /// are stored.
+    /// Counts all events that are in memory only as dropped, because the process ends without writing these events to
+    /// the spool. The returned totals are to be written to the spool, so that the next process reports how many events
+    /// are missing. Events that were sent and not acknowledged count as dropped, too, because it is unknown whether
+    /// they are stored.
     pub fn give_up(&mut self) -> Totals {
         self.spooler.give_up()
     }
@@ -160,7 +162,7 @@ impl Sending {
     /// Returns the goodbye frame; `None` if the aggregator has not accepted this agent, so that a refused second agent
     /// with the same host id cannot end the session of the first.
     pub fn goodbye(&mut self) -> Option<Vec<u8>> {
-        // Determined before the connection's state is discarded.
+        // This is read before `on_disconnected` discards the state of the connection.
         let was_accepted = self.is_up();
         self.on_disconnected();
         was_accepted.then(|| codec::encode(&ToAggregator::Goodbye(self.host.id)))
@@ -171,9 +173,9 @@ impl Sending {
         self.session.is_up()
     }
 
-    /// Returns whether a live update may be sent now. It must not wait for long in the connection, and on a link that
-    /// is too slow for both lanes the durable lane must have had its share. The next update contains everything that a
-    /// skipped update would have contained.
+    /// Returns whether a live update may be sent now: the update would not wait for long in the connection, and on a
+    /// link that is too slow for both lanes, the durable lane has had its share. If an update is skipped, the next
+    /// update contains everything that the skipped update would have contained.
     pub fn may_send_live(&self) -> bool {
         // The durable lane limits the bytes in flight of both lanes.
         self.is_up() && self.durable_lane.may_send_live()
@@ -200,7 +202,7 @@ impl Sending {
         self.spooler.unspooled_events() == 0
     }
 
-    /// Returns whether no event waits: each is stored or was dropped.
+    /// Returns whether no event waits: each event is stored or was dropped.
     pub fn is_idle(&self) -> bool {
         self.spooler.is_idle()
     }
@@ -257,7 +259,7 @@ impl Sending {
         self.record_failure(SpoolWork::Append, reason)
     }
 
-    /// Handles the batches that [`Action::Load`] requested. A missing batch ends the list.
+    /// Handles the batches that [`Action::Load`] requested. The list ends before the first batch that the spool lacks.
     pub fn on_loaded(&mut self, batches: Vec<SpooledBatch>, now: Stamp) -> Option<Notice> {
         let loading = self.reader.finish()?;
         self.record_recovery(SpoolWork::Load);

@@ -5,11 +5,12 @@ use bytes::Bytes;
 use super::super::codec::{self, PART_HEAD_BYTES, Part};
 use peernet_logger::HostId;
 
-/// Frame of a batch that is sent in parts, and the number of bytes that were already sent.
+/// Frame of a batch that is sent in parts.
 #[derive(Clone, Debug)]
 pub(super) struct PartialBatch {
     number: u64,
     frame: Bytes,
+    /// Number of bytes that were sent.
     offset: usize,
 }
 
@@ -29,7 +30,8 @@ impl PartialBatch {
         self.frame.len() - self.offset
     }
 
-    /// Returns the next frame with at most `max_bytes` bytes of the batch; the unchanged frame if all of it fits.
+    /// Returns a frame with the next part of the batch, of at most `max_bytes` bytes; the batch's frame itself if the
+    /// whole batch fits.
     pub(super) fn next(&mut self, host: HostId, max_bytes: usize) -> Vec<u8> {
         let total = self.frame.len();
         let end = total.min(self.offset + max_bytes);

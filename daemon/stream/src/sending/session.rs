@@ -8,7 +8,7 @@ use super::spool_reader::SpoolScan;
 use crate::{AGENT_STREAM_VERSIONS, Chain};
 
 /// Number of hellos without progress that are sent without a pause. Each later hello waits longer than the previous
-/// one.
+/// hello.
 const HELLOS_WITHOUT_PAUSE: u32 = 3;
 
 /// State of the connection.
@@ -16,22 +16,22 @@ const HELLOS_WITHOUT_PAUSE: u32 = 3;
 pub(super) enum ConnectionState {
     /// No connection.
     Down,
-    /// The aggregator has not accepted this host yet. The next hello is due at `retry_at`, and the following hello
-    /// `pause` after it.
+    /// The aggregator has not accepted this host yet. The next hello is due at `retry_at`, and the hello after that
+    /// `pause` later.
     Handshake { retry_at: MonoTime, pause: Span },
-    /// Welcomed. The file is being read to compare both ends' batches.
+    /// The aggregator has welcomed this host. The file is being read, to compare the batches of both ends.
     Comparing { scan: SpoolScan, purpose: ScanPurpose },
-    /// Accepted. Batch `next` is sent next; `last_progress` is the time of the last acknowledgement, or of the first
-    /// batch in flight.
+    /// The aggregator has accepted this host. Batch `next` is sent next. `last_progress` is the time of the acceptance,
+    /// of the last acknowledgement, or of the sending of the first batch in flight.
     Up { next: u64, last_progress: MonoTime },
 }
 
 /// Purpose of reading the file.
 #[derive(Clone, Debug)]
 pub(super) enum ScanPurpose {
-    /// To find the chain of the batch that the aggregator has.
+    /// To find the chain of the aggregator's last batch.
     Compare(Welcome),
-    /// To count the stored batches; the stream is left afterwards.
+    /// To count the stored batches before the stream is left.
     Leave,
 }
 
@@ -58,7 +58,7 @@ pub(super) struct Session {
     unanswered_hellos: u32,
     /// Time of the last hello.
     last_hello_at: MonoTime,
-    /// Requested proof, to be sent at once.
+    /// Proof that a challenge requested, to be sent at once.
     proof: Option<Vec<u8>>,
     /// Version of the event stream that the aggregator chose; before it has chosen, the oldest supported version.
     version: u16,
@@ -108,7 +108,7 @@ impl Session {
         if let ConnectionState::Up { last_progress, .. } = self.state
             && now - last_progress > self.config.longest_pause
         {
-            // The connection worked for long enough.
+            // The aggregator accepted this host long ago, so earlier hellos no longer matter.
             self.hellos_without_progress = 0;
         }
         // Hellos without effect become rarer, so that agents which are refused do not load the aggregator.
@@ -139,7 +139,7 @@ impl Session {
         }
     }
 
-    /// Returns the time at which a hello is due; `None` if none is.
+    /// Returns the time at which a hello is due; `None` if no hello is due.
     pub(super) const fn hello_at(&self) -> Option<MonoTime> {
         match self.state {
             ConnectionState::Handshake { retry_at, .. } => Some(retry_at),
@@ -147,7 +147,7 @@ impl Session {
         }
     }
 
-    /// Records an answer. Returns its round trip, if only one hello can have caused it.
+    /// Records an answer. Returns the round trip of the answer, if only one hello can have caused the answer.
     pub(super) fn record_answer(&mut self, now: MonoTime) -> Option<Span> {
         // After several hellos it is unknown which of them was answered.
         (std::mem::take(&mut self.unanswered_hellos) == 1).then(|| now - self.last_hello_at)
@@ -163,8 +163,8 @@ impl Session {
         self.version = version;
     }
 
-    /// Records a challenge, whose proof takes another round trip. Returns whether a challenge is expected: only after a
-    /// hello.
+    /// Records a challenge, whose proof takes another round trip. Returns whether the challenge is expected; a
+    /// challenge is expected after a hello only.
     pub(super) fn record_challenge(&mut self, now: MonoTime) -> bool {
         let ConnectionState::Handshake { pause, .. } = self.state else { return false };
         self.state = ConnectionState::Handshake { retry_at: now + pause, pause };
@@ -197,9 +197,9 @@ impl Session {
         self.state = ConnectionState::Up { next, last_progress: now };
     }
 
-    /// Returns the time until which an acknowledgement must arrive; `None` if no batch is in flight. `oldest` is the
-    /// oldest batch without an acknowledgement, and `last_arrival_at` the time at which bytes of the durable lane last
-    /// arrived.
+    /// Returns the time by which an acknowledgement must arrive; `None` if no batch is in flight. `oldest` is the
+    /// number of the oldest batch without an acknowledgement. `last_arrival_at` is the time at which bytes of the
+    /// durable lane last arrived.
     pub(super) fn ack_deadline(&self, oldest: u64, last_arrival_at: MonoTime) -> Option<MonoTime> {
         match self.state {
             // Batches on a slow link are not lost while their bytes arrive.

@@ -11,7 +11,7 @@ pub(super) enum SpoolWork {
     Renew,
 }
 
-/// The first failure that has not been followed by a success of the same work.
+/// The first failure after which work of the same kind has not succeeded yet; `None` if the spool works.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SpoolFailure(Option<(SpoolWork, String)>);
 
@@ -29,7 +29,7 @@ impl SpoolFailure {
         })
     }
 
-    /// Records a success. Returns a notice if the same work had failed before.
+    /// Records a success. Returns a notice if this success ends the recorded failure.
     pub(super) fn recover(&mut self, work: SpoolWork) -> Option<Notice> {
         self.0.take_if(|(failed, _)| *failed == work).map(|_| Notice::SpoolRecovered)
     }

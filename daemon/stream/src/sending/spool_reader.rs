@@ -9,7 +9,7 @@ use super::session::ConnectionState;
 use crate::Chain;
 use crate::spool::{SpooledBatch, Usage};
 
-/// Total size of the scanned batches, which are not kept in memory, and the chain of the last one.
+/// Total size of the scanned batches, which are not kept in memory, and the chain of the last scanned batch.
 pub(super) type ScanResult = (Usage, Chain);
 
 /// Scan of the batches that are in the file only, to compare and count them.
@@ -41,7 +41,7 @@ impl SpoolScan {
 
     /// Counts batches that were read from number `from` on. Returns whether the scan is complete.
     pub(super) fn count(&mut self, from: u64, batches: &[SpooledBatch]) -> bool {
-        // The answer belongs to an earlier read.
+        // The batches are the answer to an earlier read.
         if self.next != from {
             return false;
         }
@@ -61,15 +61,16 @@ impl SpoolScan {
     }
 }
 
-/// A gap in the file: batches that should be in it and are missing, because they were deleted or the medium failed.
+/// A gap in the file: batches that should be in the file and are missing, because they were deleted or the medium
+/// failed.
 ///
-/// The first batch after the gap is lost, too. The chain hash stored with this batch cannot be verified, because the
-/// chain hash of the batch before it is unknown. But later batches can be verified against this stored hash, so the
-/// stream continues with the second batch after the gap. The hello states so, and the aggregator records the missing
-/// batches.
+/// The first batch after the gap is lost, too: its chain cannot be verified, because the chain of the last missing
+/// batch is unknown. Later batches can be verified against the stored chain of this first batch. The stream therefore
+/// continues with the second batch after the gap. The hello states this batch as the oldest, and the aggregator records
+/// the missing batches.
 #[derive(Clone, Copy, Debug)]
 enum SpoolGap {
-    /// The end of the gap is not known yet; it is searched for from this number on.
+    /// The end of the gap is not known yet. The search continues at this number.
     Open(u64),
     /// The end of the gap is known: number of the first batch that can be sent, and the chain of the batch before it.
     Closed(u64, Chain),
@@ -79,11 +80,11 @@ enum SpoolGap {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LoadPurpose {
     /// Batches to be sent, from this number on.
-    Ahead(u64),
+    ReadAhead(u64),
     /// Batches to be compared and counted.
     Scan(u64),
     /// Search for the end of a gap.
-    Probe(u64),
+    GapSearch(u64),
 }
 
 /// The requested reading of the spool, and the gap that was found in it.
@@ -101,21 +102,23 @@ impl SpoolReader {
         backlog: &Backlog,
         now: MonoTime,
     ) -> Option<Action> {
-        // There is one read at a time, and none soon after a failure.
+        // There is one read at a time, and no read soon after a failure.
         if !self.job.may_start(now) {
             return None;
         }
-        let part = backlog.part_bytes();
+        let read_bytes = backlog.read_bytes();
         let (loading, from, bytes) = match (state, self.gap) {
-            (ConnectionState::Comparing { scan, .. }, _) => (LoadPurpose::Scan(scan.next), scan.next, part),
+            (ConnectionState::Comparing { scan, .. }, _) => {
+                (LoadPurpose::Scan(scan.next), scan.next, read_bytes)
+            }
             // The limit is one byte: the search needs the next batch only.
-            (_, Some(SpoolGap::Open(at))) => (LoadPurpose::Probe(at), at, 1),
+            (_, Some(SpoolGap::Open(at))) => (LoadPurpose::GapSearch(at), at, 1),
             (_, Some(SpoolGap::Closed(..))) => return None,
-            // Without a connection nothing is sent, so nothing is read ahead.
+            // Without a connection, nothing is sent. Reading ahead would have no use.
             (ConnectionState::Down, None) => return None,
             _ => {
                 let from = backlog.first_unloaded();
-                backlog.should_read_ahead().then_some((LoadPurpose::Ahead(from), from, part))?
+                backlog.should_read_ahead().then_some((LoadPurpose::ReadAhead(from), from, read_bytes))?
             }
         };
         self.job.start(loading);
@@ -139,14 +142,19 @@ impl SpoolReader {
         Some(())
     }
 
-    /// Records that the next batch is missing from the file. The end of the gap is searched for from `at` on.
+    /// Records that the next batch is missing from the file. The search for the end of the gap begins at `at`.
     pub(super) fn open_gap(&mut self, at: u64, backlog: &Backlog) {
         self.gap = Some(SpoolGap::Open(at));
         self.end_gap_with_file(backlog);
     }
 
     /// Handles the result of the search for the end of a gap. Returns whether there is such a search.
-    pub(super) fn handle_probe(&mut self, from: u64, batches: &[SpooledBatch], backlog: &Backlog) -> bool {
+    pub(super) fn handle_gap_search(
+        &mut self,
+        from: u64,
+        batches: &[SpooledBatch],
+        backlog: &Backlog,
+    ) -> bool {
         if !matches!(self.gap, Some(SpoolGap::Open(at)) if at == from) {
             return false;
         }

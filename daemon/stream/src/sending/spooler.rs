@@ -20,8 +20,8 @@ const MAX_APPENDED: usize = 256;
 /// Maximum number of bytes in one transaction.
 const MAX_APPENDED_BYTES: u64 = 4 << 20;
 
-/// State machine that accepts events, numbers their batches, and decides what is written to the spool and deleted from
-/// it.
+/// State machine that accepts events, numbers their batches, and decides which batches are written to the spool and
+/// which are deleted from the spool.
 #[derive(Clone, Debug)]
 pub(super) struct EventSpooler {
     config: SendingConfig,
@@ -32,7 +32,7 @@ pub(super) struct EventSpooler {
     deletions: Deletions,
     /// Bytes of the bodies in the file.
     file_bytes: u64,
-    /// The last batches of an earlier process, until their result is known and written.
+    /// The last batches of an earlier process, until the spool records which of these batches are stored.
     earlier: EarlierProcess,
     /// `true` if the aggregator has accepted this process with the current stream.
     is_accepted: bool,
@@ -45,7 +45,7 @@ impl EventSpooler {
     pub(super) fn new(config: SendingConfig, process: u64, budget: u64, spool: SpoolState) -> Self {
         let backlog = Backlog::new(&spool, budget);
         let Totals { produced, dropped, .. } = spool.totals;
-        // Events in the spool were produced, even if the stored counts state fewer.
+        // All events in the spool were produced, even if the counts in the spool state fewer events.
         let produced = produced.max(dropped.saturating_add(backlog.waiting_usage().events));
         let totals = Totals {
             produced,
@@ -95,7 +95,8 @@ impl EventSpooler {
         self.is_closing = true;
     }
 
-    /// Returns the time at which a batch is closed, a loss is reported, or the file is written or deleted from.
+    /// Returns the time at which a batch is closed, a loss is reported, or batches are written to or deleted from the
+    /// file.
     pub(super) fn deadline(&self) -> Option<MonoTime> {
         let deletion = self.may_delete().then(|| self.deletions.due_at()).flatten();
         let writes = [self.appends.retry_at(), self.deletions.retry_at(), deletion, self.losses_due_at()];
@@ -124,7 +125,7 @@ impl EventSpooler {
         self.intake.usage().events + self.backlog.pending_usage().events
     }
 
-    /// Returns whether no event waits: each is stored or was dropped.
+    /// Returns whether no event waits: each event is stored or was dropped.
     pub(super) fn is_idle(&self) -> bool {
         self.intake.usage().events == 0 && self.backlog.waiting_usage().events == 0
     }
@@ -135,10 +136,10 @@ impl EventSpooler {
         let (produced, dropped) = self.earlier.submitted_and_dropped(self.intake.totals());
         let gaps = self.intake.totals().gaps;
         let (waiting, stored) = (intake_usage.events + waiting_usage.events, self.backlog.stored_events());
-        debug_assert_eq!(produced, stored + waiting + dropped, "an event is not accounted for");
+        debug_assert_eq!(produced, stored + waiting + dropped, "all events are accounted for");
         Accounting {
             produced,
-            // Stored events count as spooled, although the file has deleted them.
+            // Stored events count as spooled, although they were deleted from the file.
             spooled: stored + waiting_usage.events.saturating_sub(pending.events),
             sent: stored + self.backlog.sent_events(),
             stored,
@@ -246,8 +247,8 @@ impl EventSpooler {
         self.is_accepted = false;
     }
 
-    /// Returns whether the spool may be moved to a new stream: stored batches are deleted, and the result for an
-    /// earlier process in the old stream is written.
+    /// Returns whether the spool may be moved to a new stream: stored batches are deleted, and the spool records which
+    /// batches of an earlier process are stored.
     pub(super) fn may_renew(&self) -> bool {
         self.backlog.acknowledged().0 <= self.deletions.through() && self.earlier.unwritten_gaps().is_none()
     }
@@ -267,7 +268,7 @@ impl EventSpooler {
         self.deletions.add(0, now);
     }
 
-    /// Counts as dropped the events of batches that should be in the file and are missing.
+    /// Counts the events of batches that should be in the file and are missing as dropped.
     pub(super) fn drop_missing(&mut self, now: Stamp) {
         let missing = self.backlog.remove_missing();
         if missing.events > 0 {
@@ -301,12 +302,12 @@ impl EventSpooler {
         Some(is_recovered)
     }
 
-    /// Ends the last transaction as failed; `None` if there was none.
+    /// Ends the last transaction as failed; `None` if there was no transaction.
     pub(super) fn fail_append(&mut self, now: MonoTime) -> Option<()> {
         self.appends.fail(now, self.config.spool_pause)
     }
 
-    /// Ends the last deletion successfully; `None` if there was none.
+    /// Ends the last deletion successfully; `None` if there was no deletion.
     pub(super) fn finish_delete(&mut self) -> Option<()> {
         let ((through, chain), bytes) = self.deletions.finish()?;
         self.file_bytes = self.file_bytes.saturating_sub(bytes);
@@ -314,7 +315,7 @@ impl EventSpooler {
         Some(())
     }
 
-    /// Ends the last deletion as failed; `None` if there was none.
+    /// Ends the last deletion as failed; `None` if there was no deletion.
     pub(super) fn fail_delete(&mut self, now: MonoTime) -> Option<()> {
         self.deletions.fail(now, self.config.spool_pause)
     }
@@ -322,9 +323,9 @@ impl EventSpooler {
     /// Returns the number up to which batches may be sent, and whether they may be sent from memory.
     ///
     /// Before batches are sent, the file records that they may be sent, because later writes may be lost. While the
-    /// file cannot be written, its batches are sent without such a record: otherwise a disk that is full of batches
-    /// would never have space again. Batches that are not in the file are sent only if the file has the record for all
-    /// batches in it.
+    /// file cannot be written, batches in the file are sent without such a record: otherwise a disk that is full of
+    /// batches would never have space again. Batches that are not in the file are sent only if the file has this record
+    /// for all its batches.
     pub(super) fn sendable(&self) -> (u64, bool) {
         match self.appends.has_failed() {
             false => {
@@ -345,8 +346,8 @@ impl EventSpooler {
         self.backlog.send(number, include_unspooled, (host, self.process))
     }
 
-    /// Returns the next deletion or append. `leaves_stream` is `true` while the stream is being left: stored batches
-    /// must then be deleted first.
+    /// Returns the next deletion or append. `leaves_stream` is `true` while this agent leaves the stream. Stored
+    /// batches must be deleted before that.
     pub(super) fn next(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
         // Deletions come first: they free space in the file, and some appends may only follow a deletion
         // ([`Self::has_unspooled_stored`]).
@@ -356,7 +357,7 @@ impl EventSpooler {
     /// Returns whether a batch is to be deleted, now or later.
     fn may_delete(&self) -> bool {
         let (through, _) = self.backlog.acknowledged();
-        // A batch that is being written is perhaps not in the file yet.
+        // Stored batches beyond the file may be in the transaction that is in progress.
         let is_written = through <= self.backlog.spooled() || !self.appends.is_in_progress();
         through > self.deletions.through() && is_written && self.deletions.may_be_scheduled()
     }
@@ -394,12 +395,12 @@ impl EventSpooler {
     fn next_append(&self, now: MonoTime) -> Option<(Vec<SpooledBatch>, Totals)> {
         let (written, spooled) = (self.appends.written_totals(), self.backlog.spooled());
         let resolves_earlier_process = self.earlier.unwritten_gaps().is_some();
-        // This record comes first, because no batch may be sent before the file contains it.
+        // The record of batches that may be sent comes first, because no batch may be sent before the file contains it.
         if resolves_earlier_process || self.is_accepted && !self.has_sent_record() {
             let newest_sent = self.newest_sent_record(spooled);
             return Some((Vec::new(), Totals { newest_sent, ..written.clone() }));
         }
-        if self.appends.were_batches_refused() && self.intake.totals().dropped != written.dropped {
+        if self.appends.has_failed_with_batches() && self.intake.totals().dropped != written.dropped {
             return Some((Vec::new(), self.persistent_totals()));
         }
         let Some((batches, totals)) = self.backlog.next_append(MAX_APPENDED, MAX_APPENDED_BYTES) else {
@@ -417,7 +418,7 @@ impl EventSpooler {
     }
 
     /// Returns the record that this process may send batches up to `number`; `None` before the aggregator has accepted
-    /// it.
+    /// this process.
     fn newest_sent_record(&self, number: u64) -> Option<NewestSentBatch> {
         self.is_accepted.then_some(NewestSentBatch { process: self.process, number })
     }

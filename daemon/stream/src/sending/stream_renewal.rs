@@ -8,13 +8,13 @@ use super::spooler::EventSpooler;
 use crate::StreamId;
 use crate::totals::NewestSentBatch;
 
-/// Move of the spool to a new stream, and the newest batches that earlier processes sent in the current one.
+/// Move of the spool to a new stream, and the newest batches that earlier processes sent in the current stream.
 #[derive(Clone, Debug)]
 pub(super) struct StreamRenewal {
-    /// Stream to continue in. Nothing is sent until the spool belongs to it.
+    /// New stream, if the move is requested. Nothing is sent until the spool belongs to the new stream.
     requested: Option<StreamId>,
     job: Job<StreamId>,
-    /// Batches that earlier processes may have sent in the current stream.
+    /// For each earlier process, the newest batch that it may have sent in the current stream.
     newest_sent_by_earlier_processes: Vec<NewestSentBatch>,
 }
 
@@ -28,12 +28,12 @@ impl StreamRenewal {
         self.requested.is_some()
     }
 
-    /// Requests the move from the current stream to a new one.
+    /// Requests the move from the current stream to a new stream.
     pub(super) fn request(&mut self) {
         self.requested = Some(StreamId::random());
     }
 
-    /// Returns the batches that earlier processes may have sent in the current stream.
+    /// Returns, for each earlier process, the newest batch that it may have sent in the current stream.
     pub(super) fn newest_sent_by_earlier_processes(&self) -> &[NewestSentBatch] {
         &self.newest_sent_by_earlier_processes
     }

@@ -1,4 +1,4 @@
-//! The backlog of numbered batches: their places in memory and in the spool, and their sizes.
+//! The backlog of numbered batches: which batches are in memory and which are in the spool, and their sizes.
 
 mod pending_batches;
 mod ready_batches;
@@ -19,7 +19,7 @@ use crate::totals::Totals;
 use crate::{BatchHead, Chain, SentUnspooled, StreamId, SubmittedEvents};
 use peernet_logger::HostId;
 
-/// Batches from the oldest without an acknowledgement to the newest.
+/// Batches from the oldest batch without an acknowledgement to the newest batch.
 ///
 /// ```text
 ///   oldest .. loaded        ..        spooled        ..        newest
@@ -27,7 +27,7 @@ use peernet_logger::HostId;
 ///   in memory                                        only
 /// ```
 ///
-/// Each of the three parts may be empty. Batches that were sent and not acknowledged are always in memory.
+/// Each of the three ranges may be empty. Batches that were sent and not acknowledged are always in memory.
 #[derive(Clone, Debug)]
 pub(super) struct Backlog {
     pub(super) origin: StreamOrigin,
@@ -72,7 +72,7 @@ impl Backlog {
         // A spool without batches continues the numbers after the last batch that it held.
         let newest =
             if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.chain_before_oldest) };
-        // Without batches nothing is waiting, even if the stored counts state otherwise.
+        // Without batches, no event waits, even if the counts in the spool state otherwise.
         let waiting_usage = if newest.0 < oldest { Usage::default() } else { spool.waiting_usage };
         let Totals { produced, dropped, .. } = spool.totals;
         Self {
@@ -107,7 +107,7 @@ impl Backlog {
         self.oldest.number
     }
 
-    /// Returns the number before the oldest batch, and its chain.
+    /// Returns the number and the chain of the batch before the oldest batch.
     pub(super) const fn acknowledged(&self) -> (u64, Chain) {
         (self.oldest.number - 1, self.oldest.previous_chain)
     }
@@ -185,17 +185,17 @@ impl Backlog {
     }
 
     /// Returns the number of bytes of one read from the file.
-    pub(super) fn part_bytes(&self) -> usize {
-        usize::try_from(self.ready.part_bytes()).unwrap_or(usize::MAX)
+    pub(super) fn read_bytes(&self) -> usize {
+        usize::try_from(self.ready.read_bytes()).unwrap_or(usize::MAX)
     }
 
     /// Returns whether the next batches should be read from the file, from [`first_unloaded`](Self::first_unloaded) on.
     pub(super) fn should_read_ahead(&self) -> bool {
-        self.first_unloaded() <= self.spooled.0 && self.ready.has_capacity(self.ready.part_bytes())
+        self.first_unloaded() <= self.spooled.0 && self.ready.has_capacity(self.ready.read_bytes())
     }
 
     /// Returns the batches for the spool's next transaction, with a limit on their number and bytes, and the totals up
-    /// to the last of them.
+    /// to the last of these batches.
     pub(super) fn next_append(
         &self,
         max_batches: usize,
@@ -211,10 +211,10 @@ impl Backlog {
             let (usage, batch) = (pending.batch.usage(), pending.batch);
             self.settled = pending.totals;
             // Batches in flight stay in memory, because they may have to be sent again at once.
-            let is_wanted = self.ready.has_capacity(usage.bytes) || batch.number <= self.sent.newest();
+            let should_stay = self.ready.has_capacity(usage.bytes) || batch.number <= self.sent.newest();
             // Ready batches are contiguous: if the previous batch is in the file only, this batch is read from the file
             // later.
-            if batch.number == self.first_unloaded() && is_wanted {
+            if batch.number == self.first_unloaded() && should_stay {
                 self.ready.push(batch);
             }
         }
@@ -241,7 +241,8 @@ impl Backlog {
         self.ready.len() - previous_len
     }
 
-    /// Returns a batch that is in memory; a batch that is not in the file only if `include_unspooled` is set.
+    /// Returns a batch that is in memory. Without `include_unspooled`, the result is `None` for a batch that is not in
+    /// the file.
     pub(super) fn get(&self, number: u64, include_unspooled: bool) -> Option<&SpooledBatch> {
         let index = number.checked_sub(self.oldest.number)?;
         let pending = || self.pending.get(number).filter(|_| include_unspooled).map(|pending| &pending.batch);
@@ -267,8 +268,8 @@ impl Backlog {
         let previous_chain = self.chain(number.checked_sub(1)?)?;
         let batch = self.get(number, include_unspooled)?;
         let (chain, events, body) = (batch.chain, batch.events, batch.body.clone());
-        // Only for batches that the file lacks: if this process is killed, the next one cannot know otherwise whether
-        // they are stored.
+        // Counts are recorded for batches that are not in the file. If this process is killed, the next process needs
+        // these counts to know which events are stored.
         let unspooled = self.pending.get(number).filter(|_| number > self.spooled.0).map(|pending| {
             let Totals { produced, dropped, reported_drops, submitted, .. } = &pending.totals;
             let (batched, events) = (submitted.batched.total, produced - dropped);
@@ -295,8 +296,8 @@ impl Backlog {
         earlier.map(|batch| u64::from(batch.events)).sum()
     }
 
-    /// Frees the batches up to `through`, which the aggregator stored. If some of them are only in the file, `scanned`
-    /// contains their size and the chain of the last of them.
+    /// Frees the batches up to `through`, which the aggregator stored. If some of these batches are in the file only,
+    /// `scanned` contains the size of the batches in the file and the chain of the last of them.
     ///
     /// Batches up to `writing` are being written to the file.
     pub(super) fn free(&mut self, through: u64, scanned: Option<ScanResult>, writing: u64) -> FreedBatches {
@@ -325,7 +326,7 @@ impl Backlog {
         freed
     }
 
-    /// Advances the oldest batch beyond a stored batch, and counts its events.
+    /// Makes the batch after a stored batch the oldest batch, and counts the events of the stored batch.
     fn forget(&mut self, batch: &SpooledBatch, freed: &mut FreedBatches) {
         freed.events += u64::from(batch.events);
         self.sent.forget(batch);
@@ -349,14 +350,14 @@ impl Backlog {
         SpoolScan::new(self.first_unloaded(), number.min(self.spooled.0))
     }
 
-    /// Skips the batches before batch `resume`, which no longer exist. None of them is in memory. `previous_chain` is
-    /// the chain of the last skipped batch.
+    /// Skips the batches before batch `resume`, which no longer exist. No skipped batch is in memory. `previous_chain`
+    /// is the chain of the last skipped batch.
     pub(super) fn skip_to(&mut self, resume: u64, previous_chain: Chain) {
         self.oldest = OldestBatch { number: resume, previous_chain, since: None };
     }
 
-    /// Removes batches that should be in the file and are missing, once no other batch is in the file only. Returns
-    /// their size.
+    /// Removes the batches that should be in the file and are missing. Returns their size. While other batches are in
+    /// the file only, the missing batches are not known yet and the result is zero.
     pub(super) fn remove_missing(&mut self) -> Usage {
         if self.first_unloaded() <= self.spooled.0 {
             return Usage::default();

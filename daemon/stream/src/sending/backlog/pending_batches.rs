@@ -13,7 +13,7 @@ pub(super) struct PendingBatch {
     pub(super) totals: Totals,
 }
 
-/// Contiguous batches that are in memory only, up to the newest.
+/// Contiguous batches that are in memory only, up to the newest batch.
 #[derive(Clone, Debug, Default)]
 pub(super) struct PendingBatches {
     batches: VecDeque<PendingBatch>,
@@ -52,7 +52,7 @@ impl PendingBatches {
     }
 
     /// Returns the batches for the spool's next transaction, with a limit on their number and bytes, and the totals up
-    /// to the last of them.
+    /// to the last of these batches.
     pub(super) fn next_append(
         &self,
         max_batches: usize,
@@ -62,7 +62,7 @@ impl PendingBatches {
         let chosen = self.batches.iter().take(max_batches).take_while(|pending| {
             let is_first = bytes == 0;
             bytes += pending.batch.body.len() as u64;
-            // At least one batch, even if it alone exceeds the limit.
+            // At least one batch is chosen, even if this batch alone exceeds the limit.
             is_first || bytes <= max_bytes
         });
         let mut totals = None;

@@ -29,7 +29,7 @@ impl ReadyBatches {
 
     /// Returns the number of bytes of one read: a quarter of the budget, so that the next batches are read
     /// while earlier batches are in flight.
-    pub(super) const fn part_bytes(&self) -> u64 {
+    pub(super) const fn read_bytes(&self) -> u64 {
         self.budget / 4
     }
 
@@ -50,7 +50,7 @@ impl ReadyBatches {
         self.batches.iter()
     }
 
-    /// Adds the batch that follows the last one.
+    /// Adds the batch that follows the last batch.
     pub(super) fn push(&mut self, batch: SpooledBatch) {
         self.usage = self.usage + batch.usage();
         self.batches.push_back(batch);

@@ -11,7 +11,7 @@ pub(in super::super) struct StreamOrigin {
     pub(in super::super) previous_stream: Option<StreamId>,
     /// Number of the first batch of the current stream, at least 1.
     pub(in super::super) first: u64,
-    /// Number of events in all batches before that first batch; `None` if it is unknown.
+    /// Number of events in all batches before the first batch; `None` if it is unknown.
     pub(in super::super) events_before_first: Option<u64>,
 }
 
@@ -21,7 +21,7 @@ impl StreamOrigin {
         Self { stream, previous_stream, first: first.max(1), events_before_first }
     }
 
-    /// Returns the origin of the stream that replaces this one from batch `first` on. All batches before `first`
+    /// Returns the origin of the stream that replaces this stream from batch `first` on. All batches before `first`
     /// contain `events_before` events.
     pub(super) const fn renewed(&self, stream: StreamId, first: u64, events_before: u64) -> Self {
         Self { stream, previous_stream: Some(self.stream), first, events_before_first: Some(events_before) }

@@ -11,11 +11,11 @@ const MIN_ALLOWANCE_BYTES: u64 = 2 << 10;
 /// Shortest part of a batch. In shorter parts, the headers of all layers would be a large share of the bytes.
 const MIN_PART_BYTES: u64 = 1 << 10;
 
-/// Target queueing delay. A queue of this length keeps the link busy; on a slow link it is most of the age of live
-/// figures.
+/// Target queueing delay. A queue of this length keeps the link busy. On a slow link, this delay is most of the age of
+/// live figures.
 const TARGET_QUEUEING: Span = Span::from_millis(100);
 
-/// Longest queueing delay. `TARGET_QUEUEING` grows up to it if the queue would be shorter than [`MIN_QUEUED_BYTES`].
+/// Longest queueing delay. The target grows up to this delay if the queue would be shorter than [`MIN_QUEUED_BYTES`].
 const MAX_QUEUEING: Span = Span::from_millis(400);
 
 /// Minimum number of queued bytes, so that several parts of a batch fit.
@@ -78,13 +78,13 @@ impl Allowance {
     /// Updates the allowance. The echo of a request behind `bytes` bytes in flight arrived after `round_trip`;
     /// `shortest` is the shortest round trip.
     pub(super) fn observe(&mut self, bytes: u64, round_trip: Span, shortest: Span, now: MonoTime) {
-        // Our own queue can cause a delay of up to `MAX_QUEUEING`; a longer delay has another cause.
+        // The agent's own queue causes a delay of at most `MAX_QUEUEING`; a longer delay has another cause.
         let is_late = round_trip > shortest + MAX_QUEUEING;
         self.late_echoes = if is_late { self.late_echoes.saturating_add(1) } else { 0 };
         let rate = bytes as f64 / round_trip.seconds();
         self.rates.add(rate, now, round_trip > shortest + MAX_QUEUEING + MAX_QUEUEING);
         let best = self.rates.best();
-        // A long path needs a longer queue, or the link is idle between bursts.
+        // A path with a long round trip needs a longer queue, or the link is idle between bursts.
         let min_queueing = TARGET_QUEUEING.max(Span::from_nanos(shortest.nanos() / 2));
         let queue = Span::from_seconds_f64(MIN_QUEUED_BYTES / best).max(min_queueing).min(MAX_QUEUEING);
         let target = shortest + queue;
@@ -111,8 +111,11 @@ impl Allowance {
 /// shows less than its capacity.
 #[derive(Clone, Copy, Debug, Default)]
 struct DeliveryRates {
+    /// Start of the current period; a period lasts [`RATE_LIFETIME`].
     since: MonoTime,
+    /// Best rate of the current period.
     current: f64,
+    /// Best rate of the previous period.
     previous: f64,
 }
 

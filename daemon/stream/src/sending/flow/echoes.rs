@@ -39,12 +39,12 @@ impl PendingEchoes {
         self.last_position
     }
 
-    /// Returns the time at which the last echo is requested again.
+    /// Returns the time at which an echo is requested again, if the last request stays without an echo.
     pub(super) fn echo_retry_at(&self) -> Option<MonoTime> {
         self.requests.back().map(|request| request.at + RETRY_AFTER)
     }
 
-    /// Adds a request. The oldest one is dropped if there are too many.
+    /// Adds a request. The oldest request is dropped if there are too many requests.
     pub(super) fn push(&mut self, request: EchoRequest) {
         if self.requests.len() == MAX_PENDING {
             self.requests.pop_front();

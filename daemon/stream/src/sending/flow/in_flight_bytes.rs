@@ -48,10 +48,10 @@ impl InFlightBytes {
         self.durable_end
     }
 
-    /// Records that everything up to a position has arrived. A position that was not handed over is ignored.
+    /// Records that all bytes up to a position have arrived. A position that was not handed over is ignored.
     pub(super) const fn acknowledge(&mut self, position: u64, now: MonoTime) {
         if position > self.arrived && position <= self.handed_over {
-            // Otherwise only bytes of the live lane and echo requests arrived.
+            // If all bytes of the durable lane had arrived before, only live updates and echo requests arrived now.
             if self.arrived < self.durable_end {
                 self.last_arrival_at = now;
             }

@@ -1,4 +1,4 @@
-//! Flow control: limits the bytes in flight, so that the next message is not old when it arrives.
+//! Flow control: limits the bytes in flight, so that messages do not wait for long on the path.
 //!
 //! Data that was handed to the connection cannot be overtaken: on a slow link, a window of batches in the socket's
 //! buffer would delay every later live update by a minute. Both lanes therefore hand over no more than an *allowance*.
@@ -11,8 +11,8 @@
 //! kbit/s live figures become up to 15 s old with `SO_SNDBUF` alone, and up to 82 s old with `TCP_NOTSENT_LOWAT` alone.
 //! `SO_SNDBUF` also loses most of the throughput on 500 kbit/s with a round trip of 600 ms. Two connections are
 //! equivalent only with `TCP_NOTSENT_LOWAT`, Reno congestion control, and live updates that wait for TCP's
-//! acknowledgement. The ZeroMQ library supports none of the three. This module can go when the library gives access to
-//! the socket; the protocol then needs a second connection that the same proof covers.
+//! acknowledgement. The ZeroMQ library supports none of the three. This module can be removed when the library gives
+//! access to the socket; the protocol then needs a second connection that the same proof covers.
 
 mod allowance;
 mod echoes;
@@ -41,7 +41,7 @@ pub(super) struct FlowControl {
     round_trip: MinRoundTrip,
     allowance: Allowance,
     /// Number of bytes that the durable lane may hand over before the next live update. On a link that is too slow for
-    /// both lanes, they alternate and get equal numbers of bytes.
+    /// both lanes, the lanes alternate and hand over equal numbers of bytes.
     durable_share: u64,
 }
 
@@ -117,7 +117,8 @@ impl FlowControl {
         self.in_flight.add_durable(bytes)
     }
 
-    /// Records that the durable lane has nothing to hand over, so that the live lane does not wait for it.
+    /// Records that the durable lane has nothing to hand over, so that the live lane does not wait for the durable
+    /// lane.
     pub(super) const fn clear_durable_share(&mut self) {
         self.durable_share = 0;
     }
@@ -138,7 +139,8 @@ impl FlowControl {
             self.in_flight.handed_over() - self.echoes.last_position().max(self.in_flight.arrived());
         let is_probe_due = self.round_trip.is_probe_due(now);
         if is_probe_due && is_waiting && !self.round_trip.is_draining() {
-            // The durable lane sends nothing while the path drains; live updates must not wait for its share.
+            // The durable lane sends nothing while the path drains. Live updates therefore do not wait for the durable
+            // lane's share.
             self.durable_share = 0;
         }
         self.round_trip.set_draining(is_probe_due && (is_waiting || self.round_trip.is_draining()));
@@ -164,7 +166,7 @@ impl FlowControl {
         self.echoes.echo_retry_at()
     }
 
-    /// Records that everything up to a position has arrived.
+    /// Records that all bytes up to a position have arrived.
     pub(super) const fn record_arrival(&mut self, position: u64, now: MonoTime) {
         self.in_flight.acknowledge(position, now);
     }
@@ -174,10 +176,10 @@ impl FlowControl {
         let answered = self.echoes.answer(position);
         self.record_arrival(position, now);
         let Some(EchoRequest { at, bytes_ahead, .. }) = answered else { return };
-        // Rates are bytes divided by this time, so that it must not be zero.
+        // Rates are bytes divided by this time, which must therefore not be zero.
         let round_trip = (now - at).max(Span::from_millis(1));
         self.round_trip.observe_echo(position, round_trip, now);
-        // If nothing was in flight before the request, its echo measures the path, but no rate.
+        // If nothing was in flight before the request, the echo shows the round trip of the path, but no rate.
         if bytes_ahead > 0 {
             let shortest = self.round_trip.shortest().unwrap_or(round_trip);
             self.allowance.observe(bytes_ahead, round_trip, shortest, now);

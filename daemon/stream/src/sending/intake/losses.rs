@@ -9,7 +9,7 @@ use peernet_logger::{RunId, Slug};
 /// pipelines and few reasons.
 const MAX_LOSSES: usize = 64;
 
-/// Interval between the reports of a continuing loss, which is also reported at its end. Losses between two reports
+/// Interval between the reports of a continuing loss. The loss is also reported at its end. Losses between two reports
 /// form one gap.
 const REPORT_INTERVAL: Span = Span::from_seconds(1);
 
@@ -38,11 +38,11 @@ impl Losses {
         count: u64,
         reason: String,
     ) {
-        let is_same = |loss: &&mut Loss| {
+        let has_same_cause = |loss: &&mut Loss| {
             let gap = &loss.gap;
             gap.pipeline == pipeline && gap.run == run && gap.reason == reason
         };
-        if let Some(loss) = self.entries.iter_mut().find(is_same) {
+        if let Some(loss) = self.entries.iter_mut().find(has_same_cause) {
             loss.extend(now, count);
             return;
         }
@@ -62,15 +62,15 @@ impl Losses {
         }
     }
 
-    /// Counts events that were dropped elsewhere and are not reported yet.
+    /// Counts the events of a gap that is not reported yet, which another component dropped.
     pub(super) fn add_gap(&mut self, gap: Gap, now: Stamp) {
         let Gap { pipeline, run, from, count, reason, .. } = gap;
         self.add(pipeline.clone(), run, now, count, reason.clone());
-        let is_same = |loss: &&mut Loss| {
+        let has_same_cause = |loss: &&mut Loss| {
             let gap = &loss.gap;
             gap.pipeline == pipeline && gap.run == run && gap.reason == reason
         };
-        if let Some(loss) = self.entries.iter_mut().find(is_same) {
+        if let Some(loss) = self.entries.iter_mut().find(has_same_cause) {
             loss.gap.from = loss.gap.from.min(from);
         }
     }
@@ -93,8 +93,8 @@ impl Losses {
         due.map(|loss| loss.take_gap(now))
     }
 
-    /// Returns the next gap of the losses that end now: the losses of `run`, or all losses if it is `None`. Records the
-    /// gap as reported.
+    /// Returns the next gap of the losses that end now: the losses of `run`, or all losses if `run` is `None`. Records
+    /// the gap as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
         let is_ended = |loss: &&mut Loss| loss.gap.count > 0 && (run.is_none() || loss.gap.run == run);
         self.entries.iter_mut().find(is_ended).map(|loss| loss.take_gap(now))
@@ -116,7 +116,7 @@ impl Loss {
 
     fn take_gap(&mut self, now: MonoTime) -> Gap {
         self.reported_at = Some(now);
-        // The entry stays, so that a loss that continues is reported once per interval.
+        // The entry remains, so that a loss that continues is reported once per interval.
         let remaining_gap = Gap { count: 0, ..self.gap.clone() };
         std::mem::replace(&mut self.gap, remaining_gap)
     }

@@ -23,8 +23,8 @@ const GAP_REPORT: Usage = Usage { events: 1, bytes: 512 };
 /// Longest event: the largest tree and the fields around it.
 const MAX_EVENT_BYTES: usize = MAX_TREE_BYTES + 16 * 1024;
 
-/// Maximum length of a batch. A larger configured value has no effect, because the aggregator must be able to read its
-/// frame.
+/// Maximum length of a batch's body. A larger configured value has no effect, because the aggregator must be able to
+/// read the batch's frame.
 const MAX_BATCH_BYTES: usize = codec::MAX_MESSAGE_BYTES - codec::BATCH_HEAD_BYTES;
 
 /// State machine that accepts events, counts them, and groups them into batches without numbers.
@@ -32,7 +32,7 @@ const MAX_BATCH_BYTES: usize = codec::MAX_MESSAGE_BYTES - codec::BATCH_HEAD_BYTE
 pub(super) struct Intake {
     config: SendingConfig,
     totals: Totals,
-    open: OpenBatch,
+    open_batch: OpenBatch,
     /// Closed batches that were not collected yet.
     unnumbered: Vec<UnnumberedBatch>,
     unnumbered_usage: Usage,
@@ -109,7 +109,7 @@ impl Intake {
             ),
             config,
             totals,
-            open: OpenBatch::default(),
+            open_batch: OpenBatch::default(),
             unnumbered: Vec::new(),
             unnumbered_usage: Usage::default(),
             encoded: Vec::new(),
@@ -118,13 +118,13 @@ impl Intake {
     }
 
     pub(super) fn offer(&mut self, event: &Event, capacity: &EventCapacity, now: Stamp) {
-        // This comes before the event, so that losses are reported in the order in which they happened.
+        // Earlier drops are added before the event, so that losses are reported in the order in which they happened.
         self.losses.add_earlier_drops(now);
+        // The event is encoded before the decision, because the size of the encoded event decides whether it fits.
         self.encoded.clear();
         codec::encode_into(&mut self.encoded, event);
-        // Encoded before the decision: the size of the encoded event decides whether there is capacity.
         let run = event.run();
-        match self.refusal(event, capacity) {
+        match self.reason_to_drop(event, capacity) {
             None => {
                 self.report_losses(capacity, now);
                 // The run's losses are reported before its end, so that they belong to the run.
@@ -141,7 +141,7 @@ impl Intake {
             }
         }
         self.totals.submitted.last = Some(now.wall);
-        // This comes last, because the end of a run removes its pipeline, which a loss above needs.
+        // This comes last: the end of a run removes the run's pipeline, which `count_lost` above needs.
         self.runs.observe(event);
     }
 
@@ -166,11 +166,11 @@ impl Intake {
         self.losses.add_gap(gap.clone(), now);
     }
 
-    /// Returns the reason to refuse the current event; `None` if it is accepted.
-    fn refusal(&self, event: &Event, capacity: &EventCapacity) -> Option<String> {
+    /// Returns the reason to drop the current event; `None` if the event is accepted.
+    fn reason_to_drop(&self, event: &Event, capacity: &EventCapacity) -> Option<String> {
         let mut added_usage = Usage { events: 1, bytes: self.encoded.len() as u64 };
         if let Event::Iteration(iteration) = event {
-            // An iteration that the aggregator would refuse must not block everything after it.
+            // An iteration that the aggregator would refuse must not block later events.
             if let Err(error) = iteration.tree.check(0) {
                 return Some(format!("the iteration cannot be sent: {error}"));
             }
@@ -179,7 +179,8 @@ impl Intake {
         if self.encoded.len() > MAX_EVENT_BYTES {
             return Some(format!("the event is longer than {MAX_EVENT_BYTES} bytes"));
         }
-        // The reports of losses have their capacity reserved: a full spool must still be able to tell what it lost.
+        // Capacity for the reports of losses is reserved: an agent with a full spool must still be able to report
+        // losses.
         let needed = self.usage() + added_usage + self.report_usage();
         (!capacity.fits(needed)).then(|| capacity.drop_reason(needed).to_owned())
     }
@@ -187,14 +188,14 @@ impl Intake {
     /// Returns the capacity that is reserved for events other than iterations.
     fn reserved_usage(&self) -> Usage {
         let events = self.config.reserve_events;
-        // Bytes and events have the same share, so that neither is exhausted before the other. The share is at most an
-        // eighth, so that a small configuration still has capacity for iterations.
+        // The same share of the bytes and of the events is reserved, so that neither is exhausted before the other. The
+        // share of the bytes is at most an eighth, so that a small configuration still has capacity for iterations.
         let share = |bytes: u64| bytes / (self.config.memory.events / events.max(1)).max(8);
         let bytes = share(self.config.memory.bytes).min(share(self.config.spool_bytes));
         Usage { events, bytes: if events > 0 { bytes } else { 0 } }
     }
 
-    /// Adds the gaps that are due as events in place of the lost events, while there is capacity.
+    /// Adds gaps in place of lost events: all gaps that are due, while there is capacity.
     pub(super) fn report_losses(&mut self, capacity: &EventCapacity, now: Stamp) {
         while self.has_capacity_for_report(capacity)
             && let Some(gap) = self.losses.take_due(now.mono)
@@ -222,8 +223,8 @@ impl Intake {
         self.losses.may_report() && capacity.fits(self.usage() + GAP_REPORT)
     }
 
-    /// Records the result for an earlier process. Returns the losses of all earlier processes that no gap reports. They
-    /// are reported after the spool contains them ([`Self::record_resolution_written`]).
+    /// Records which batches of an earlier process are stored. Returns the losses of all earlier processes that no gap
+    /// reports. These losses are reported after the spool contains them ([`Self::record_resolution_written`]).
     pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
         self.losses.resolve(unresolved, resolved)
     }
@@ -246,36 +247,37 @@ impl Intake {
     /// Adds the current event to the batch.
     fn append_event(&mut self, nodes: usize, now: Stamp) {
         let max_bytes = self.config.batch_bytes.min(MAX_BATCH_BYTES);
-        let is_full = self.open.body.len() + self.encoded.len() > max_bytes
-            || self.open.nodes + nodes > self.config.batch_nodes;
+        let is_full = self.open_batch.body.len() + self.encoded.len() > max_bytes
+            || self.open_batch.nodes + nodes > self.config.batch_nodes;
         if is_full {
             self.close_batch();
         }
-        // Counted after the previous batch was closed, because a batch's totals must not include later events.
+        // The event is counted after the previous batch was closed, because a batch's totals must not include later
+        // events.
         self.totals.produced += 1;
-        self.open.since.get_or_insert(now);
-        self.open.body.extend_from_slice(&self.encoded);
-        self.open.events += 1;
-        self.open.nodes += nodes;
+        self.open_batch.since.get_or_insert(now);
+        self.open_batch.body.extend_from_slice(&self.encoded);
+        self.open_batch.events += 1;
+        self.open_batch.nodes += nodes;
     }
 
     /// Reports all losses and closes the batch under construction, before the agent stops.
     pub(super) fn flush(&mut self, capacity: &EventCapacity, now: WallTime) {
-        // The time of a loss does not matter here, because all losses are reported.
-        let since = self.open.since.unwrap_or_default();
+        // The monotonic time does not matter here, because all losses are reported, whether they are due or not.
+        let since = self.open_batch.since.unwrap_or_default();
         let now = Stamp { wall: now, ..since };
         self.report_ended(None, capacity, now);
         self.close_batch();
     }
 
     fn close_batch(&mut self) {
-        let Some(since) = self.open.since else { return };
+        let Some(since) = self.open_batch.since else { return };
         self.unnumbered_usage = self.unnumbered_usage + self.open_usage();
-        let OpenBatch { body, events, .. } = std::mem::take(&mut self.open);
+        let OpenBatch { body, events, .. } = std::mem::take(&mut self.open_batch);
         self.unnumbered.push(UnnumberedBatch {
             since: since.wall,
             events,
-            // Without unused capacity: the limits of memory count the length only.
+            // The body has no unused capacity, because the limits of memory count only its length.
             body: Bytes::from(body.into_boxed_slice()),
             totals: self.totals.clone(),
         });
@@ -297,21 +299,21 @@ impl Intake {
 
     /// Returns the time at which the batch under construction is closed or a loss is reported.
     pub(super) fn deadline(&self, capacity: &EventCapacity) -> Option<MonoTime> {
-        // Without capacity nothing can be reported until an acknowledgement frees some.
+        // Without capacity, nothing can be reported before an acknowledgement frees capacity.
         let report = self.has_capacity_for_report(capacity).then(|| self.losses.next_report_at()).flatten();
         self.batch_deadline().into_iter().chain(report).min()
     }
 
     fn batch_deadline(&self) -> Option<MonoTime> {
-        self.open.since.map(|since| since.mono + self.config.batch_age)
+        self.open_batch.since.map(|since| since.mono + self.config.batch_age)
     }
 
-    /// Counts as dropped the events of the batch under construction and `further_events` other events; `retained` are
-    /// the accepted events that are kept.
+    /// Counts the events of the batch under construction and `further_events` other events as dropped; `retained`
+    /// counts the accepted events that are kept.
     pub(super) fn give_up(&mut self, further_events: u64, retained: &RunCounts) {
-        self.totals.dropped += u64::from(self.open.events) + further_events;
+        self.totals.dropped += u64::from(self.open_batch.events) + further_events;
         self.totals.submitted.give_up(retained);
-        self.open = OpenBatch::default();
+        self.open_batch = OpenBatch::default();
     }
 
     /// Returns all counts.
@@ -332,7 +334,7 @@ impl Intake {
 
     /// Returns the time of the first event of the batch under construction.
     pub(super) fn since(&self) -> Option<WallTime> {
-        self.open.since.map(|since| since.wall)
+        self.open_batch.since.map(|since| since.wall)
     }
 
     /// Returns the number and bytes of the events in batches without a number.
@@ -341,10 +343,10 @@ impl Intake {
     }
 
     fn open_usage(&self) -> Usage {
-        Usage { events: u64::from(self.open.events), bytes: self.open.body.len() as u64 }
+        Usage { events: u64::from(self.open_batch.events), bytes: self.open_batch.body.len() as u64 }
     }
 
-    /// Returns the size of the pending reports.
+    /// Returns the size that is reserved for the gaps that are not reported yet.
     fn report_usage(&self) -> Usage {
         let gaps = self.losses.len() as u64;
         Usage { events: gaps * GAP_REPORT.events, bytes: gaps * GAP_REPORT.bytes }

@@ -9,8 +9,9 @@ use crate::{Event, MAX_COUNTED_RUNS};
 /// Active runs with their pipelines, and ended runs that are still counted separately.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RunTracker {
-    /// Pipelines of the active runs. An iteration contains its run only.
+    /// Pipelines of the active runs. They are needed because an iteration names its run but not its pipeline.
     pipelines: BTreeMap<RunId, Slug>,
+    /// Ended runs that are still counted separately.
     ended_runs: Vec<RunId>,
 }
 

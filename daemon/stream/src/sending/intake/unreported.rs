@@ -9,16 +9,16 @@ use super::losses::Losses;
 use crate::unresolved::ResolvedBatches;
 use crate::{Gap, UnresolvedBatches};
 
-/// Losses to be reported; losses of earlier processes come first.
+/// Losses to be reported. Losses of earlier processes are reported first.
 #[derive(Clone, Debug)]
 pub(super) struct UnreportedLosses {
     losses: Losses,
-    /// Losses of earlier processes, to be reported before all others.
+    /// Losses of earlier processes, to be reported before all other losses.
     earlier_gaps: VecDeque<Gap>,
     /// Number of events that an earlier process dropped and did not report.
     earlier_drops: u64,
-    /// `true` until it is known which batches of an earlier process the aggregator stored. No loss is reported until
-    /// then.
+    /// `true` until the spool records which batches of an earlier process the aggregator stored. No loss is reported
+    /// before that.
     is_unresolved: bool,
 }
 
@@ -38,13 +38,13 @@ impl UnreportedLosses {
         self.losses.add(pipeline, run, now, count, reason);
     }
 
-    /// Adds events that were dropped elsewhere.
+    /// Adds the events of a gap, which another component dropped.
     pub(super) fn add_gap(&mut self, gap: Gap, now: Stamp) {
         self.losses.add_gap(gap, now);
     }
 
-    /// Adds the events that earlier processes dropped and did not report. Only the first call after
-    /// [`resolve`](Self::resolve) adds any.
+    /// Adds the events that earlier processes dropped and did not report, as soon as losses may be reported. Later
+    /// calls add nothing.
     pub(super) fn add_earlier_drops(&mut self, now: Stamp) {
         if self.is_unresolved {
             return;
@@ -79,11 +79,11 @@ impl UnreportedLosses {
         self.earlier_gaps.pop_front().or_else(|| self.losses.take_due(now))
     }
 
-    /// Returns the next gap of the losses that end now: the losses of `run`, or all losses if it is `None`. Records the
-    /// gap as reported.
+    /// Returns the next gap of the losses that end now: the losses of `run`, or all losses if `run` is `None`. Records
+    /// the gap as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
-        // The spool stores only the number of reported events, so the order is fixed: losses of earlier processes
-        // first.
+        // The spool stores only the number of reported events. The order of reports is therefore fixed: losses of
+        // earlier processes are reported first.
         self.earlier_gaps.pop_front().or_else(|| self.losses.take_ended(run, now))
     }
 
