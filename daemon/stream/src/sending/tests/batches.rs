@@ -1,4 +1,4 @@
-//! Cutting of batches, and the order of writing and sending.
+//! Grouping of events into batches, and the order of writing and sending.
 
 use super::*;
 
@@ -18,8 +18,8 @@ fn batch_is_complete_at_max_nodes_bytes_or_age() {
         Agent::new_welcomed(SendingConfig { batch_nodes: 100, batch_bytes: 2 * batch_bytes, ..config() });
     agent.offer(3);
     assert_eq!(agent.take_sent_numbers(), [1]);
-    let long = incident(&"x".repeat(10 * batch_bytes));
-    agent.sending.offer(&long, agent.now());
+    let long_event = incident(&"x".repeat(10 * batch_bytes));
+    agent.sending.offer(&long_event, agent.now());
     agent.sending.offer(&incident("event 0"), agent.now());
     agent.settle();
     assert_eq!(
@@ -40,7 +40,7 @@ fn batches_are_consecutive_and_spooled_before_sending() {
     agent.sending.offer(&incident("a"), agent.now());
     agent.sending.offer(&incident("b"), agent.now());
     let Some(Action::Append { batches, totals }) = agent.sending.next(agent.now().mono) else {
-        panic!("no append")
+        panic!("expected an append")
     };
     assert_eq!((batches.len(), batches[0].number), (1, 4));
     assert_eq!(
@@ -73,7 +73,7 @@ fn many_batches_are_written_at_once_while_disk_is_slow() {
     while let Some(action) = agent.sending.next(agent.now().mono) {
         let Action::Append { batches, .. } = &action else { continue };
         appends.push(batches.len());
-        assert_eq!(agent.sending.next(agent.now().mono), None, "one at a time");
+        assert_eq!(agent.sending.next(agent.now().mono), None, "only one write is requested at a time");
         agent.perform(action);
     }
     assert_eq!(appends, [256, 256, 88]);
@@ -81,7 +81,7 @@ fn many_batches_are_written_at_once_while_disk_is_slow() {
 }
 
 #[test]
-fn stop_leaves_no_event_in_memory() {
+fn flush_writes_all_events_to_spool() {
     let mut agent = Agent::new(SendingConfig { batch_nodes: 100, ..config() });
     agent.offer(5);
     assert!(!agent.sending.is_spooled());

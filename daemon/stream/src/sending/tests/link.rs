@@ -7,15 +7,16 @@ use super::*;
 
 /// Length of a live update of one pipeline without compression.
 const LIVE_UPDATE_BYTES: usize = 1_500;
+/// Interval at which the agent sends live updates.
 const LIVE_INTERVAL_MS: i64 = 250;
 
 /// One direction of a link.
 pub(super) struct OneWayPath<T> {
     pub(super) bytes_per_s: i64,
     delay_ms: i64,
-    /// Time in microseconds at which the last handed-over byte will have left.
+    /// Time in microseconds at which the last byte leaves that was handed over so far.
     pub(super) busy_us: i64,
-    /// Time in microseconds during which the direction was busy.
+    /// Sum of the times in microseconds in which the direction was busy.
     pub(super) used_us: i64,
     in_flight: VecDeque<(i64, T)>,
 }
@@ -38,27 +39,30 @@ impl<T> OneWayPath<T> {
     }
 }
 
+/// A message from the agent to the aggregator.
 pub(super) enum SentMessage {
+    /// A frame of the durable lane.
     Frame(Bytes),
     /// A live update, with the time at which it was made.
     Live(i64),
 }
 
-/// Environment of the two state machines; times in milliseconds.
+/// Environment of the two state machines.
 #[derive(Clone, Copy)]
 pub(super) struct LinkSettings {
     pub(super) bytes_per_s: i64,
-    pub(super) one_way: i64,
+    /// One-way delay of each direction.
+    pub(super) one_way_ms: i64,
     /// Step of the simulation, and the interval at which the agent sends.
-    pub(super) step: i64,
-    /// Duration of a commit. Batches that arrive meanwhile form the next commit.
-    pub(super) commit: i64,
+    pub(super) step_ms: i64,
+    /// Duration of a commit. Batches that arrive during a commit form the next commit.
+    pub(super) commit_ms: i64,
     /// Time per second in which the aggregator processes nothing, because its host is busy.
     pub(super) busy_ms: i64,
-    /// `true` if the agent controls the flow; otherwise everything it sends counts as arrived.
-    pub(super) controlled: bool,
+    /// `true` if the agent controls the flow; otherwise all bytes that the agent sends count as arrived.
+    pub(super) is_flow_controlled: bool,
     pub(super) events_per_s: i64,
-    /// Text of an event.
+    /// Returns the text of the event with a number.
     pub(super) text: fn(i64) -> String,
 }
 
@@ -73,13 +77,16 @@ pub(super) struct Link {
     waiting: Vec<BatchHead>,
     /// Batches of the current commit, and the time at which the commit ends, milliseconds.
     committing: (Vec<BatchHead>, i64),
+    /// Number of stored events.
     pub(super) stored: u64,
     /// Time at which the newest received live update was made.
     newest_live_at: i64,
     is_live_due: bool,
-    /// Largest delay of the live figures since it was last reset.
+    /// Largest age of the newest received live update, since a test last set this field to 0.
     pub(super) max_live_delay_ms: i64,
+    /// Number of hellos that the aggregator received.
     pub(super) hellos: usize,
+    /// Number of batches that the aggregator received and did not accept.
     pub(super) repeated: usize,
 }
 
@@ -88,12 +95,12 @@ impl Link {
         Self {
             agent: Agent::new(config),
             settings,
-            up: OneWayPath::new(settings.bytes_per_s, settings.one_way),
+            up: OneWayPath::new(settings.bytes_per_s, settings.one_way_ms),
             receiving: Receiving::new(ReceivingConfig {
                 max_window: config.window,
                 ..ReceivingConfig::new("base".parse().expect("a name"))
             }),
-            down: OneWayPath::new(10_000_000, settings.one_way),
+            down: OneWayPath::new(10_000_000, settings.one_way_ms),
             waiting: Vec::new(),
             committing: (Vec::new(), 0),
             stored: 0,
@@ -106,17 +113,17 @@ impl Link {
     }
 
     fn offer(&mut self) {
-        let LinkSettings { step, events_per_s, text, .. } = self.settings;
+        let LinkSettings { step_ms, events_per_s, text, .. } = self.settings;
         let now = self.agent.millis;
-        let (before, after) = ((now - step) * events_per_s / 1_000, now * events_per_s / 1_000);
-        for n in before..after {
+        let (first, end) = ((now - step_ms) * events_per_s / 1_000, now * events_per_s / 1_000);
+        for n in first..end {
             self.agent.sending.offer(&incident(&text(n)), self.agent.now());
         }
         self.agent.sending.tick(self.agent.now());
     }
 
     pub(super) fn step(&mut self) {
-        self.agent.millis += self.settings.step;
+        self.agent.millis += self.settings.step_ms;
         let now = self.agent.millis;
         self.offer();
         while let Some(message) = self.down.pop_arrived(now) {
@@ -128,7 +135,7 @@ impl Link {
             self.up.send(LIVE_UPDATE_BYTES, SentMessage::Live(now), now);
             self.is_live_due = false;
         }
-        self.send();
+        self.perform_actions();
         let is_processing = now % 1_000 >= self.settings.busy_ms;
         while is_processing && let Some(sent) = self.up.pop_arrived(now) {
             match sent {
@@ -141,7 +148,7 @@ impl Link {
     }
 
     /// Performs all actions of the agent.
-    fn send(&mut self) {
+    fn perform_actions(&mut self) {
         loop {
             let mut echo_position = None;
             while let Some(action) = self.agent.sending.next(self.agent.now().mono) {
@@ -150,7 +157,7 @@ impl Link {
                     continue;
                 };
                 match codec::decode(&frame) {
-                    Ok(ToAggregator::Echo { bytes, .. }) if !self.settings.controlled => {
+                    Ok(ToAggregator::Echo { bytes, .. }) if !self.settings.is_flow_controlled => {
                         echo_position = Some(bytes);
                     }
                     _ => self.up.send(frame.len(), SentMessage::Frame(frame.into()), self.agent.millis),
@@ -175,7 +182,7 @@ impl Link {
             self.reply(reply);
         }
         if !self.waiting.is_empty() {
-            self.committing = (std::mem::take(&mut self.waiting), now + self.settings.commit);
+            self.committing = (std::mem::take(&mut self.waiting), now + self.settings.commit_ms);
         }
     }
 
@@ -189,14 +196,14 @@ impl Link {
             None => frame,
         };
         if let Some(head) = codec::decode_batch_head(&frame) {
-            codec::decode_batch_body(frame).expect("intact");
+            codec::decode_batch_body(frame).expect("the sent batch is intact");
             match self.receiving.handle_batch(&head, true, now) {
                 Arrival::Accept => self.waiting.push(head),
                 _ => self.repeated += 1,
             }
             return;
         }
-        match codec::decode(&frame).expect("a message") {
+        match codec::decode(&frame).expect("any other frame is a message") {
             ToAggregator::Hello(hello) => {
                 self.hellos += 1;
                 self.agent.hellos.push(hello.clone());
@@ -217,7 +224,7 @@ impl Link {
     }
 
     pub(super) fn run(&mut self, seconds: i64) {
-        (0..seconds * 1_000 / self.settings.step).for_each(|_| self.step());
+        (0..seconds * 1_000 / self.settings.step_ms).for_each(|_| self.step());
     }
 
     pub(super) fn connect(&mut self) {

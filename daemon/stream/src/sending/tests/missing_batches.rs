@@ -1,8 +1,8 @@
-//! Batches that were deleted from the file by someone else.
+//! Batches that are missing from the file, although the agent did not delete them.
 
 use super::*;
 
-/// Returns an agent whose file contained ten batches, of which the given ones are missing.
+/// Returns an agent whose file contained ten batches, of which the batches with these numbers are missing.
 fn agent_with_missing_batches(numbers: &[u64]) -> Agent {
     let mut agent = Agent::new(config());
     agent.offer_batches(10);
@@ -30,7 +30,7 @@ fn missing_batches_are_skipped_counted_and_reported() {
     agent.connect();
     agent.welcome(0, None);
     assert_eq!(agent.deliver(), [1, 2, 3]);
-    // The chain of the batch after the gap cannot be checked.
+    // The chain of batch 6, the first batch after the gap, cannot be checked. The agent therefore skips it, too.
     let hello = agent.hellos.last().expect("a hello").clone();
     assert_eq!((agent.hellos.len(), hello.oldest, hello.first), (2, 7, 1));
     agent.welcome(3, None);
@@ -89,7 +89,7 @@ fn missing_batches_at_several_positions_are_skipped() {
 }
 
 #[test]
-fn missing_compared_batches_delete_no_unstored_batch() {
+fn missing_compared_batch_causes_stream_renewal() {
     let mut agent = agent_with_missing_batches(&[6]);
     agent.connect();
     agent.welcome(6, Some(Chain::from_bytes([9; 16])));

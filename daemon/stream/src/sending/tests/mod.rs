@@ -1,17 +1,17 @@
-//! The agent's end with a simulated spool file that can fail, and with an aggregator that is controlled by the test.
+//! The agent's end with a simulated spool file that can fail. The test itself sends the aggregator's messages.
 
 mod batches;
-mod catching_up;
-mod comparing;
-mod degraded;
-mod fast;
-mod hostile;
+mod comparison;
+mod dropped_events;
+mod failing_spool;
+mod fast_link;
+mod hostile_aggregator;
 mod link;
-mod losing;
 mod missing_batches;
 mod model;
-mod proving;
-mod slow;
+mod proof;
+mod slow_link;
+mod spooled_backlog;
 mod window;
 
 use std::collections::BTreeMap;
@@ -43,7 +43,7 @@ fn incident(text: &str) -> Event {
     })
 }
 
-/// Returns a configuration with one event per batch, each of which counts as one in a window.
+/// Returns a configuration with one event per batch. Each batch counts as one batch in a window.
 fn config() -> SendingConfig {
     SendingConfig {
         batch_nodes: 1,
@@ -54,7 +54,7 @@ fn config() -> SendingConfig {
     }
 }
 
-/// Content of the spool after the end of the process.
+/// A simulated spool file, which survives the process.
 #[derive(Clone, Debug)]
 struct File {
     stream: StreamId,
@@ -107,13 +107,14 @@ impl File {
 
     fn append(&mut self, batches: Vec<SpooledBatch>, totals: Totals) {
         for batch in batches {
-            assert_eq!(batch.number, self.newest.0 + 1, "contiguous");
+            assert_eq!(batch.number, self.newest.0 + 1, "batch numbers are contiguous");
             assert_eq!(batch.chain, self.newest.1.next(batch.events, &batch.body));
             self.newest = (batch.number, batch.chain);
             self.batches.insert(batch.number, batch);
         }
-        self.newest_sent
-            .retain(|newest_sent| totals.newest_sent.is_none_or(|now| now.process != newest_sent.process));
+        self.newest_sent.retain(|newest_sent| {
+            totals.newest_sent.is_none_or(|added| added.process != newest_sent.process)
+        });
         self.newest_sent.extend(totals.newest_sent);
         self.totals = totals;
     }
@@ -144,13 +145,14 @@ struct Agent {
     host: HostId,
     file: File,
     sending: Sending,
+    /// Simulated time, milliseconds.
     millis: i64,
     /// `true` while the spool fails.
     spool_is_broken: bool,
     /// `true` while the spool accepts no batches.
     rejects_batches: bool,
     sent: Vec<BatchHead>,
-    /// Received parts of a batch.
+    /// Sent parts of a batch whose other parts are not sent yet.
     parts: Vec<u8>,
     hellos: Vec<Hello>,
     proofs: Vec<Proof>,
@@ -202,7 +204,7 @@ impl Agent {
         agent
     }
 
-    /// Kills the process and starts a new one.
+    /// Kills the process and starts a new process with the same spool file.
     fn restart(self) -> Self {
         Self::open(self.config, self.host, self.file)
     }
@@ -226,7 +228,7 @@ impl Agent {
         let is_due = self.sending.deadline().is_some_and(|deadline| deadline < self.now().mono);
         assert!(
             !is_due || self.sending.deadline() != Some(MonoTime::default()),
-            "a deadline in the past does nothing"
+            "no past deadline remains after all actions are performed"
         );
     }
 
@@ -235,7 +237,7 @@ impl Agent {
             if part.offset == 0 {
                 self.parts.clear();
             }
-            assert_eq!(self.parts.len(), part.offset as usize, "parts follow one another");
+            assert_eq!(self.parts.len(), part.offset as usize, "parts are sent in order");
             self.parts.extend_from_slice(&part.bytes);
             if self.parts.len() == part.total as usize {
                 let whole = std::mem::take(&mut self.parts);
@@ -245,13 +247,13 @@ impl Agent {
         }
         match codec::decode_batch_head(&frame) {
             Some(head) => {
-                codec::decode_batch_body(frame).expect("intact");
+                codec::decode_batch_body(frame).expect("the sent batch is intact");
                 self.sent.push(head);
             }
             None => match codec::decode(&frame) {
                 Ok(ToAggregator::Hello(hello)) => self.hellos.push(hello),
                 Ok(ToAggregator::Proof(proof)) => self.proofs.push(proof),
-                // The simulated path has no delay.
+                // The simulated path has no delay, so the echo arrives at once.
                 Ok(ToAggregator::Echo { bytes, .. }) => {
                     self.sending.on_message(&ToAgent::Echo { bytes }, self.now());
                 }
@@ -289,7 +291,7 @@ impl Agent {
                 self.sending.on_renewed(now);
                 None
             }
-            Action::Send(_) => unreachable!("not an action of the spool"),
+            Action::Send(_) => unreachable!("sending is not an action of the spool"),
         };
         self.notices.extend(notice);
     }
@@ -325,11 +327,11 @@ impl Agent {
     }
 
     fn welcome(&mut self, stored: u64, chain: Option<Chain>) {
-        self.welcome_after(stored, chain, None);
+        self.welcome_with_process(stored, chain, None);
     }
 
-    /// Sends a welcome whose last stored batch came from `process`.
-    fn welcome_after(&mut self, stored: u64, chain: Option<Chain>, process: Option<u64>) {
+    /// Delivers a welcome that states that `process` sent the last stored batch.
+    fn welcome_with_process(&mut self, stored: u64, chain: Option<Chain>, process: Option<u64>) {
         let (aggregator, stream) = ("base".parse().expect("a name"), self.stream());
         self.receive(&ToAgent::Welcome { aggregator, stream, stored, chain, process, window: 100 });
     }
@@ -364,7 +366,7 @@ impl Agent {
         accounting
     }
 
-    /// Acknowledges batches until no more are sent. Returns their numbers.
+    /// Acknowledges sent batches until no further batch is sent. Returns the numbers of the sent batches.
     fn deliver(&mut self) -> Vec<u64> {
         let mut delivered: Vec<u64> = Vec::new();
         loop {

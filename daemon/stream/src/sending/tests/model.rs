@@ -7,12 +7,15 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// The aggregator: its marks, the state of its connection, and the names of the events it stored.
+/// A correct aggregator.
 #[derive(Default)]
 struct Store {
+    /// For each stream, the number, the chain and the process of the last stored batch.
     marks: HashMap<StreamId, (u64, Chain, Option<u64>)>,
+    /// Stream of the last hello on the current connection.
     hello_stream: Option<StreamId>,
-    names: Vec<u64>,
+    /// Numbers of the stored events.
+    event_numbers: Vec<u64>,
 }
 
 impl Store {
@@ -30,7 +33,7 @@ impl Store {
                 .map_or((hello.first - 1, None, None), |(stored, chain, process)| {
                     (stored, Some(chain), process)
                 });
-            assert!(hello.oldest <= stored + 1, "batches are missing although none was removed");
+            assert!(hello.oldest <= stored + 1, "no batch is missing");
             if mark.is_none() {
                 self.marks.insert(stream, (stored, hello.chain_before_oldest, None));
             }
@@ -53,8 +56,8 @@ impl Store {
                 return Some(ToAgent::Unknown);
             }
             (*stored, *chain, *process) = (head.number, head.chain, Some(head.process));
-            let body = codec::decode_batch_body(frame).expect("intact");
-            self.names.extend(names(&body, head.events));
+            let body = codec::decode_batch_body(frame).expect("the sent batch is intact");
+            self.event_numbers.extend(event_numbers(&body, head.events));
         } else if head.number > *stored {
             return Some(ToAgent::Resend { stream: head.stream, from: *stored + 1 });
         }
@@ -62,35 +65,40 @@ impl Store {
     }
 }
 
-fn names(body: &[u8], count: u32) -> Vec<u64> {
-    let name = |event: Event| match event {
+/// Returns the numbers of the events in a body, without gaps.
+fn event_numbers(body: &[u8], count: u32) -> Vec<u64> {
+    let event_number = |event: Event| match event {
         Event::Incident(incident) => incident.text.parse().ok(),
         _ => None,
     };
-    codec::decode_events(body, count).expect("readable").into_iter().filter_map(name).collect()
+    let events = codec::decode_events(body, count).expect("the events are readable");
+    events.into_iter().filter_map(event_number).collect()
 }
 
 struct Simulation {
     agent: Agent,
     /// Actions for the disk, in order.
     jobs: VecDeque<Action>,
+    /// Frames in flight to the aggregator.
     up: VecDeque<Bytes>,
+    /// Messages in flight to the agent.
     down: VecDeque<ToAgent>,
     store: Store,
+    /// Number of offered events.
     offered: u64,
     /// State of the file before each action that a power failure may undo.
     unsynced: Vec<File>,
-    /// Events that were in the file when a process started, or at the end.
-    survived: BTreeSet<u64>,
+    /// Numbers of the events that were in the file when a process started, or at the end.
+    surviving_events: BTreeSet<u64>,
 }
 
 impl Simulation {
     fn new() -> Self {
         let mut config = SendingConfig { batch_nodes: 2, batch_bytes: 100, spool_bytes: 2_000, ..config() };
         config.memory = Usage { events: 12, bytes: 400 };
-        let (jobs, up, down, store, unsynced, survived) = Default::default();
+        let (jobs, up, down, store, unsynced, surviving_events) = Default::default();
         let mut simulation =
-            Self { agent: Agent::new(config), jobs, up, down, store, offered: 0, unsynced, survived };
+            Self { agent: Agent::new(config), jobs, up, down, store, offered: 0, unsynced, surviving_events };
         simulation.reconnect();
         simulation
     }
@@ -117,7 +125,8 @@ impl Simulation {
         self.run();
     }
 
-    fn work(&mut self) {
+    /// Completes the next action of the disk, or lets it fail.
+    fn complete_job(&mut self) {
         let Some(job) = self.jobs.pop_front() else { return };
         // The file is synced at once when it records which batches may be sent.
         let is_synced = matches!(&job, Action::Append { batches, .. } if batches.is_empty())
@@ -131,12 +140,14 @@ impl Simulation {
         self.run();
     }
 
+    /// Delivers the next frame to the aggregator.
     fn deliver(&mut self) {
         if let Some(frame) = self.up.pop_front() {
             self.down.extend(self.store.handle_frame(frame));
         }
     }
 
+    /// Delivers the aggregator's next message to the agent.
     fn answer(&mut self) {
         if let Some(message) = self.down.pop_front() {
             let _ = self.agent.sending.on_message(&message, self.agent.now());
@@ -153,8 +164,8 @@ impl Simulation {
         self.run();
     }
 
-    /// Starts a new process with the file after a kill, which loses the requested actions, or after a power failure,
-    /// which also loses writes that were not synced. The new process connects if `connect` is set.
+    /// Starts a new process with the file that is left after a kill or a power failure. The requested actions are lost.
+    /// The new process connects if `connect` is `true`.
     fn start(&mut self, file: File, connect: bool) {
         self.up.clear();
         self.down.clear();
@@ -165,15 +176,15 @@ impl Simulation {
             (self.agent.config, self.agent.host, self.agent.millis, self.agent.spool_is_broken);
         self.agent = Agent::open(config, host, file);
         (self.agent.millis, self.agent.spool_is_broken) = (millis, broken);
-        self.record_survivors();
+        self.record_surviving_events();
         if connect {
             self.reconnect();
         }
     }
 
-    fn record_survivors(&mut self) {
+    fn record_surviving_events(&mut self) {
         let batches = self.agent.file.batches.values();
-        self.survived.extend(batches.flat_map(|batch| names(&batch.body, batch.events)));
+        self.surviving_events.extend(batches.flat_map(|batch| event_numbers(&batch.body, batch.events)));
     }
 
     fn settle(&mut self) {
@@ -184,38 +195,45 @@ impl Simulation {
                 break;
             }
             while !(self.jobs.is_empty() && self.up.is_empty() && self.down.is_empty()) {
-                self.work();
+                self.complete_job();
                 self.deliver();
                 self.answer();
             }
             self.advance_ms(1_000);
         }
         assert!(self.agent.sending.is_idle(), "events still wait: {:?}", self.agent.sending);
-        self.record_survivors();
-        let stored: BTreeSet<u64> = self.store.names.iter().copied().collect();
-        assert_eq!(stored.len(), self.store.names.len(), "stored twice: {:?}", self.store.names);
-        let lost: Vec<_> = self.survived.difference(&stored).collect();
-        assert!(lost.is_empty(), "lost: {lost:?}");
+        self.record_surviving_events();
+        let stored: BTreeSet<u64> = self.store.event_numbers.iter().copied().collect();
+        assert_eq!(
+            stored.len(),
+            self.store.event_numbers.len(),
+            "each event is stored once: {:?}",
+            self.store.event_numbers
+        );
+        let lost: Vec<_> = self.surviving_events.difference(&stored).collect();
+        assert!(lost.is_empty(), "events in the file were not stored: {lost:?}");
     }
 }
 
+/// A step of the simulation. A number is the number of events, milliseconds, actions or messages.
 #[derive(Clone, Debug)]
 enum Step {
     Offer(u8),
     Pass(u16),
-    Work(u8),
+    CompleteJobs(u8),
     Deliver(u8),
     Answer(u8),
     Reconnect,
-    Break(bool),
+    SetSpoolBroken(bool),
     Kill {
         connect: bool,
     },
-    /// A power failure undoes the last `back` actions on the file.
+    /// A power failure undoes the last `undone` actions on the file that were not synced.
     PowerFailure {
-        back: u8,
+        undone: u8,
         connect: bool,
     },
+    /// The system writes everything to the medium.
     Sync,
 }
 
@@ -223,13 +241,13 @@ fn step() -> impl Strategy<Value = Step> {
     prop_oneof![
         8 => (1_u8..6).prop_map(Step::Offer),
         4 => (1_u16..1_500).prop_map(Step::Pass),
-        10 => (1_u8..5).prop_map(Step::Work),
+        10 => (1_u8..5).prop_map(Step::CompleteJobs),
         10 => (1_u8..5).prop_map(Step::Deliver),
         10 => (1_u8..5).prop_map(Step::Answer),
         1 => Just(Step::Reconnect),
-        2 => any::<bool>().prop_map(Step::Break),
+        2 => any::<bool>().prop_map(Step::SetSpoolBroken),
         2 => any::<bool>().prop_map(|connect| Step::Kill { connect }),
-        2 => (any::<u8>(), any::<bool>()).prop_map(|(back, connect)| Step::PowerFailure { back, connect }),
+        2 => (any::<u8>(), any::<bool>()).prop_map(|(undone, connect)| Step::PowerFailure { undone, connect }),
         1 => Just(Step::Sync),
     ]
 }
@@ -244,18 +262,18 @@ proptest! {
             match step {
                 Step::Offer(count) => (0..count).for_each(|_| simulation.offer()),
                 Step::Pass(millis) => simulation.advance_ms(millis.into()),
-                Step::Work(count) => (0..count).for_each(|_| simulation.work()),
+                Step::CompleteJobs(count) => (0..count).for_each(|_| simulation.complete_job()),
                 Step::Deliver(count) => (0..count).for_each(|_| simulation.deliver()),
                 Step::Answer(count) => (0..count).for_each(|_| simulation.answer()),
                 Step::Reconnect => simulation.reconnect(),
-                Step::Break(broken) => {
+                Step::SetSpoolBroken(is_broken) => {
                     // A failing disk does not lose what was written before.
                     simulation.unsynced.clear();
-                    simulation.agent.spool_is_broken = broken;
+                    simulation.agent.spool_is_broken = is_broken;
                 }
                 Step::Kill { connect } => simulation.start(simulation.agent.file.clone(), connect),
-                Step::PowerFailure { back, connect } => {
-                    let index = simulation.unsynced.len().saturating_sub(usize::from(back) % 8);
+                Step::PowerFailure { undone, connect } => {
+                    let index = simulation.unsynced.len().saturating_sub(usize::from(undone) % 8);
                     let file = simulation.unsynced.get(index).unwrap_or(&simulation.agent.file).clone();
                     simulation.start(file, connect);
                 }

@@ -3,7 +3,7 @@
 use super::super::super::MAX_IN_FLIGHT_BATCHES;
 use super::*;
 
-fn allow(agent: &mut Agent, through: u64, window: u32) {
+fn ack_with_window(agent: &mut Agent, through: u64, window: u32) {
     let stream = agent.stream();
     agent.receive(&ToAgent::Ack { stream, through, window });
 }
@@ -13,13 +13,13 @@ fn batches_in_flight_respect_windows_of_both_ends() {
     let mut agent = Agent::new_welcomed(config());
     agent.offer_batches(10);
     assert_eq!(agent.take_sent_numbers(), [1, 2, 3], "limited by the agent's own window");
-    allow(&mut agent, 1, 1);
+    ack_with_window(&mut agent, 1, 1);
     assert_eq!(agent.take_sent_numbers(), [0; 0], "limited by the aggregator's window");
-    allow(&mut agent, 3, 1);
+    ack_with_window(&mut agent, 3, 1);
     assert_eq!(agent.take_sent_numbers(), [4]);
-    allow(&mut agent, 4, 0);
+    ack_with_window(&mut agent, 4, 0);
     assert_eq!(agent.take_sent_numbers(), [5], "one batch is always allowed");
-    allow(&mut agent, 5, u32::MAX);
+    ack_with_window(&mut agent, 5, u32::MAX);
     assert_eq!(agent.take_sent_numbers(), [6, 7, 8]);
 }
 
@@ -29,14 +29,14 @@ fn more_small_batches_than_large_batches_are_in_flight() {
     let mut agent = Agent::new_welcomed(config);
     agent.offer_batches(300);
     assert_eq!(agent.take_sent_numbers(), (1..=3 * 64).collect::<Vec<_>>());
-    allow(&mut agent, 64, 1);
+    ack_with_window(&mut agent, 64, 1);
     assert_eq!(agent.take_sent_numbers(), [0; 0]);
-    allow(&mut agent, 130, 1);
+    ack_with_window(&mut agent, 130, 1);
     assert_eq!(agent.take_sent_numbers(), [193, 194]);
     let stream = agent.stream();
     agent.receive(&ToAgent::Resend { stream, from: 150 });
     assert_eq!(agent.take_sent_numbers(), (150..=194).collect::<Vec<_>>());
-    // The number of batches is limited, even if they are small.
+    // The number of batches in flight is limited, even if the batches are small.
     let mut agent = Agent::new_welcomed(SendingConfig { batch_bytes: 1 << 20, ..config });
     agent.offer_batches(1_100);
     assert_eq!(agent.take_sent_numbers().len(), MAX_IN_FLIGHT_BATCHES);
@@ -60,7 +60,7 @@ fn requested_batch_is_sent_again() {
     assert_eq!(
         (agent.hellos.len(), agent.hellos[hellos].oldest),
         (hellos + 1, 3),
-        "a new hello says that batch 3 is the oldest one left"
+        "a new hello states that batch 3 is the oldest remaining batch"
     );
 }
 
@@ -73,7 +73,7 @@ fn hello_after_unacknowledged_batches_is_repeated() {
     assert_eq!(agent.hellos.len(), 1);
     assert_eq!(agent.sending.deadline(), Some(at(10_000).mono));
     agent.advance_ms(1_000);
-    assert_eq!(agent.hellos.len(), 2, "no acknowledgement came within 10 s");
+    assert_eq!(agent.hellos.len(), 2, "a hello is sent after 10 s without an acknowledgement");
     agent.advance_ms(250);
     agent.advance_ms(499);
     assert_eq!(agent.hellos.len(), 3);
@@ -112,5 +112,5 @@ fn hellos_without_progress_become_rare() {
     agent.ack(1);
     let hellos = agent.hellos.len();
     agent.receive(&ToAgent::Unknown);
-    assert_eq!(agent.hellos.len(), hellos + 1, "after an acknowledgement there is no pause");
+    assert_eq!(agent.hellos.len(), hellos + 1, "after an acknowledgement, a hello is sent without a pause");
 }

@@ -2,11 +2,11 @@
 
 use super::*;
 
-/// Chain of a different history.
+/// Chain that no batch of the agent's spool has.
 const OTHER_CHAIN: Option<Chain> = Some(Chain::from_bytes([9; 16]));
 
-/// Returns an agent with batches in the file that were never acknowledged. The aggregator was connected while the first
-/// `before_restart` batches were created; then a process without a connection created `after_restart` batches.
+/// Returns an agent with unacknowledged batches in the file. A process with a connection created the first
+/// `before_restart` batches. Then a process without a connection created `after_restart` batches.
 fn agent_with_unacknowledged(before_restart: usize, after_restart: usize) -> Agent {
     let mut agent = Agent::new_welcomed(config());
     agent.offer_batches(before_restart);
@@ -50,7 +50,7 @@ fn nothing_is_deleted_or_sent_before_comparison() {
     let aggregator = "base".parse().expect("a name");
     let welcome = ToAgent::Welcome { aggregator, stream, stored: 9, chain, process: None, window: 8 };
     assert_eq!(agent.sending.on_message(&welcome, at(0)), None);
-    let Some(load @ Action::Load { .. }) = agent.sending.next(at(0).mono) else { panic!("nothing is read") };
+    let Some(load @ Action::Load { .. }) = agent.sending.next(at(0).mono) else { panic!("expected a load") };
     assert_eq!(agent.sending.next(at(0).mono), None);
     // The connection ends meanwhile, so the answer of the disk must have no effect.
     agent.sending.on_disconnected();
@@ -69,7 +69,7 @@ fn spool_that_lost_its_end_sends_no_batch_twice() {
     agent.offer_batches(2);
     let old_stream = agent.file.stream;
     agent.connect();
-    agent.welcome_after(15, OTHER_CHAIN, Some(1));
+    agent.welcome_with_process(15, OTHER_CHAIN, Some(1));
     assert_eq!(agent.notices, [Notice::StreamRenewed { stored: 15, newest: 12 }]);
     let hello = agent.hellos.last().expect("a hello").clone();
     assert_eq!((hello.first, hello.oldest, hello.previous_stream), (11, 11, Some(old_stream)));
@@ -82,11 +82,11 @@ fn spool_that_lost_its_end_sends_no_batch_twice() {
 
 #[test]
 fn unsent_batches_are_distinguished_from_sent_batches_after_restart() {
-    // The same situation after a process without a connection.
+    // Unlike above, a process without a connection wrote batches after the sent batches.
     let mut agent = agent_with_unacknowledged(10, 3).restart();
     agent.offer_batches(2);
     agent.connect();
-    agent.welcome_after(14, OTHER_CHAIN, Some(1));
+    agent.welcome_with_process(14, OTHER_CHAIN, Some(1));
     agent.welcome(10, None);
     assert_eq!(agent.deliver(), (11..=15).collect::<Vec<_>>());
     assert_eq!(renewals(&agent), 1);
@@ -94,7 +94,8 @@ fn unsent_batches_are_distinguished_from_sent_batches_after_restart() {
 
 #[test]
 fn newest_sent_batch_is_recorded_per_process() {
-    // Another process took over before all batches of the first one were stored; both lost the end of their spool.
+    // A second process started before all batches of the first process were stored. The spool lost the last batches of
+    // one of the two processes.
     let mut agent = agent_with_unacknowledged(10, 0);
     agent.connect();
     agent.welcome(0, None);
@@ -104,7 +105,7 @@ fn newest_sent_batch_is_recorded_per_process() {
         let mut agent = Agent::open(agent.config, agent.host, file);
         agent.offer_batches(1);
         agent.connect();
-        agent.welcome_after(17, OTHER_CHAIN, Some(process));
+        agent.welcome_with_process(17, OTHER_CHAIN, Some(process));
         assert_eq!(agent.hellos.last().map(|hello| hello.first), Some(first));
         agent.welcome(first - 1, None);
         assert_eq!(agent.deliver(), (first..=15).collect::<Vec<_>>());
@@ -113,11 +114,11 @@ fn newest_sent_batch_is_recorded_per_process() {
 
 #[test]
 fn copied_spool_keeps_batches_of_another_process() {
-    // The original continued with another process, or with an unknown one.
+    // The original spool continued with another process, or with an unknown process.
     for (stored, process) in [(15, Some(9)), (15, None), (11, Some(9)), (8, Some(9)), (8, Some(1))] {
         let mut agent = agent_with_unacknowledged(10, 3);
         agent.connect();
-        agent.welcome_after(stored, OTHER_CHAIN, process);
+        agent.welcome_with_process(stored, OTHER_CHAIN, process);
         assert_eq!(agent.hellos.last().map(|hello| hello.first), Some(1), "{stored} {process:?}");
         agent.welcome(0, None);
         assert_eq!(agent.deliver(), (1..=13).collect::<Vec<_>>());
@@ -140,7 +141,7 @@ fn aggregator_without_acknowledged_batches_is_reported() {
     // A new database, an older copy of the database, and a copy from the time of an earlier process.
     for (stored, chain, process) in [(0, None, None), (5, OTHER_CHAIN, Some(2)), (2, OTHER_CHAIN, Some(1))] {
         let mut agent = agent_with_deleted_batches();
-        agent.welcome_after(stored, chain, process);
+        agent.welcome_with_process(stored, chain, process);
         let aggregator = "base".parse().expect("a name");
         assert_eq!(
             agent.notices.last(),
@@ -156,15 +157,15 @@ fn aggregator_without_acknowledged_batches_is_reported() {
 fn aggregator_with_batches_of_copy_gets_new_stream() {
     for (stored, process) in [(2, Some(9)), (5, Some(1))] {
         let mut agent = agent_with_deleted_batches();
-        agent.welcome_after(stored, OTHER_CHAIN, process);
+        agent.welcome_with_process(stored, OTHER_CHAIN, process);
         assert_eq!(agent.hellos.last().map(|hello| (hello.first, hello.oldest)), Some((7, 7)));
         agent.welcome(6, None);
         assert_eq!(agent.deliver(), [7, 8]);
     }
 }
 
-/// Returns an agent with two batches that sends another hello. The batches before them are stored: four from its first
-/// process, and two from its second process.
+/// Returns an agent that has two batches and sends another hello. The batches before these two are stored: four batches
+/// of the agent's first process, and two of its second process.
 fn agent_with_deleted_batches() -> Agent {
     let mut agent = Agent::new_welcomed(config());
     agent.offer_batches(4);
@@ -173,7 +174,7 @@ fn agent_with_deleted_batches() -> Agent {
     let mut agent = agent.restart();
     agent.connect();
     let chain = Some(agent.file.previous_chain);
-    agent.welcome_after(4, chain, Some(1));
+    agent.welcome_with_process(4, chain, Some(1));
     agent.offer_batches(2);
     agent.deliver();
     agent.offer_batches(2);
@@ -187,7 +188,7 @@ fn nothing_is_sent_during_stream_renewal() {
     let mut agent = agent_with_unacknowledged(4, 0);
     agent.connect();
     agent.spool_is_broken = true;
-    agent.welcome_after(9, OTHER_CHAIN, Some(1));
+    agent.welcome_with_process(9, OTHER_CHAIN, Some(1));
     assert_eq!(agent.notices.len(), 2, "{:?}", agent.notices);
     let hellos = agent.hellos.len();
     agent.offer_batches(3);

@@ -1,4 +1,4 @@
-//! The proof that this host is the one it claims to be.
+//! The proof that an agent has the secret of its host.
 
 use super::super::super::{AGENT_STREAM_VERSIONS, Nonce};
 use super::*;
@@ -43,7 +43,7 @@ fn challenge_with_unsupported_version_is_not_answered() {
     assert_eq!(
         agent.sending.version(),
         AGENT_STREAM_VERSIONS.oldest(),
-        "until a supported version is chosen"
+        "the oldest version is used until a supported version is chosen"
     );
     agent.receive(&supported);
     assert_eq!((agent.proofs.len(), agent.sending.version()), (1, chosen));

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Returns an agent whose disk fails after three batches were delivered.
+/// Returns an agent whose disk begins to fail after three batches were delivered.
 fn agent_with_failing_disk() -> Agent {
     let mut agent = Agent::new_welcomed(config());
     agent.offer_batches(3);
@@ -88,7 +88,7 @@ fn acknowledgement_during_write_deletes_batch_after_write() {
 }
 
 #[test]
-fn process_killed_with_full_disk_repeats_no_batch() {
+fn restarted_process_repeats_no_batch_after_kill_with_full_disk() {
     // Two batches are in the file, acknowledged but not deleted; two more were stored from memory.
     let mut agent = Agent::new_welcomed(config());
     agent.offer_batches(2);
@@ -101,14 +101,14 @@ fn process_killed_with_full_disk_repeats_no_batch() {
     assert_eq!((agent.file.newest.0, agent.file.batches.len()), (2, 2));
     agent.offer_batches(2);
     agent.connect();
-    agent.welcome_after(4, Some(Chain::from_bytes([9; 16])), Some(1));
+    agent.welcome_with_process(4, Some(Chain::from_bytes([9; 16])), Some(1));
     agent.welcome(2, None);
-    assert_eq!(agent.deliver(), [3, 4], "new batches with numbers of the new stream");
+    assert_eq!(agent.deliver(), [3, 4], "the new batches have the first numbers of the new stream");
     let accounting = agent.accounting();
     assert_eq!(
         (accounting.produced, accounting.stored, accounting.waiting),
         (4, 4, 0),
-        "as recorded in the file"
+        "the counts are those of the file"
     );
 }
 
@@ -151,14 +151,14 @@ fn events_beyond_disk_and_memory_are_counted_as_dropped() {
 
 /// Returns the number of events that the gaps in the file report.
 fn reported_losses(file: &File) -> u64 {
-    let gap = |event: &Event| match event {
+    let count = |event: &Event| match event {
         Event::Gap(gap) => gap.count,
         _ => 0,
     };
     let batches = file.batches.values();
     batches
-        .flat_map(|batch| codec::decode_events(&batch.body, batch.events).expect("readable"))
-        .map(|event| gap(&event))
+        .flat_map(|batch| codec::decode_events(&batch.body, batch.events).expect("the events are readable"))
+        .map(|event| count(&event))
         .sum()
 }
 
@@ -173,10 +173,10 @@ fn losses_are_counted_while_disk_is_full() {
     agent.advance_ms(1_000);
     let accounting = agent.accounting();
     assert_eq!((accounting.waiting, accounting.dropped, agent.file.totals.dropped), (8, 14, 14));
-    assert!(accounting.trouble.is_some(), "a written count is no recovery");
+    assert!(accounting.trouble.is_some(), "the failure remains after only counts are written");
     let failed = agent.notices.iter().filter(|notice| matches!(notice, Notice::SpoolFailed(_))).count();
     assert_eq!((failed, agent.notices.len()), (1, 1), "{:?}", agent.notices);
-    // After a kill the events in memory are unknown, but the file knows the number of events that were dropped before.
+    // After a kill, the events in memory are unknown, but the file has the number of events that were dropped before.
     let mut agent = agent.restart();
     agent.offer_batches(1);
     let accounting = agent.accounting();
@@ -191,7 +191,7 @@ fn events_lost_with_memory_are_reported_after_restart() {
     let memory = Usage { events: 6, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
     agent.offer_batches(2);
-    // One loss is reported in a gap that is in the spool, the next one in a gap that is not.
+    // The first loss is reported in a gap that is in the spool, the second loss in a gap that is not in the spool.
     agent.spool_is_broken = true;
     agent.offer(8);
     agent.spool_is_broken = false;

@@ -1,8 +1,8 @@
-//! A backlog in the file: it is sent in order and read ahead, and never completely in memory.
+//! A backlog in the file. The agent reads it ahead and sends it in order; the whole backlog is never in memory.
 
 use super::*;
 
-/// Length of a body of which few fill the memory.
+/// Length of a body. A few such bodies fill the memory.
 const LONG_BODY_BYTES: usize = 1024;
 
 fn agent_with_backlog(batches: usize) -> Agent {
@@ -61,9 +61,9 @@ fn file_is_read_while_batches_are_in_flight() {
     let mut agent = agent_with_backlog(40).restart();
     agent.connect();
     agent.welcome(0, None);
-    let mut waited = 0;
+    let mut rounds_without_batch = 0;
     while !agent.sending.is_idle() {
-        let Some(last) = agent.take_sent_numbers().last().copied() else { panic!("nothing is sent") };
+        let Some(last) = agent.take_sent_numbers().last().copied() else { panic!("expected a sent batch") };
         // The answers of the disk come one round later than the answers of the aggregator.
         let (stream, now) = (agent.stream(), agent.now());
         agent.sending.on_message(&ToAgent::Ack { stream, through: last, window: 3 }, now);
@@ -74,12 +74,12 @@ fn file_is_read_while_batches_are_in_flight() {
                 job => jobs.push(job),
             }
         }
-        waited += usize::from(agent.sent.is_empty() && last < 40);
+        rounds_without_batch += usize::from(agent.sent.is_empty() && last < 40);
         assert!(bytes_in_memory(&agent) <= 6 * LONG_BODY_BYTES as u64);
         jobs.into_iter().for_each(|job| agent.perform(job));
         agent.settle();
     }
-    assert_eq!(waited, 0, "the aggregator had to wait for the disk");
+    assert_eq!(rounds_without_batch, 0, "the aggregator does not wait for the disk");
 }
 
 #[test]
@@ -90,7 +90,7 @@ fn unreadable_spool_is_read_again() {
     agent.welcome(0, None);
     assert_eq!(agent.take_sent_numbers(), [0; 0]);
     assert!(
-        matches!(&agent.notices[..], [Notice::SpoolFailed(why), Notice::Welcomed { .. }] if why == "the disk is full")
+        matches!(&agent.notices[..], [Notice::SpoolFailed(reason), Notice::Welcomed { .. }] if reason == "the disk is full")
     );
     assert_eq!(agent.accounting().trouble.as_deref(), Some("the disk is full"));
     assert_eq!(agent.sending.deadline(), Some(at(1_000).mono));

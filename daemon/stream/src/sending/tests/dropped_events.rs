@@ -1,4 +1,4 @@
-//! Events that do not fit are dropped and counted, and the counts add up.
+//! Events that do not fit: they are dropped and counted, and the counts add up.
 
 use super::super::super::{EndReason, RunEnded};
 use super::*;
@@ -34,14 +34,14 @@ fn deletion_frees_capacity_for_new_events() {
         agent.offer(1);
         agent.deliver();
     }
-    assert_eq!(agent.accounting().dropped, 0, "a deletion was requested too late");
+    assert_eq!(agent.accounting().dropped, 0, "deletions are requested early enough");
 }
 
 #[test]
 fn events_wait_in_memory_for_slow_disk() {
     let memory = Usage { events: 1_000, bytes: 2_000 };
     let mut agent = Agent::new(SendingConfig { memory, batch_nodes: 100, ..config() });
-    // The first batch is being written all the time.
+    // The first batch is being written all the time, because the test performs no action of the spool.
     (0..200).for_each(|n| agent.sending.offer(&incident(&n.to_string()), agent.now()));
     let accounting = agent.accounting();
     assert!(
@@ -59,7 +59,7 @@ fn totals_continue_after_restart() {
     agent.settle();
     let before = agent.accounting();
     let mut agent = agent.restart();
-    assert_eq!(agent.accounting().dropped, before.dropped, "a stop writes the number of dropped events");
+    assert_eq!(agent.accounting().dropped, before.dropped, "the flush wrote the number of dropped events");
     assert_eq!(agent.accounting(), Accounting { sent: agent.accounting().stored, ..before });
     agent.connect();
     agent.welcome(0, None);
@@ -72,7 +72,7 @@ fn totals_continue_after_restart() {
 }
 
 #[test]
-fn run_end_reports_lost_events_of_run() {
+fn gap_is_reported_before_end_of_run() {
     let run = RunId::random();
     let memory = Usage { events: 4, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, batch_nodes: 100, ..config() });
@@ -86,6 +86,6 @@ fn run_end_reports_lost_events_of_run() {
     let accounting = agent.accounting();
     assert_eq!((accounting.gaps, accounting.waiting), (1, 6));
     let batch = agent.file.batches.values().next_back().expect("a batch");
-    let events = codec::decode_events(&batch.body, batch.events).expect("readable");
+    let events = codec::decode_events(&batch.body, batch.events).expect("the events are readable");
     assert!(matches!(&events[0], Event::Gap(gap) if gap.count == 4), "{events:?}");
 }

@@ -3,6 +3,7 @@
 use super::link::{Link, LinkSettings};
 use super::*;
 
+/// Returns the agents' usual configuration.
 fn usual_config() -> SendingConfig {
     SendingConfig { window: 4, first_pause: Span::from_seconds(1), ..SendingConfig::default() }
 }
@@ -12,7 +13,8 @@ fn incompressible_text(n: i64) -> String {
     (0..8).map(|part| Chain::START.next(part, &n.to_be_bytes()).to_string()).collect()
 }
 
-/// Runs for some seconds. Returns the largest delay of the live figures, and the used share of the link.
+/// Runs for some seconds. Returns the largest delay of the live figures in milliseconds, and the share of the link's
+/// capacity that was used.
 fn measure(link: &mut Link, seconds: i64) -> (i64, f64) {
     (link.max_live_delay_ms, link.up.used_us) = (0, 0);
     let queued_before = link.up.busy_us - link.agent.millis * 1_000;
@@ -24,7 +26,7 @@ fn measure(link: &mut Link, seconds: i64) -> (i64, f64) {
     )
 }
 
-/// Makes the link fast, and checks that every event arrives exactly once.
+/// Makes the link fast, and checks that every event is stored exactly once.
 fn finish(mut link: Link) {
     (link.up.bytes_per_s, link.settings.events_per_s) = (10_000_000, 0);
     for _ in 0..20 {
@@ -43,8 +45,8 @@ fn finish(mut link: Link) {
 }
 
 #[test]
-fn live_updates_stay_fresh_on_slow_link() {
-    // Bytes per second, one-way delay, and largest delay of the live figures, both in milliseconds.
+fn live_figures_stay_recent_on_slow_link() {
+    // Bytes per second; then in milliseconds the one-way delay, and the largest allowed delay of the live figures.
     for (rate, delay, max_delay_ms) in [
         (6_250, 0, 1_500),
         (6_250, 300, 3_000),
@@ -53,14 +55,15 @@ fn live_updates_stay_fresh_on_slow_link() {
         (62_500, 300, 2_500),
     ] {
         for offline in [0, 60] {
-            // More events than the link carries, and a backlog of batches of the largest size.
+            // There are more events than the link carries. After the time offline, there is also a backlog of batches
+            // of the largest size.
             let settings = LinkSettings {
                 bytes_per_s: rate,
-                one_way: delay,
-                step: 5,
-                commit: 60,
+                one_way_ms: delay,
+                step_ms: 5,
+                commit_ms: 60,
                 busy_ms: 0,
-                controlled: true,
+                is_flow_controlled: true,
                 events_per_s: if offline > 0 { 2_000 } else { rate / 60 },
                 text: incompressible_text,
             };
