@@ -149,8 +149,8 @@ mod tests {
         };
         assert_eq!(
             text(range(6, 7), VersionRange::single(5)),
-            "the agent on edge speaks version 5 of the event stream, the aggregator speaks versions 6 to 7: update the agent \
-             on edge to at least PEERNet 0.6.0"
+            "the agent on edge speaks version 5 of the event stream, the aggregator speaks versions 6 to 7: update the \
+             agent on edge to at least PEERNet 0.6.0"
         );
         assert_eq!(
             text(range(5, 5), range(6, 7)),

@@ -23,7 +23,11 @@ macro_rules! standard_names {
 
         /// Returns the number of a standard name on the wire.
         pub(crate) fn code(name: &str) -> Option<u8> {
-            #[expect(non_camel_case_types, clippy::upper_case_acronyms, reason = "variants are named like the constants")]
+            #[expect(
+                non_camel_case_types,
+                clippy::upper_case_acronyms,
+                reason = "variants are named like the constants"
+            )]
             enum Position { $($constant),* }
             match name {
                 $($name => Some(Position::$constant as u8),)*

@@ -120,8 +120,8 @@ async fn error_of_refused_edge_says_what_to_update() {
     assert_eq!(
         result.expect_err("refused").to_string(),
         format!(
-            "this program speaks versions 4 to 6 of the session protocol, the cloud at {address} speaks versions 7 to 8: update this \
-             program to at least PEERNet 0.4.0"
+            "this program speaks versions 4 to 6 of the session protocol, the cloud at {address} speaks versions 7 to 8: \
+             update this program to at least PEERNet 0.4.0"
         )
     );
     // PEERNet 0.1.0 (version 4) and builds before it (version 3) state no range: `newest` and `since` are absent.
@@ -129,8 +129,8 @@ async fn error_of_refused_edge_says_what_to_update() {
     assert_eq!(
         result.expect_err("refused").to_string(),
         format!(
-            "the cloud at {address} speaks version 3 of the session protocol, this program speaks versions 4 to 6: update the cloud at \
-             {address} to at least PEERNet 0.1.0"
+            "the cloud at {address} speaks version 3 of the session protocol, this program speaks versions 4 to 6: \
+             update the cloud at {address} to at least PEERNet 0.1.0"
         )
     );
     let (result, ..) = open_with_answer(FakeCloud::accepted(Id::from([3; 16]), NEWEST_VERSION + 1)).await;

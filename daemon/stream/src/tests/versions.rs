@@ -67,13 +67,13 @@ fn agent_without_common_version_is_refused_with_release() {
     };
     assert_eq!(
         refusal(hello_of(4, None)),
-        "the agent on edge speaks version 4 of the event stream, the aggregator speaks versions 5 to 7: update the agent on edge to at \
-         least PEERNet 0.1.0"
+        "the agent on edge speaks version 4 of the event stream, the aggregator speaks versions 5 to 7: update the \
+         agent on edge to at least PEERNet 0.1.0"
     );
     assert_eq!(
         refusal(hello_of(8, extension(9))),
-        "the aggregator speaks versions 5 to 7 of the event stream, the agent on edge speaks versions 8 to 9: update the aggregator to \
-         at least PEERNet 0.9.0"
+        "the aggregator speaks versions 5 to 7 of the event stream, the agent on edge speaks versions 8 to 9: update the \
+         aggregator to at least PEERNet 0.9.0"
     );
 }
 

@@ -54,8 +54,8 @@ fn fast_link_is_limited_by_store_only() {
         let controlled = stored_events(settings);
         let uncontrolled = stored_events(LinkSettings { is_flow_controlled: false, ..settings });
         let description = format!(
-            "{bytes_per_s} B/s, {one_way_ms} ms, commits of {commit_ms} ms, host busy for {busy_ms} ms per second: {controlled} events, \
-             {uncontrolled} without control"
+            "{bytes_per_s} B/s, {one_way_ms} ms, commits of {commit_ms} ms, host busy for {busy_ms} ms per second: \
+             {controlled} events, {uncontrolled} without control"
         );
         println!("{description}");
         // One commit more or less makes a difference of some percent.
