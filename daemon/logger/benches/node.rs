@@ -31,7 +31,7 @@ fn main() {
         "two bare clock reads",
         "one timed node",
         "one nested timed node",
-        "create and release a tree of 12 timed nodes",
+        "create and release a tree of all stages",
     ];
     let names = names.into_iter().chain([
         "wire: encode 12 nodes",
