@@ -144,7 +144,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     print_to_stdout(text(&header, &hosts.iter().map(|host| host_row(host, &faulty)).collect::<Vec<_>>()));
     for (name, how) in &faulty {
         print_to_stdout(format_args!(
-            "\nCLOCK FAULT INJECTION: {name}'s clock is made wrong on purpose ({how}). Its measured delays should stay the same."
+            "\nCLOCK FAULT INJECTION: {name}'s clock is made wrong on purpose ({how}). The measured delays of {name} should stay the same."
         ));
     }
     Ok(())

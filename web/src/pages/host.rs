@@ -22,7 +22,7 @@ use crate::view::hosts::{HostLine, clock_words, hardware_name};
 use crate::view::link::Subject;
 use crate::view::link::panels::{describe_synchronisation, reported_error_bounds};
 use crate::view::list_limits;
-use crate::view::now::{NowRow, NowTable};
+use crate::view::pipeline_table::{PipelineRow, PipelineTable};
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
@@ -56,7 +56,7 @@ struct Host {
     clock: Pairs,
     events: Events,
     stored: Pairs,
-    pipelines: Vec<NowRow>,
+    pipelines: Vec<PipelineRow>,
 }
 
 /// A host that is stored but not in the live state.
@@ -211,7 +211,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
         ],
         events: Events::of(host),
         stored: events::stored_count_pairs(&host.stored, Some(&host.arrivals), host.newest_stored, app.zone),
-        pipelines: NowTable::new(&own_pipelines).rows,
+        pipelines: PipelineTable::new(&own_pipelines).rows,
         name,
     }
 }

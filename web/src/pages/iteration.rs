@@ -167,7 +167,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
         rows: rows(detail, &timeline, &hosts, &scale),
         note: cloud.as_ref().and_then(|cloud| footnote(&timeline, cloud)),
         delays: delays(&timeline, &detail.row.delays),
-        bytes: ByteRow::both(detail),
+        bytes: ByteRow::of_directions(detail),
         other_measurements: OtherMeasurement::all(detail),
         edge,
         cloud,

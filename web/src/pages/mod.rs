@@ -33,7 +33,7 @@ use serde::Serialize;
 use self::kind::{LiveTopic, NavigationEntry, PageKind};
 use crate::error::WebError;
 use crate::state::App;
-use crate::view::chart::{Mark, Obstacles};
+use crate::view::chart::{IncidentMark, Obstacles};
 
 pub(crate) use self::error::render as render_problem;
 pub(crate) use self::kind::RequestedTopic;
@@ -99,7 +99,7 @@ pub(crate) struct Update {
     /// Elements whose contents changed: id, and new HTML.
     pub parts: Vec<(&'static str, String)>,
     /// Incidents to mark on the time axes.
-    pub marks: Vec<Mark>,
+    pub marks: Vec<IncidentMark>,
     /// For the key of each chart the reasons why the upward and the downward throughput have no line.
     pub obstacles: Vec<(String, Obstacles)>,
 }

@@ -16,13 +16,13 @@ use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
-use crate::view::chart::{ChartCard, Mark};
+use crate::view::chart::{ChartCard, IncidentMark};
 use crate::view::data::JsonBlock;
 use crate::view::health::Health;
 use crate::view::hosts::{HostLine, RefusedLine};
 use crate::view::incidents::IncidentLine;
 use crate::view::list_limits;
-use crate::view::now::NowTable;
+use crate::view::pipeline_table::PipelineTable;
 use crate::view::startup;
 use crate::zone::ZonedTime;
 
@@ -42,7 +42,7 @@ pub(super) struct Overview {
     shell: Shell,
     layout: String,
     health: Health,
-    now: NowTable,
+    now: PipelineTable,
     charts: Vec<ChartCard>,
     hosts: Vec<HostLine>,
     /// Hosts that said goodbye.
@@ -87,7 +87,7 @@ pub(super) async fn update(app: &AppState, snapshot: &LiveState) -> Result<Updat
         return Ok(Update { layout: page.layout, ..Update::new(page.shell.title, parts) });
     }
     let incidents = incidents(app).await;
-    let marks = incidents.as_ref().map(|rows| Mark::all(rows)).unwrap_or_default();
+    let marks = incidents.as_ref().map(|rows| IncidentMark::all(rows)).unwrap_or_default();
     let page = overview(app, snapshot, incidents)?;
     let parts = vec![
         ("health", page.as_health().render()?),
@@ -173,11 +173,11 @@ pub(super) fn overview(
         HostLine::current_and_ended(list_limits::MAX_ON_OVERVIEW, snapshot, app.clock.identity(), app.zone);
     let charts: Vec<ChartCard> =
         pipelines.iter().map(|pipeline| ChartCard::new(pipeline, snapshot, app.zone)).collect();
-    let marks = incidents.as_ref().map(|rows| Mark::all(rows)).unwrap_or_default();
+    let marks = incidents.as_ref().map(|rows| IncidentMark::all(rows)).unwrap_or_default();
     Ok(Overview {
         shell: Shell::new(app, snapshot, "/", health.title.clone()).live(TOPIC),
         layout: charts.iter().map(|card| card.key.as_str()).collect::<Vec<_>>().join(" "),
-        now: NowTable::new(pipelines),
+        now: PipelineTable::new(pipelines),
         hosts,
         ended,
         ended_note: shown.ended_note(),

@@ -22,12 +22,12 @@ use crate::look;
 use crate::parameters::Parameters;
 use crate::picture::Picture;
 use crate::state::{App, AppState};
-use crate::view::chart::{ChartCard, Mark};
+use crate::view::chart::{ChartCard, IncidentMark};
 use crate::view::clock_fault::{self, FaultyClocks};
 use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
 use crate::view::notes::Note;
-use crate::view::now::{state_chip, state_reason};
+use crate::view::pipeline_table::{state_chip, state_reason};
 use crate::view::runs::RunLine;
 use crate::view::speed::{self, NetworkDirection};
 use crate::view::stack::Stack;
@@ -108,7 +108,7 @@ async fn show(
     let pipeline = find(&snapshot, &host, &name)?;
     let runs = runs(&app, pipeline).await?;
     let incidents = app.shown_incidents().await?;
-    let marks = Mark::all(&incidents);
+    let marks = IncidentMark::all(&incidents);
     page(&pipeline_page(&app, &snapshot, pipeline, query.window.unwrap_or(10), &runs, &marks)?)
 }
 
@@ -236,7 +236,7 @@ fn pipeline_page(
     pipeline: &PipelineSnapshot,
     seconds: u32,
     runs: &[RunSummary],
-    marks: &[Mark],
+    marks: &[IncidentMark],
 ) -> Result<PipelinePage, WebError> {
     let window = pipeline.window(seconds).ok_or_else(|| {
         WebError::BadRequest(format!("query parameter window: {seconds} is not one of 1, 10 and 60"))

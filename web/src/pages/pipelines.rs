@@ -14,7 +14,7 @@ use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
 use crate::state::{App, AppState};
-use crate::view::now::{NowRow, NowTable};
+use crate::view::pipeline_table::{PipelineRow, PipelineTable};
 use crate::view::place;
 use crate::view::{list_limits, startup};
 
@@ -44,7 +44,7 @@ struct Pipelines {
 }
 
 struct Line {
-    figures: NowRow,
+    figures: PipelineRow,
     host: String,
     route: String,
     model: String,
@@ -89,7 +89,7 @@ fn pipelines(app: &AppState, snapshot: &LiveState) -> Pipelines {
         many => format!("{running} of {many} pipelines ran"),
     };
     let shown = &all[..all.len().min(list_limits::MAX_IN_LIST)];
-    let rows = NowTable::new(shown).rows;
+    let rows = PipelineTable::new(shown).rows;
     let lines = shown.iter().zip(rows).map(|(pipeline, figures)| Line {
         figures,
         host: pipeline.host_name.to_string(),

@@ -326,7 +326,7 @@ fn assemble(
         directions: directions(bounds),
         bar: stack.full_width_bar("stages big"),
         stages: StageRow::of_run(stages, bounds),
-        others: stored.others(),
+        others: stored.other_statistics(),
         distribution,
         bucket: series.bucket_s,
         buckets: stored.buckets(zone),

@@ -6,7 +6,7 @@ use super::kind::NavigationEntry;
 use crate::assets;
 use crate::state::AppState;
 use crate::view::clock_fault::FaultyClocks;
-use crate::view::storing;
+use crate::view::storage_notice;
 
 /// Head, top bar and foot of a page.
 #[derive(Clone, Debug)]
@@ -64,7 +64,7 @@ impl Shell {
             topic: None,
             waiting: snapshot.hosts.is_empty(),
             clock_faults: FaultyClocks::of(snapshot).banner(),
-            not_storing: storing::notice(&app.aggregator.current_readiness()),
+            not_storing: storage_notice::notice(&app.aggregator.current_readiness()),
         }
     }
 

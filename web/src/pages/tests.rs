@@ -13,7 +13,7 @@ use peernet_stream::{PipelineState, PlacementKind};
 use self::clocks::linked;
 use super::*;
 use crate::tests::samples::{self, HOSTILE, figures, host, incident, pipeline, placement, refused, snapshot};
-use crate::view::now::{Cell, NowTable};
+use crate::view::pipeline_table::{Cell, PipelineTable};
 
 /// Checks the HTML of a page: the security policy, escaping, closed elements and valid numbers.
 fn check(html: &str) {
@@ -169,7 +169,7 @@ async fn bars_quantiles_and_whiskers_are_of_one_window() {
     // quantiles of the minute.
     let window = |seconds, scale| samples::window(seconds, 30.0, scale, Verdict::Ok);
     live.windows = [window(1, 4.0), window(10, 4.0), window(60, 1.0)];
-    let row = NowTable::new(&[&live]).rows.remove(0);
+    let row = PipelineTable::new(&[&live]).rows.remove(0);
     let number = |cell: &Cell| cell.text.parse::<f64>().expect("a figure");
     assert!(number(&row.p50) <= number(&row.p95) && number(&row.p95) <= number(&row.p99), "{row:?}");
     let bar: f64 = row.total.parse().expect("a figure");

@@ -8,8 +8,7 @@ use peernet_store::{IterationDetail, QuantityStatistics};
 
 use crate::timeline::NodeStatistics;
 
-/// For each direction the names of four nodes: its delay, the sizes of its payload and of its metadata, and its
-/// throughput.
+/// Names of four nodes of each direction: the delay, the size of the payload, the size of the metadata, and the throughput.
 const DIRECTIONS: [(&str, &str, &str, &str); 2] = [
     ("upload", "upload-bytes", "upload-logger-bytes", "upload-throughput"),
     ("download", "download-bytes", "download-logger-bytes", "download-throughput"),
@@ -25,7 +24,7 @@ pub(crate) struct ByteRow {
     /// Reason why the throughput is an interval or missing; empty for a single value.
     pub throughput_note: &'static str,
     /// Throughput as a multiple of the run's median throughput.
-    pub against_median: String,
+    pub multiple_of_median: String,
 }
 
 /// A measurement that is neither a stage nor a size.
@@ -35,16 +34,18 @@ pub(crate) struct OtherMeasurement {
     pub kind: String,
     pub value: String,
     pub unit: String,
-    /// Median of the run.
+    /// Median of the same measurement in the run.
     pub median: String,
 }
 
-/// Returns the value of a size or throughput: the value that the statistics of the run include.
-fn value(detail: &IterationDetail, name: &str) -> Option<f64> {
+/// Returns the size or throughput with this name. An iteration may have several nodes of one name. The value is the one that the
+/// statistics of the run include.
+fn counted_value(detail: &IterationDetail, name: &str) -> Option<f64> {
     detail.tree.counted_nodes().get(name)
 }
 
-fn run_statistics<'a>(
+/// Returns the statistics of the nodes with this name.
+fn statistics_of_name<'a>(
     run_statistics: &'a [(Name, QuantityStatistics)],
     name: &str,
 ) -> Option<&'a QuantityStatistics> {
@@ -53,19 +54,19 @@ fn run_statistics<'a>(
 
 impl ByteRow {
     /// Returns a row for each direction in which a payload was sent.
-    pub(crate) fn both(detail: &IterationDetail) -> Vec<Self> {
+    pub(crate) fn of_directions(detail: &IterationDetail) -> Vec<Self> {
         let measured_rows =
-            DIRECTIONS.into_iter().filter(|(_, payload, ..)| value(detail, payload).is_some());
+            DIRECTIONS.into_iter().filter(|(_, payload, ..)| counted_value(detail, payload).is_some());
         let byte_rows = measured_rows.map(|(name, payload, metadata, speed)| {
             let size = |name: &str| {
-                value(detail, name).map_or_else(|| NONE.to_owned(), |size| bytes(size).to_string())
+                counted_value(detail, name).map_or_else(|| NONE.to_owned(), |size| bytes(size).to_string())
             };
             let (throughput, throughput_note) = throughput_text(detail, speed, name);
-            let run_median = run_statistics(&detail.run_figures, speed)
+            let run_median = statistics_of_name(&detail.run_figures, speed)
                 .map(|statistics| statistics.p50)
                 .filter(|median| *median > 0.0);
-            // The ratio of an interval to the median would look exact, so it is left out.
-            let ratio = value(detail, speed).zip(run_median).filter(|_| throughput_note.is_empty());
+            // The ratio of an interval to the median would look exact, so an interval has no ratio.
+            let ratio = counted_value(detail, speed).zip(run_median).filter(|_| throughput_note.is_empty());
             let ratio = ratio.map(|(value, median)| times(value / median));
             Self {
                 name,
@@ -73,15 +74,15 @@ impl ByteRow {
                 metadata: size(metadata),
                 throughput,
                 throughput_note,
-                against_median: ratio.unwrap_or_else(|| NONE.to_owned()),
+                multiple_of_median: ratio.unwrap_or_else(|| NONE.to_owned()),
             }
         });
         byte_rows.collect()
     }
 }
 
-/// Returns a throughput, and the reason if it is missing or an interval. If the verdict of the delay is `limited`, the throughput is its
-/// interval and never a single value.
+/// Returns the throughput in words. Also returns the reason if the throughput is missing or is an interval. If the verdict on the delay is
+/// `limited`, only the interval is returned, because a single value would look more certain than it is.
 fn throughput_text(detail: &IterationDetail, name: &str, delay: &str) -> (String, &'static str) {
     let node =
         |name: &str| detail.tree.nodes().iter().find(|node| node.name == *name).map(|node| &node.measure);

@@ -26,7 +26,7 @@ pub(crate) type Obstacles = [Option<&'static str>; 2];
 
 /// An incident on a time axis.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub(crate) struct Mark {
+pub(crate) struct IncidentMark {
     /// Unix time, milliseconds.
     pub at: i64,
     /// Name of the icon.
@@ -37,7 +37,7 @@ pub(crate) struct Mark {
     pub pipeline: Option<String>,
 }
 
-impl Mark {
+impl IncidentMark {
     /// Converts incidents to marks on time axes. Incidents of the aggregator are omitted, because they do not affect measurements.
     pub(crate) fn all(rows: &[IncidentRow]) -> Vec<Self> {
         rows.iter()
@@ -60,11 +60,11 @@ pub(crate) struct ChartCard {
     pub key: String,
     pub name: String,
     pub href: String,
-    /// Host of the pipeline, and where it computes.
+    /// Host of the pipeline, and the host that computes: `cam-2 → rack-a`.
     pub route: String,
     /// Description of the chart in words.
     pub finding: String,
-    /// Columns of the table view: the stages that occur.
+    /// Columns of the table view: the parts of the total that occur, without `unattributed`.
     pub columns: Vec<&'static str>,
     pub minutes: Vec<Minute>,
     data: ChartData,
@@ -102,7 +102,8 @@ struct ChartData {
     gpu: Vec<(i64, RoundedNumber)>,
 }
 
-/// Messages sent in each second: bytes of known delay, and the sum of these delays in µs.
+/// For each second: the bytes of the messages whose delay is known, and the sum of these delays in µs. `None` if no delay is known.
+// The chart adds up bytes and delays of several seconds before it divides, so the data has no speed of a single second.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct TransferData {
     up: Vec<Option<(RoundedNumber, RoundedNumber)>>,
@@ -128,11 +129,10 @@ impl PercentileData {
 #[derive(Serialize)]
 struct PageData<'a> {
     charts: Vec<&'a ChartData>,
-    marks: &'a [Mark],
+    marks: &'a [IncidentMark],
 }
 
-/// Returns the bytes with a known delay in one direction, and the sum of these delays (µs); `None` if no delay is
-/// known.
+/// Returns the bytes of the messages whose delay is known, and the sum of these delays in µs; `None` if no delay is known.
 fn timed_transfer(transfer: Option<Transfer>) -> Option<(RoundedNumber, RoundedNumber)> {
     let transfer = transfer.filter(|transfer| transfer.speed().is_some())?;
     Some((RoundedNumber(Some(transfer.timed_bytes)), RoundedNumber(Some(transfer.seconds * 1e6))))
@@ -172,7 +172,7 @@ impl ChartCard {
     }
 
     /// Returns the JSON block of a page with these charts.
-    pub(crate) fn data(cards: &[Self], marks: &[Mark]) -> Result<JsonBlock, serde_json::Error> {
+    pub(crate) fn data(cards: &[Self], marks: &[IncidentMark]) -> Result<JsonBlock, serde_json::Error> {
         JsonBlock::new(&PageData { charts: cards.iter().map(|card| &card.data).collect(), marks })
     }
 }
@@ -238,8 +238,7 @@ fn minutes(series: &[std::sync::Arc<LiveSecond>], columns: &[&'static str], zone
         by_minute.entry(second.at.div_euclid(60)).or_default().push(second);
     }
     let rows = by_minute.into_iter().rev().map(|(minute, seconds)| {
-        // A second in which a part of the total does not occur counts as a second in which the part took no time, as in
-        // the chart.
+        // If a second lacks a part of the total, the part took no time in this second, as in the chart.
         let average = |name: &str| {
             let means = seconds.iter().map(|second| {
                 let mean = drawn_means(second).find(|(node, _)| node == name).map(|(_, mean)| *mean);

@@ -1,15 +1,14 @@
-//! Chips: an icon (sign) and a word for a verdict or a state. No two of them have the same sign, so that readers need
-//! no colours.
+//! Chips: an icon (sign) and a word for a verdict or a state. The icon and the word say everything that the colour says.
 
 use askama::Template;
 use peernet_clock::Verdict;
 
-/// Severity of a state.
+/// Severity of a state, from the least to the most severe: pages sort by this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Tone {
     /// Good state.
     Ok,
-    /// Neither good nor bad.
+    /// State that is neither good nor bad.
     Quiet,
     /// State that needs attention.
     Warn,
@@ -60,7 +59,7 @@ impl Chip {
     }
 }
 
-/// A verdict's sign alone, for narrow columns.
+/// The icon of a chip without the word, for narrow columns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Template)]
 #[template(
     ext = "html",

@@ -26,7 +26,7 @@ impl FaultyClocks {
         let faults_reported_by_edges = links.filter_map(|link| {
             Some((link.live.peer_name.to_string(), link.live.cloud.as_ref()?.faults.as_ref()?.to_string()))
         });
-        // Of two reports about one host, the later in this order is kept: the host's own.
+        // If a host and an edge both report the fault of the host, the map keeps the report that comes last: the host's own.
         Self(faults_reported_by_edges.chain(own_faults).collect())
     }
 
@@ -34,13 +34,13 @@ impl FaultyClocks {
     pub(crate) fn banner(&self) -> Vec<String> {
         let sentence = |(name, fault): (&String, &String)| {
             format!(
-                "Clock fault injection: {name}'s clock is made wrong on purpose ({fault}). Its measured delays should stay the same."
+                "Clock fault injection: {name}'s clock is made wrong on purpose ({fault}). The measured delays of {name} should stay the same."
             )
         };
         self.0.iter().map(sentence).collect()
     }
 
-    /// Returns whether a host of one of these names has a clock fault.
+    /// Returns whether a host with one of these names has a clock fault.
     pub(crate) fn concerns(&self, names: &[&str]) -> bool {
         names.iter().any(|name| self.0.contains_key(*name))
     }

@@ -12,7 +12,7 @@ use super::chip::Chip;
 pub(crate) struct ClockCell {
     /// Bound, such as `±0.65`; `None` without a one-way delay or without a known bound.
     pub bound: Option<String>,
-    /// Prevailing verdict of the direction whose verdict is worse.
+    /// The worse one of the verdicts on the two directions; `None` without delays.
     pub chip: Option<Chip>,
     /// Text that replaces the bound; empty if there is a bound or a verdict.
     pub words: &'static str,
@@ -20,7 +20,7 @@ pub(crate) struct ClockCell {
     pub title: &'static str,
 }
 
-/// Returns the verdict on the delays of one direction.
+/// Returns the verdict on the delays of one direction; `None` without delays. A verdict on few delays is ignored.
 pub(crate) fn verdict(bound: &DelayAccuracy) -> Option<Verdict> {
     Verdict::prevailing(bound.verdicts.iter().copied())
 }
@@ -52,7 +52,7 @@ pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
 }
 
 impl ClockCell {
-    /// Returns the cell for both directions together: the larger bound and the worse verdict.
+    /// Returns the cell for both directions together: the larger median bound and the worse verdict.
     pub(crate) fn of(kind: PlacementKind, bounds: &[DelayAccuracy]) -> Self {
         if kind != PlacementKind::Remote {
             let title = "one host: nothing crosses between clocks";
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn rare_verdict_does_not_prevail() {
+    fn verdict_on_one_percent_of_delays_is_ignored() {
         assert_eq!(verdict(&bound(&[(Verdict::Ok, 990), (Verdict::Stepped, 10)])), Some(Verdict::Ok));
         assert_eq!(verdict(&bound(&[(Verdict::Ok, 900), (Verdict::Limited, 100)])), Some(Verdict::Limited));
         assert_eq!(verdict(&bound(&[])), None);

@@ -39,8 +39,8 @@ impl fmt::Display for JsonBlock {
 
 impl askama::filters::HtmlSafe for JsonBlock {}
 
-/// A number for a chart. Its JSON form has three decimals, or more if it would have fewer than four significant digits:
-/// tooltips show three digits. A gap is `null`.
+/// A number for a chart; `None` is a gap. The JSON form has at least three decimals. A small number has more decimals, so that four
+/// significant digits remain, because tooltips show three. A gap is `null`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct RoundedNumber(pub Option<f64>);
 
@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_cannot_close_the_element() {
+    fn json_text_cannot_close_script_element() {
         let block =
             JsonBlock::new(&["</script><script>alert(1)</script>", "a & b"]).expect("serialises").to_string();
         assert!(!block.contains('<') && !block.contains('&'), "{block}");

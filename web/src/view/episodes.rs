@@ -1,9 +1,9 @@
-//! Texts next to the time series of a run.
+//! Texts about the episodes and the failed iterations of a run, shown next to its time series.
 
 use peernet_statistics::number::{self, count};
 use peernet_store::{Episodes, RunSummary};
 
-/// Returns `4 episodes of 100 steps`; `None` for a run without episodes.
+/// Returns `4 episodes of 100 steps`; `None` for a run with at most one episode.
 pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
     let all = format!("{} episodes", count(episodes.count));
     let text = match episodes.steps.filter(|_| episodes.count > 1) {
@@ -11,6 +11,7 @@ pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
         None if episodes.count > 1 => all,
         None => return None,
     };
+    // One border less than episodes: the first episode begins with the run.
     let too_many = episodes.count > u64::from(Episodes::MAX_BORDERS) + 1;
     Some(if too_many { format!("{text}, too many to mark") } else { text })
 }
@@ -18,8 +19,8 @@ pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
 /// Returns `3 iterations failed`, `3 iterations failed, 2 iterations of the warm-up failed`, or
 /// `995 iterations failed, 300 marked` if not all have a mark. `None` if no iteration failed.
 pub(crate) fn failed_count_text(episodes: &Episodes, run: &RunSummary) -> Option<String> {
-    // The counts of a run do not include the warm-up; the stored rows include it, and lack the iterations that
-    // retention deleted. Rows are counted up to a limit.
+    // The counts of a run exclude the warm-up. The stored rows include the warm-up, but not the iterations that retention
+    // deleted. Above the limit of counted rows, the number of failed iterations of the warm-up is not known.
     let failed = run.counts.all_failed();
     let in_warm_up = match episodes.failed_count {
         stored if stored > Episodes::MAX_COUNTED => 0,
@@ -70,7 +71,7 @@ mod tests {
         assert_eq!(
             text_of(290, 290, 5_000).as_deref(),
             Some("5,000 iterations failed, 290 marked"),
-            "deleted"
+            "retention deleted the rows of the other failed iterations"
         );
         assert_eq!(text_of(300, 10_001, 12_345).as_deref(), Some("12,345 iterations failed, 300 marked"));
     }

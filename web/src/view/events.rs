@@ -1,4 +1,5 @@
-//! Counts of a host's events on their way from the measurement to the database. The counts add up.
+//! Counts of a host's events on their way from the measurement to the database. Each produced event is acknowledged, waiting or
+//! dropped.
 
 use std::cmp::Reverse;
 
@@ -19,7 +20,7 @@ pub(crate) const FAR_BEHIND: Span = Span::from_seconds(5);
 const NEARLY_FULL: f64 = 0.95;
 /// Possible reasons why events were lost. The gaps of a run name the actual reason.
 const LOST: &str = "dropped because the agent's spool was full, or lost when the agent was killed";
-/// Explanation of compression: the agent compresses when batches wait, for any reason.
+/// Explanation of the chip `compressed`. The agent does not report which of the two reasons applies.
 const COMPRESSED: &str = "batches wait for the link or the aggregator";
 
 /// A sentence with its chip.
@@ -35,7 +36,7 @@ impl Remark {
     }
 }
 
-/// One step of an event's way.
+/// One step on the way of events to the database.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Step {
     pub name: &'static str,
@@ -53,8 +54,8 @@ pub(crate) struct Events {
     pub waiting: String,
     pub dropped: String,
     pub gaps: String,
-    /// Reason why events were lost; `None` if no event was lost.
-    pub lost: Option<&'static str>,
+    /// Possible reasons why events were lost; `None` if no event was lost.
+    pub loss_reasons: Option<&'static str>,
     pub spool: Spool,
     /// Lag of storage with its unit, and an explanation.
     pub behind: (String, String),
@@ -63,7 +64,7 @@ pub(crate) struct Events {
 /// Fill level of a spool.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Spool {
-    /// Used percent of the limit.
+    /// Used share of the limit, percent.
     pub percent: String,
     /// `312 MB of 1.07 GB`.
     pub words: String,
@@ -112,7 +113,7 @@ impl Events {
             waiting: count(account.waiting),
             dropped: count(account.dropped),
             gaps: number::counted(account.gaps, "gap"),
-            lost: loss_reasons(account),
+            loss_reasons: loss_reasons(account),
             spool: Spool::of(name, account),
             behind: (
                 host.behind.map_or_else(|| format!("0{SPACE}s"), |behind| length(behind.seconds())),
@@ -139,12 +140,15 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     let account = &host.accounting;
     let mut remarks = Vec::new();
     if let Some(trouble) = &account.trouble {
-        let text = format!("the spool cannot be used: {trouble}. Events wait in memory, which holds fewer.");
+        let text = format!(
+            "the spool cannot be used: {trouble}. Events wait in memory, which has room for fewer events."
+        );
         remarks.push(Remark::new(Tone::Bad, "failed", "spool fails", text));
     }
     let warned_bytes = account.spool_limit_bytes as f64 * NEARLY_FULL;
     if account.spool_limit_bytes > 0 && account.spool_bytes as f64 >= warned_bytes {
-        // Events are dropped when their batch does not fit. A spool can therefore be full slightly below its limit.
+        // Events are dropped when their batch does not fit, which can happen slightly below the limit. Both chips therefore have
+        // the same text.
         let (tone, word) = if account.spool_bytes >= account.spool_limit_bytes {
             (Tone::Bad, "spool full")
         } else {
@@ -175,8 +179,8 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     }
     let missing = host.missing_events();
     if missing > 0 {
-        // If the agent dropped fewer events than are missing, some were lost in another way, for example with a spool
-        // that was deleted.
+        // If the agent dropped fewer events than are missing, some events were lost in another way, for example because the
+        // spool was deleted.
         let why = loss_reasons(account).filter(|_| account.dropped == missing).unwrap_or("missing");
         let text = format!(
             "{} {why}; the gaps of its runs, or incidents of the kind gap, say why.",
@@ -190,15 +194,17 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     remarks
 }
 
-/// Returns the most severe remark on a host's events.
+/// Returns the most severe remark on a host's events; of equally severe remarks the first one.
 pub(crate) fn most_severe_remark(host: &HostSnapshot) -> Option<Remark> {
+    // `max_by_key` would return the last one of equally severe remarks.
     remarks(host).into_iter().min_by_key(|remark| Reverse(remark.chip.tone))
 }
 
-/// Returns the aggregator's counts of a host's data, as pairs of name and text.
+/// Returns the aggregator's counts of a host's data, as pairs of name and text. `rejected` is `None` for a host that is not in the live
+/// state.
 pub(crate) fn stored_count_pairs(
     stored: &StoredCounts,
-    arrivals: Option<&RejectedBatches>,
+    rejected: Option<&RejectedBatches>,
     newest: Option<peernet_clock::WallTime>,
     zone: Zone,
 ) -> Vec<(&'static str, String)> {
@@ -206,7 +212,7 @@ pub(crate) fn stored_count_pairs(
         0 => String::new(),
         before => format!(", {} of them in another database", count(before)),
     };
-    // A gap of known size has at least one event.
+    // A gap of known size lacks at least one event. If no event is missing, the sizes of all gaps are therefore unknown.
     let missing = match stored.missing {
         0 if stored.gaps > 0 => "an unknown number of events missing".to_owned(),
         missing => format!("{} events missing", count(missing)),
@@ -216,16 +222,20 @@ pub(crate) fn stored_count_pairs(
         ("Gaps", format!("{}, {missing}{before}", count(stored.gaps))),
         ("Quarantined", format!("{} batches that could not be stored", count(stored.quarantined))),
     ];
-    if let Some(arrivals) = arrivals {
+    // These counts begin at the start of the aggregator, so they say nothing about a host that has not reported since then.
+    if let Some(rejected) = rejected {
         pairs.extend([
             ("Duplicates", format!("{} batches, stored once", count(stored.duplicates))),
-            ("Deferred", format!("{} batches without room, requested again", count(arrivals.deferred))),
-            ("Damaged", format!("{} batches, requested again", count(arrivals.damaged))),
+            (
+                "Deferred",
+                format!("{} batches while the queue was full, requested again", count(rejected.deferred)),
+            ),
+            ("Damaged", format!("{} batches, requested again", count(rejected.damaged))),
         ]);
     }
     pairs.extend(newest.map(|newest| {
         let newest = zone.moment(newest);
-        ("Stored up to", format!("{}, {} by its clock", newest.date(), newest.clock()))
+        ("Stored up to", format!("{}, {} by the host's clock", newest.date(), newest.clock()))
     }));
     pairs
 }
@@ -241,8 +251,8 @@ pub(crate) struct EventLine {
     pub waiting: String,
     pub dropped: String,
     pub gaps: String,
-    /// Reason why events were lost; `None` if no event was lost.
-    pub lost: Option<&'static str>,
+    /// Possible reasons why events were lost; `None` if no event was lost.
+    pub loss_reasons: Option<&'static str>,
     pub spool: Spool,
     pub behind: String,
     /// Most severe remark.
@@ -261,7 +271,7 @@ impl EventLine {
             waiting: count(account.waiting),
             dropped: count(account.dropped),
             gaps: count(account.gaps),
-            lost: loss_reasons(account),
+            loss_reasons: loss_reasons(account),
             spool: Spool::of(&name, account),
             behind: host.behind.map_or_else(|| "0".to_owned(), |behind| fixed(behind.seconds(), 1)),
             remark: most_severe_remark(host),
@@ -284,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_events_of_steps_add_up_to_waiting_events() {
+    fn events_between_steps_add_up_to_waiting_events() {
         let host = host();
         let account = &host.accounting;
         assert_eq!(account.produced, account.stored + account.waiting + account.dropped);
@@ -329,7 +339,7 @@ mod tests {
         );
         host.behind = Some(Span::from_millis(400));
         host.catching_up = None;
-        assert!(texts(&host).is_empty(), "a batch's time is no lag");
+        assert!(texts(&host).is_empty(), "a lag of less than 5 s has no remark");
     }
 
     #[test]
@@ -341,7 +351,7 @@ mod tests {
         let words: Vec<&str> = remarks(&host).iter().map(|remark| remark.chip.word).collect();
         assert_eq!(words, ["spool fails", "spool full", "lost", "compressed"]);
         let line = EventLine::new(&host);
-        assert_eq!(line.remark.expect("something is wrong").chip.tone, Tone::Bad);
+        assert_eq!(line.remark.expect("the spool has a remark").chip.tone, Tone::Bad);
     }
 
     #[test]
@@ -356,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn lost_events_are_marked_with_every_reason() {
+    fn lost_events_have_chip_and_possible_reasons() {
         let mut host = host();
         let dropped = most_severe_remark(&host).expect("50 were dropped");
         assert_eq!((dropped.chip.word, dropped.chip.tone), ("lost", Tone::Warn));
@@ -364,9 +374,9 @@ mod tests {
             dropped.text,
             "50 events dropped because the agent's spool was full, or lost when the agent was killed; the gaps of its runs, or incidents of the kind gap, say why."
         );
-        assert_eq!(Events::of(&host).lost, Some(LOST));
+        assert_eq!(Events::of(&host).loss_reasons, Some(LOST));
         host.accounting.dropped = 0;
-        assert_eq!((most_severe_remark(&host), EventLine::new(&host).lost), (None, None));
+        assert_eq!((most_severe_remark(&host), EventLine::new(&host).loss_reasons), (None, None));
         // Another database stored these events before the host connected to this one.
         (host.stored.missing, host.stored.in_other_database) = (849, 849);
         assert_eq!(most_severe_remark(&host), None);

@@ -10,7 +10,7 @@ use peernet_stream::PipelineState;
 use super::chip::{Chip, Tone};
 use super::events::FAR_BEHIND;
 use super::notes::Note;
-use super::now::{state_chip, state_reason};
+use super::pipeline_table::{state_chip, state_reason};
 use super::{link, place, startup, warnings};
 use crate::config::WarnConfig;
 use crate::zone::Zone;
@@ -25,7 +25,7 @@ pub(crate) struct Health {
     /// The title in the past tense, for when the connection is lost.
     pub past_title: String,
     /// `true` if known agents may still reconnect after a restart of the aggregator.
-    pub starting: bool,
+    pub is_starting: bool,
     pub notes: Vec<Note>,
     /// Number of notes that are not shown.
     pub hidden_notes: usize,
@@ -64,21 +64,21 @@ impl Health {
             0 => String::new(),
             many => format!(", {many} to look at"),
         };
-        let starting = startup::is_waiting_for_agents(snapshot, since);
+        let is_starting = startup::is_waiting_for_agents(snapshot, since);
         let hidden_notes = notes.len().saturating_sub(MAX_NOTES);
         notes.truncate(MAX_NOTES);
         Self {
-            title: if starting {
+            title: if is_starting {
                 format!("{}{rest}", startup::WAITING)
             } else {
                 format!("{subject} {present_verb}running{rest}")
             },
-            past_title: if starting {
+            past_title: if is_starting {
                 "No agent had reported".to_owned()
             } else {
                 format!("{subject} {past_verb}running")
             },
-            starting,
+            is_starting,
             notes,
             hidden_notes,
         }
@@ -101,7 +101,7 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
     }
     if missing > 0 {
         let text = format!(
-            "lacks {} events: the gaps of its runs, or incidents of the kind gap, say why. Nothing is shown for them.",
+            "lacks {} events: the gaps of its runs, or incidents of the kind gap, say why. Pages show nothing for the missing events.",
             count(missing)
         );
         notes.push(note(Chip::new(Tone::Warn, "gap", "gap"), text));

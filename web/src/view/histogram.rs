@@ -1,4 +1,4 @@
-//! Distribution of one quantity of a run.
+//! Picture of the distribution of one quantity of a run.
 
 use peernet_figures::drawing::{Counted, Distribution, View};
 use peernet_figures::look::stage;
@@ -8,10 +8,10 @@ use peernet_store::Histogram;
 use super::units::axis_unit;
 use crate::picture::Picture;
 
-/// Width of the plot on the narrowest phones, in ems of its labels.
+/// Width of the plot on the narrowest phones, in ems: multiples of the font size of its labels.
 const NARROWEST_EMS: f64 = 19.6;
 
-/// Draws a distribution with lines at its quantiles.
+/// Draws a distribution with lines at its quantiles. A quantile beyond the last edge has no line.
 pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) -> Picture {
     let last_edge = stored.edges.last().copied().unwrap_or_default();
     let unit = axis_unit(&stored.unit, last_edge);
@@ -36,6 +36,7 @@ pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) ->
         beyond: (stored.below, stored.beyond),
         quantiles,
         unit,
+        // A throughput has the colour of its direction.
         stage: stage(stored.stage.trim_end_matches("-throughput")),
         view,
         is_logarithmic,

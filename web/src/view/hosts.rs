@@ -24,22 +24,28 @@ pub(crate) struct HostLine {
     pub away: Option<ZonedTime>,
     /// Chip of a host whose agent said goodbye before it stopped; `None` for any other host.
     pub ended: Option<Chip>,
-    /// Accelerator of the host, or its processor if it has no accelerator.
+    /// Accelerator of the host, or the processor of a host without an accelerator.
     pub kind: String,
     /// Busy share of the cores, percent.
     pub cpu: String,
+    /// Curve of `cpu` over the last ten minutes.
     pub cpu_spark: Picture,
     /// Used memory, GB.
     pub memory: String,
     /// Installed memory, GB.
     pub memory_of: String,
+    /// Busy share of the GPU, percent.
     pub gpu: String,
     pub gpu_spark: Option<Picture>,
     pub temperature: String,
     pub power: String,
+    /// Number of events that wait on the host.
     pub waiting: String,
+    /// Lag of storage behind measurement, seconds.
     pub behind: String,
+    /// Relation of the host's wall clock to the wall clock of the aggregator.
     pub clock: String,
+    /// Explanation of `clock`, and how the clock is synchronised.
     pub clock_title: String,
     pub clock_fault: Option<Chip>,
 }
@@ -80,12 +86,12 @@ fn history(
     points: &[std::sync::Arc<MetricsPoint>],
     share_of: impl Fn(&HostMetrics) -> Option<f64>,
 ) -> Vec<Option<f64>> {
-    // The newest point is always at the right end. If there are points of less than ten minutes, the older ones are
-    // filled with gaps.
+    // The newest point is always at the right end. If the first point is less than ten minutes old, the time before it is
+    // a gap.
     let mut newest_first = Vec::with_capacity(POINTS);
     let mut later_time = None;
     for point in points.iter().rev() {
-        // A gap is inserted for the time in which the host did not report.
+        // The time in which the host did not report becomes a gap.
         let time_to_next = later_time.map_or(Span::ZERO, |later_time| later_time - point.at);
         if time_to_next > MIN_ABSENCE {
             let missing = ((time_to_next.seconds() / POINT_INTERVAL_S) as usize).saturating_sub(1);
@@ -136,8 +142,8 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
 }
 
 impl HostLine {
-    /// Converts the first `limit` hosts of the live state. Returns the hosts that have not ended, and the hosts that
-    /// have ended.
+    /// Converts the first `limit` hosts of the live state. Returns the hosts whose agents have not said goodbye, and the hosts whose
+    /// agents have.
     pub(crate) fn current_and_ended(
         limit: usize,
         snapshot: &LiveState,
@@ -153,6 +159,7 @@ impl HostLine {
         let metrics = &host.metrics;
         let (clock, clock_title) = clock_words(&host.description.clock, ours, host.clock_ahead);
         let is_far_behind = host.behind.is_some_and(|behind| behind > FAR_BEHIND);
+        // A quiet remark, such as `compressed`, is shown only while storage lags far behind.
         let remark =
             events::most_severe_remark(host).filter(|remark| is_far_behind || remark.chip.tone >= Tone::Warn);
         let tone = match &remark {
@@ -218,11 +225,15 @@ mod tests {
         assert!(last[3..14].iter().all(Option::is_none), "{last:?}");
         assert_eq!(last[14..], [Some(0.3), Some(0.4)]);
         let points = of(&[at(0, 0.1), at(6_000, 0.3)]);
-        assert_eq!((points.len(), points.iter().flatten().count()), (POINTS, 1), "longer ago than is shown");
+        assert_eq!(
+            (points.len(), points.iter().flatten().count()),
+            (POINTS, 1),
+            "the older point is older than ten minutes"
+        );
     }
 
     #[test]
-    fn shared_clock_is_described_as_aggregators() {
+    fn clock_shared_with_aggregator_is_described_so() {
         let ours = ClockIdentity::new("boot", "system");
         assert_eq!(clock_words(&ours, &ours, Span::from_seconds(9)).0, "the aggregator's");
         let other_process = ClockIdentity { process: Some(7), ..ours.clone() };

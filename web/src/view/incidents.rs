@@ -10,6 +10,7 @@ use crate::zone::{Zone, ZonedTime};
 pub(crate) struct IncidentLine {
     pub at: ZonedTime,
     pub kind: String,
+    /// Name of the icon.
     pub sign: &'static str,
     pub tone: Tone,
     /// The reporting host; `None` for an incident of the aggregator.

@@ -21,12 +21,13 @@ pub(crate) struct Note {
     pub subject: String,
     /// Address of the page of the subject; empty on that page itself.
     pub href: String,
+    /// Rest of the sentence.
     pub text: String,
     /// Address of the page of the link (an edge and a cloud) whose clocks the sentence is about.
     pub link: Option<String>,
 }
 
-/// Returns the notes on one-way delays whose verdicts are not `ok`: chip and sentence.
+/// Returns notes on one-way delays whose verdicts are not `ok`: for each a chip and a sentence without its subject.
 pub(crate) fn delay_notes(
     bounds: &[DelayAccuracy],
     delay_of: impl Fn(&Name) -> Option<QuantityStatistics>,
@@ -36,8 +37,8 @@ pub(crate) fn delay_notes(
         .filter_map(|bound| Some((bound, clocks::verdict(bound)?)))
         .filter(|(_, verdict)| *verdict != Verdict::Ok)
         .collect();
-    // If both directions have the same verdict, one sentence is enough. But sentences about `limited` delays have
-    // different numbers.
+    // If both directions have the same verdict, one sentence is enough, unless the verdict is `limited`: the sentences
+    // about `limited` delays have different numbers.
     if let [(_, verdict), (_, other)] = not_ok.as_slice()
         && verdict == other
         && *verdict != Verdict::Limited
@@ -80,7 +81,7 @@ impl Note {
         }
     }
 
-    /// Returns the remarks on delays as notes of a page.
+    /// Returns notes on one-way delays whose verdicts are not `ok`, with the subject of their sentences.
     pub(crate) fn delay_notes(
         subject: &str,
         href: &str,

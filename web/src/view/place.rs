@@ -6,10 +6,11 @@ use peernet_statistics::number::bytes;
 use peernet_store::RunSummary;
 use peernet_stream::{Placement, PlacementKind};
 
-/// Text that replaces model and network of a pipeline that only senses.
+/// Text in the place of model and network, for a pipeline that only senses.
 const SENSOR_ONLY: &str = "sensor alone";
 
-/// Returns `cam-2 → rack-a` or `cam-1`.
+/// Returns the hosts of a pipeline: `cam-2 → rack-a`, or `cam-1` if the edge computes. A cloud without a known name is shown by its
+/// address.
 pub(crate) fn route(host: &str, placement: &Placement) -> String {
     match (placement.kind, &placement.peer, &placement.address) {
         (PlacementKind::Local | PlacementKind::None, ..) => host.to_owned(),

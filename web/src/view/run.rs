@@ -26,6 +26,7 @@ use crate::zone::{Zone, ZonedTime};
 
 /// Maximum number of rows of the table of the slowest iterations.
 const MAX_SLOWEST: usize = 8;
+
 /// Stored data of a run.
 pub(crate) struct StoredRun<'a> {
     pub run: &'a RunDetail,
@@ -35,6 +36,7 @@ pub(crate) struct StoredRun<'a> {
     /// The first failed iterations.
     pub failed: &'a [IterationRow],
     pub episodes: &'a Episodes,
+    /// Numbers and times of the starts after the warm-up.
     pub starts: Starts,
 }
 
@@ -64,7 +66,7 @@ pub(crate) struct SlowIteration {
     pub total: String,
     /// Total as a multiple of the run's median.
     pub factor: String,
-    /// The part with the largest excess over its median: name, CSS class of its colour, excess.
+    /// The part of the total that exceeds its median most: name, CSS class of its colour, excess.
     pub cause: Option<(String, &'static str, String)>,
     pub bar: Picture,
 }
@@ -120,17 +122,18 @@ impl StoredRun<'_> {
     pub(crate) fn time_remarks(&self) -> Vec<String> {
         let failed = episodes::failed_count_text(self.episodes, &self.run.summary);
         let standstill = self.starts.times.standstill_s.map(|seconds| {
-            format!("nothing for {}: the clock was set, or the pipeline stood still", length(seconds))
+            format!("no start for {}: the clock was set, or the pipeline stood still", length(seconds))
         });
         [episodes::episode_count_text(self.episodes), failed, standstill].into_iter().flatten().collect()
     }
 
-    /// Returns the starts per second after the warm-up; `None` where the length of the run is unknown.
+    /// Returns the starts per second after the warm-up; `None` if the time from the first to the last start is unknown, as after a
+    /// standstill.
     pub(crate) fn rate(&self) -> Option<f64> {
         self.starts.actual_hz()
     }
 
-    /// Returns a scale that holds the slowest iteration.
+    /// Returns a scale that ends at or after the slowest iteration, ms.
     pub(crate) fn scale(&self) -> AxisScale {
         AxisScale::up_to(self.slowest.first().and_then(|row| row.total).unwrap_or(0.0) * 1e3, 5)
     }
@@ -156,13 +159,14 @@ impl StoredRun<'_> {
     }
 
     /// Returns the statistics of quantities that are not durations.
-    pub(crate) fn others(&self) -> Vec<OtherStatistics> {
+    pub(crate) fn other_statistics(&self) -> Vec<OtherStatistics> {
         // Counts are shown above, as a share or a sum: quantiles of counts have little meaning.
         let counts =
             [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED, SUPERSEDED].into_iter().chain(ACCURACIES);
         let counts = counts.chain(ACTION_REPORTS).chain(EPISODE_VALUES);
         let is_count = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
-        // A mean of the throughputs of single iterations is not a speed. `transfer_rows` returns the speed.
+        // A mean of the throughputs of single iterations is not a speed, because small messages count as much as large ones.
+        // `transfer_rows` returns the speed.
         let is_ratio = |stage: &StageStatistics| {
             [stage::UPLOAD_THROUGHPUT, stage::DOWNLOAD_THROUGHPUT].contains(&stage.stage)
         };
@@ -180,7 +184,7 @@ impl StoredRun<'_> {
         rows.chain(self.transfer_rows()).collect()
     }
 
-    /// Returns the speed while sending and traffic of both directions.
+    /// Returns two rows for each direction in which messages were sent: the speed while sending, and the traffic.
     fn transfer_rows(&self) -> Vec<OtherStatistics> {
         let transfers = self.statistics.transfers();
         let row = |name, value: Option<String>| OtherStatistics {
@@ -204,7 +208,8 @@ impl StoredRun<'_> {
         .collect()
     }
 
-    /// Returns the speed while sending: a number, or its interval where the delays are known only within a wide bound.
+    /// Returns the speed while sending: a number, or an interval if the verdict on the delays is `limited`. `None` if the verdict is worse
+    /// than `limited`, or no delay is known.
     fn speed(&self, direction: NetworkDirection, transfer: Transfer) -> Option<String> {
         let speed = transfer.speed()?;
         let bound = self.statistics.bounds.iter().find(|bound| bound.stage == *direction.delay_name());
@@ -219,7 +224,7 @@ impl StoredRun<'_> {
         }
     }
 
-    /// Returns the seconds that the measured iterations take at the rate of the run; `None` where the rate is unknown.
+    /// Returns the number of iterations after the warm-up divided by the rate of the run, seconds; `None` if the rate is unknown.
     fn measured_seconds(&self) -> Option<f64> {
         Some(self.run.summary.counts.total() as f64 / self.rate()?)
     }
@@ -253,6 +258,7 @@ impl StoredRun<'_> {
         let Self { series, slowest, episodes, .. } = self;
         let milliseconds = |time: WallTime| time.unix_nanos() / 1_000_000;
         let all = |times: &[WallTime]| times.iter().copied().map(milliseconds).collect();
+        // If the clock was set back during a warm-up, the warm-up seems to end before its beginning.
         let warm_up = episodes.warm_up.iter().filter(|(from, until)| until > from);
         let points = series.stages.iter().flat_map(|stage| &stage.points).map(|point| {
             (

@@ -44,16 +44,16 @@ impl End {
     }
 }
 
-/// Place of a run in its experiment.
+/// Experiment of a run, with the run's configuration and repeat.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Labels {
+pub(crate) struct ExperimentLabels {
     pub name: String,
     pub id: String,
     /// `Where = cloud, Resize = yes, repeat 2`.
     pub text: String,
 }
 
-impl Labels {
+impl ExperimentLabels {
     fn of(position: &ExperimentPosition) -> Self {
         let labels = position.configuration.iter().map(|(axis, value)| format!("{axis} = {value}"));
         let labels: Vec<String> = labels.chain([format!("repeat {}", position.repeat + 1)]).collect();
@@ -73,13 +73,14 @@ pub(crate) struct RunLine {
     pub lasted: String,
     pub end: End,
     pub iterations: String,
-    pub lost: String,
+    /// Share of iterations without success, percent.
+    pub failed: String,
     pub p50: String,
     pub p95: String,
     pub p99: String,
     pub clock_fault: Option<Chip>,
     pub pinned: Option<Chip>,
-    pub experiment: Option<Labels>,
+    pub experiment: Option<ExperimentLabels>,
 }
 
 /// Returns the reason why iterations are deleted: `after 7 days`.
@@ -87,6 +88,7 @@ fn deletion_reason(retention: &RetentionConfig) -> String {
     match (retention.nodes_days, retention.size_limit_bytes) {
         (1, 0) => "after 1 day".to_owned(),
         (days, 0) if days > 0 => format!("after {} days", count(days.into())),
+        // With a size limit, both reasons are possible. Without any limit, an earlier configuration deleted the iterations.
         _ => "because of their age or to free disk space".to_owned(),
     }
 }
@@ -126,7 +128,8 @@ pub(crate) fn deleted_iterations_note(run: &RunSummary, retention: &RetentionCon
     })
 }
 
-/// Returns notes about events that were not recorded: for each reason their number, and the time from the first gap to the last.
+/// Returns a note for each reason why events were not recorded: the number of missing events, and the time from the beginning of the
+/// first gap to the end of the last.
 pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
     let mut reasons: Vec<&str> = gaps.iter().map(|gap| gap.reason.as_str()).collect();
     reasons.sort_unstable();
@@ -139,6 +142,7 @@ pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
         let was = if missing.known == 1 && !missing.is_incomplete { "was" } else { "were" };
         let subject = format!("{} of this run", missing.sentence_start());
         let [from, to] = [from, to].map(|at| zone.moment(at).clock());
+        // One row may combine several gaps.
         let gaps: u64 = gaps_of_reason().map(|gap| gap.gaps).sum();
         let gaps = counted(gaps, "gap");
         Some(Note {
@@ -171,13 +175,13 @@ impl RunLine {
                 .map_or_else(|| NONE.to_owned(), |end| length((end - run.started).seconds())),
             end: End::of(run, snapshot, zone),
             iterations: count(run.counts.total()),
-            lost: failed_share(&run.counts).map_or_else(|| NONE.to_owned(), percent),
+            failed: failed_share(&run.counts).map_or_else(|| NONE.to_owned(), percent),
             p50: quantile(total.map(|total| total.p50)),
             p95: quantile(total.and_then(|total| total.p95)),
             p99: quantile(total.and_then(|total| total.p99)),
             clock_fault: run.has_clock_fault.then_some(clock_fault::CHIP),
             pinned: run.pinned.then_some(PINNED),
-            experiment: run.experiment.as_ref().map(Labels::of),
+            experiment: run.experiment.as_ref().map(ExperimentLabels::of),
         }
     }
 }
@@ -235,9 +239,9 @@ mod tests {
             repeat,
             ..ExperimentPosition::default()
         };
-        let labels = Labels::of(&position(&[("Where", "cloud"), ("Resize", "yes")], 1));
+        let labels = ExperimentLabels::of(&position(&[("Where", "cloud"), ("Resize", "yes")], 1));
         assert_eq!(labels.text, "Where = cloud, Resize = yes, repeat 2");
-        assert_eq!(Labels::of(&position(&[], 0)).text, "repeat 1");
+        assert_eq!(ExperimentLabels::of(&position(&[], 0)).text, "repeat 1");
     }
 
     #[test]
@@ -250,7 +254,7 @@ mod tests {
         assert_eq!(
             why(0, 0),
             "because of their age or to free disk space",
-            "the configuration was another one"
+            "an earlier configuration deleted them"
         );
     }
 }

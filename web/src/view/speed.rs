@@ -13,7 +13,7 @@ use peernet_store::{DelayAccuracy, QuantityStatistics};
 use peernet_stream::PlacementKind;
 
 use super::clocks;
-use super::now::Cell;
+use super::pipeline_table::Cell;
 
 const MINUTE_S: i64 = 60;
 
@@ -42,9 +42,9 @@ impl NetworkDirection {
     }
 }
 
-/// Returns the speed while sending in a direction, bits per second. `None` where no delay is known, or the clocks do not
-/// determine the delays: their prevailing verdict is neither `ok` nor `limited`.
-pub(crate) fn determined(
+/// Returns the speed while sending in a direction, bits per second. `None` if no delay is known, or the clocks do not determine the
+/// delays: the verdict on the delays is neither `ok` nor `limited`.
+pub(crate) fn determined_speed(
     transfers: &Transfers,
     bounds: &[DelayAccuracy],
     direction: NetworkDirection,
@@ -55,14 +55,15 @@ pub(crate) fn determined(
     direction.transfer(transfers)?.speed().filter(|_| is_determined)
 }
 
-/// Returns the reason why the speed of a direction cannot be given as a single number; `None` if it can.
+/// Returns the reason why the speed of a direction is not a single number; `None` if the speed is a single number.
 pub(crate) fn obstacle(window: &Window, direction: NetworkDirection) -> Option<&'static str> {
     let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay_name());
     find_obstacle(bound.and_then(clocks::verdict), window.counts.ok)
 }
 
-/// Returns the reason why a chart of `series` has no line for a direction; `None` if the chart has such a line. Only
-/// the minute that ends with the last successful iteration is considered, even if that iteration was long ago.
+/// Returns the reason why a chart of `series` has no line for a direction; `None` if the chart has such a line. The reason is that of the
+/// minute that ends with the newest successful iteration.
+// The newest minute itself would give no reason for a pipeline that has ended: its chart still shows the earlier minutes.
 pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirection) -> Option<&'static str> {
     let last = series.iter().rfind(|second| second.counts.ok > 0).map(|second| second.at);
     let minute = || series.iter().filter(|second| last.is_some_and(|last| second.at > last - MINUTE_S));
@@ -78,13 +79,13 @@ pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirectio
     )
 }
 
-/// Returns the reason why there is no single speed, from the prevailing verdict and the number of successful iterations.
-fn find_obstacle(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {
+/// Returns the reason why there is no single speed, from the verdict on the delays and the number of successful iterations.
+fn find_obstacle(verdict: Option<Verdict>, successful_iterations: u64) -> Option<&'static str> {
     match verdict {
         Some(Verdict::Ok) => None,
         Some(Verdict::Limited) => Some("known only within its clock bound"),
         Some(_) => Some("the clocks do not determine this direction's delay"),
-        None if ok == 0 => Some("no successful iteration in this time"),
+        None if successful_iterations == 0 => Some("no successful iteration in this time"),
         None => Some("nothing was sent in this direction"),
     }
 }
@@ -145,10 +146,10 @@ mod tests {
     use crate::tests::samples;
 
     #[test]
-    fn throughput_chart_of_ended_run_uses_whole_series() {
+    fn chart_of_idle_pipeline_has_verdict_of_its_last_minute() {
         let of = |hz, verdict| {
             let mut line = samples::pipeline("line", hz, 1.0, verdict, &[]);
-            // Nothing was measured for a minute.
+            // Nothing was measured in the last minute.
             line.windows = [1, 10, 60].map(|seconds| samples::window(seconds, 0.0, 1.0, verdict));
             [NetworkDirection::Up, NetworkDirection::Down]
                 .map(|direction| obstacle_in(&line.series, direction))

@@ -55,7 +55,7 @@ impl Stack {
         Self { parts: bar_parts(StageSplit::new(sent, mean_of).parts), total: statistics_of("total") }
     }
 
-    /// Returns the stack of one iteration. If upload or download is unknown, the stack has the sum of both instead.
+    /// Returns the stack of one iteration. If upload or download is unknown, the stack has the sum of both in their place.
     pub(crate) fn of_iteration(row: &IterationRow) -> Self {
         let parts = match durations(row) {
             Some(durations) => UnaccountedTime::parts_of(&durations),
@@ -64,12 +64,12 @@ impl Stack {
         Self { parts: bar_parts(parts), total: None }
     }
 
-    /// Returns the position of the end of the bar, ms.
+    /// Returns the length of the bar, ms: the sum of all parts.
     pub(crate) fn end_ms(&self) -> f64 {
         self.parts.iter().map(|part| part.seconds).sum::<f64>() * 1e3
     }
 
-    /// Returns the stack as a bar with its whiskers.
+    /// Returns the stack as a bar with whiskers to the p95 and the p99 in `quantiles`.
     pub(crate) fn bar(
         &self,
         class: &'static str,
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn bar_of_stepped_iteration_has_directions_once() {
+    fn bar_of_stepped_iteration_has_sum_of_directions() {
         let mut row = crate::tests::samples::iteration().row;
         row.total = Some(1.200);
         row.stages = vec![(stage::SENSING, 0.002), (stage::UPLOAD, 0.010), (stage::INFERENCE, 0.0002)];

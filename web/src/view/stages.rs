@@ -12,13 +12,13 @@ use super::stack::Stack;
 use crate::look;
 use crate::picture::Picture;
 
-/// One row. Times in ms.
+/// Row of a stage. Times in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct StageRow {
     pub name: String,
     /// CSS class of the stage's colour.
     pub look: &'static str,
-    /// 1 for a part of the stage in the row above, else 0.
+    /// 1 for a part of another row, such as `capture` of `sensing`; else 0.
     pub depth: u8,
     /// Number of iterations that have the stage, as `50 of 100`, where not every iteration has it. The statistics in the
     /// row are over these iterations.
@@ -87,10 +87,11 @@ impl StageRow {
     /// Adds the number of iterations to the rows of stages that not every iteration has. `count_of` returns the number of
     /// values of a stage.
     fn with_occurrences(mut rows: Vec<Self>, count_of: impl Fn(&str) -> Option<u64>) -> Vec<Self> {
-        let all = count_of("total").unwrap_or(0);
+        let iterations = count_of("total").unwrap_or(0);
         for row in &mut rows {
-            let some = count_of(&row.name).filter(|some| *some < all);
-            row.occurrence = some.map(|some| format!("{} of {}", number::count(some), number::count(all)));
+            let values = count_of(&row.name).filter(|values| *values < iterations);
+            row.occurrence =
+                values.map(|values| format!("{} of {}", number::count(values), number::count(iterations)));
         }
         rows
     }
@@ -106,7 +107,7 @@ impl StageRow {
         }
     }
 
-    /// Returns the rows of a stored run: the stages, the unattributed time, the total.
+    /// Returns the rows of a stored run: the stages, the unattributed time, the lateness, the total.
     pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[DelayAccuracy]) -> Vec<Self> {
         let is_listed_first = |stage: &&StageStatistics| {
             stage.unit == "s"
@@ -130,6 +131,7 @@ impl StageRow {
             let index = rows.partition_point(|row| rank(&row.name) < rank(&bound.stage));
             rows.insert(index, Self::new(column, &bound.stage, None, Some(bound), None));
         }
+        // If a direction is unknown, the sum of both directions has a row, after all stages of the network.
         if let (Some(network), Some(total)) =
             (stack.parts.iter().find(|part| part.name == look::NETWORK), stack.total)
         {
@@ -198,7 +200,7 @@ impl BoundCell {
     }
 }
 
-/// Returns the names and verdicts of the directions of a run, for its summary.
+/// Returns name and verdict of each direction in which messages were sent.
 pub(crate) fn directions(bounds: &[DelayAccuracy]) -> Vec<(String, Chip)> {
     let verdicts = bounds.iter().filter_map(|bound| Some((bound, clocks::verdict(bound)?)));
     verdicts.map(|(bound, verdict)| (bound.stage.to_string(), Chip::verdict(verdict))).collect()

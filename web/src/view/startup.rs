@@ -13,6 +13,7 @@ const RECONNECT_TIMEOUT: Span = Span::from_seconds(15);
 /// reported is not missing.
 pub(crate) fn is_waiting_for_agents(snapshot: &LiveState, since: WallTime) -> bool {
     let has_known_hosts = snapshot.absent > 0 || !snapshot.hosts.is_empty();
+    // As long as not even one host has reported, the page has nothing else to show, so the time does not matter.
     has_known_hosts
         && snapshot.pipelines.is_empty()
         && (snapshot.hosts.is_empty() || snapshot.at - since < RECONNECT_TIMEOUT)
@@ -37,7 +38,7 @@ mod tests {
     fn known_agents_are_expected_to_reconnect_after_start() {
         let mut shown = snapshot(Vec::new(), Vec::new());
         let (recently, long_ago) = (shown.at - Span::from_seconds(3), shown.at - Span::from_seconds(3_600));
-        assert!(!is_waiting_for_agents(&shown, recently), "a new aggregator knows nobody");
+        assert!(!is_waiting_for_agents(&shown, recently), "a new aggregator knows no host");
         shown.absent = 2;
         assert_eq!(absent_hosts_sentence(&shown).as_deref(), Some("2 hosts are known from earlier"));
         assert!(is_waiting_for_agents(&shown, recently) && is_waiting_for_agents(&shown, long_ago));
@@ -49,6 +50,6 @@ mod tests {
             "after an hour, the absent host is missing"
         );
         shown.pipelines.push(pipeline("line", 5.0, 1.0, Verdict::Ok, &[]).into());
-        assert!(!is_waiting_for_agents(&shown, recently), "one runs");
+        assert!(!is_waiting_for_agents(&shown, recently), "a pipeline has been reported");
     }
 }

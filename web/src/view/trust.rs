@@ -10,13 +10,13 @@ pub(crate) struct Trust {
     pub chip: Chip,
     pub answer: String,
     /// Findings that speak against publishing or must be mentioned, the most harmful first.
-    pub remarks: Vec<Line>,
+    pub remarks: Vec<FindingLine>,
     /// Findings that are good or unknown.
-    pub rest: Vec<Line>,
+    pub other_findings: Vec<FindingLine>,
 }
 
-/// One sentence; names and commands are between backticks.
-pub(crate) struct Line {
+/// A finding in a sentence. Names and commands are between backticks.
+pub(crate) struct FindingLine {
     pub chip: Chip,
     pub text: String,
     pub advice: String,
@@ -24,10 +24,10 @@ pub(crate) struct Line {
 
 impl From<&Report> for Trust {
     fn from(report: &Report) -> Self {
-        let (remarks, rest) =
+        let (remarks, other_findings) =
             report.findings.iter().partition::<Vec<_>, _>(|finding| finding.grade > Grade::Unknown);
         let lines = |findings: Vec<&Finding>| {
-            let line = |finding: &Finding| Line {
+            let line = |finding: &Finding| FindingLine {
                 chip: chip(finding.grade),
                 text: finding.text.clone(),
                 advice: finding.advice.clone(),
@@ -42,7 +42,7 @@ impl From<&Report> for Trust {
             },
             answer: report.answer(),
             remarks: lines(remarks),
-            rest: lines(rest),
+            other_findings: lines(other_findings),
         }
     }
 }

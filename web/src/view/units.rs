@@ -3,8 +3,7 @@
 use peernet_analysis::summary::Scale;
 use peernet_figures::plot::Unit;
 
-/// The numbers on an axis of sizes are below this. Larger numbers would be too wide for a phone, so a larger unit is
-/// chosen.
+/// Upper limit of the numbers on an axis of sizes. Larger numbers would be too wide for a phone, so the axis has a larger unit.
 const MAX_AXIS_BYTES: f64 = 1e5;
 
 /// Returns the unit of an axis that ends at this value. Axes of sizes are in B, kB, MB or GB.
@@ -19,8 +18,8 @@ pub(crate) fn axis_unit(unit: &str, end: f64) -> Unit {
     Unit::symbol(symbol, *per_byte)
 }
 
-/// Returns the unit in which a quantity is shown, and the factor that converts a value in the SI unit `unit` to it.
-pub(crate) fn shown_in(unit: &str) -> (String, f64) {
+/// Returns the unit in which a quantity is shown, and the factor from the SI unit `unit` to the shown unit.
+pub(crate) fn display_unit(unit: &str) -> (String, f64) {
     let scale = Scale::for_unit(unit);
     (scale.symbol(unit).to_owned(), scale.factor())
 }

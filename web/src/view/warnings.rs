@@ -54,6 +54,7 @@ pub(crate) fn pipeline_warnings(minute: &Window, warn: &WarnConfig) -> Vec<(Chip
     .collect()
 }
 
+/// Returns the warning about a p99 that is much larger than the median.
 fn tail_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
     let total = minute.value(&stage::TOTAL)?;
     let p99 = total.p99.filter(|p99| *p99 > warn.p99_over_median * total.p50)?;
@@ -72,7 +73,8 @@ fn split(minute: &Window) -> StageSplit {
     StageSplit::new(DelayAccuracy::sent_messages(&minute.bounds), mean_of)
 }
 
-/// Returns the warning about time that nothing explains, or about stages that overlap. The trust report has the same rule.
+/// Returns the warning about time that no stage, lateness or restart explains, or about stages that overlap. The trust report has the same
+/// rule.
 fn unattributed_warning(split: &StageSplit, warn: &WarnConfig) -> Option<(Chip, String)> {
     let seconds = split.unexplained()?;
     split.is_notable(seconds, warn.unattributed_percent / 100.0).then_some(())?;
@@ -90,6 +92,7 @@ fn unattributed_warning(split: &StageSplit, warn: &WarnConfig) -> Option<(Chip, 
     Some((Chip::new(Tone::Warn, "unknown", "unattributed"), text))
 }
 
+/// Returns the warning about starts that the pipeline skipped.
 fn skipped_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
     let skipped = minute.value(SKIPPED_STARTS).map_or(0.0, QuantityStatistics::sum);
     let started = minute.counts.total();
@@ -99,6 +102,7 @@ fn skipped_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)>
         .then_some((Chip::new(Tone::Warn, "gap", "skipped"), text))
 }
 
+/// Returns the warning about iterations that start later than intended.
 fn late_warning(split: &StageSplit, warn: &WarnConfig) -> Option<(Chip, String)> {
     let seconds = split.lateness.filter(|seconds| *seconds >= NEGLIGIBLE_UNEXPLAINED_S)?;
     let share = split.share(seconds);

@@ -24,7 +24,7 @@ use crate::timeline::{NodeLocation, PlacedNode, Timeline};
 pub(crate) struct Row {
     /// Name of the host, in the first of consecutive rows of one host.
     pub group: Option<String>,
-    /// Number of consecutive rows of the host, in the first of them.
+    /// In the first of consecutive rows of one host: their number.
     pub span: usize,
     /// CSS class: `net` for the network, `cloud` for another host, `total` for the total, else empty.
     pub class: &'static str,
@@ -39,7 +39,7 @@ pub(crate) struct Row {
     /// Value minus the run's median.
     pub difference: String,
     /// `true` if the node is a cause of the iteration's duration.
-    pub strong: bool,
+    pub is_cause: bool,
     pub bar: Picture,
     pub start: String,
     /// Lower end of the interval that contains the true value.
@@ -56,7 +56,7 @@ pub(crate) struct DelayRow {
     pub name: String,
     /// Receiver's stamp minus sender's stamp.
     pub raw: String,
-    /// Value minus `raw`.
+    /// Correction by the clock offset: `value` minus `raw`.
     pub offset: String,
     pub value: String,
     pub lo: String,
@@ -81,8 +81,8 @@ pub(crate) fn rows(
     let column = timeline.duration_format();
     let is_cause = |name: &str| detail.row.causes.iter().any(|cause| cause.name == *name);
     let row = |node: &PlacedNode| {
-        let strong = node.is_counted && is_cause(node.name.as_str());
-        Row::of(node, hosts, strong, bars::row(node, timeline, scale, strong), column)
+        let is_cause = node.is_counted && is_cause(node.name.as_str());
+        Row::of(node, hosts, is_cause, bars::row(node, timeline, scale, is_cause), column)
     };
     let is_lateness = |node: &&PlacedNode| node.depth == 0 && node.name == *look::LATENESS;
     let mut rows: Vec<Row> = timeline.nodes.iter().filter(|node| !is_lateness(node)).map(row).collect();
@@ -95,15 +95,15 @@ pub(crate) fn rows(
         let (total, unaccounted) = (durations.total, UnaccountedTime::of(&durations));
         if let Some((name, seconds)) = unaccounted.network {
             let after = rows.iter().rposition(|row| row.class == "net").map_or(rows.len(), |last| last + 1);
-            let usual = medians.both_ways().filter(|_| name == look::NETWORK);
-            let mut row = Row::sum(name, "network".to_owned(), (seconds, usual), bars::blank(scale), column);
-            row.strong = is_cause(name);
+            let median = medians.both_ways().filter(|_| name == look::NETWORK);
+            let mut row = Row::sum(name, "network".to_owned(), (seconds, median), bars::blank(scale), column);
+            row.is_cause = is_cause(name);
             rows.insert(after, row);
         }
         if let Some(rest) = unaccounted.unattributed {
             let median = medians.median(&stage::UNATTRIBUTED);
             let mut row = Row::sum("unattributed", edge.clone(), (rest, median), bars::blank(scale), column);
-            row.strong = is_cause("unattributed");
+            row.is_cause = is_cause("unattributed");
             rows.push(row);
         }
         rows.extend(lateness);
@@ -135,7 +135,7 @@ fn name_hosts_once(rows: &mut [Row]) {
 }
 
 impl Row {
-    fn of(node: &PlacedNode, hosts: &[String], strong: bool, bar: Picture, column: DurationFormat) -> Self {
+    fn of(node: &PlacedNode, hosts: &[String], is_cause: bool, bar: Picture, column: DurationFormat) -> Self {
         let (host, class) = match node.location {
             NodeLocation::Network => ("network".to_owned(), "net"),
             NodeLocation::Host(0) => (hosts.first().cloned().unwrap_or_default(), ""),
@@ -156,7 +156,7 @@ impl Row {
             bound: bounds.map(|(lo, hi)| if lo == hi { EXACT.to_owned() } else { interval_ms(lo, hi) }),
             chip: node.delay.map(|delay| Chip::verdict(delay.verdict)),
             difference: or_dash(difference),
-            strong,
+            is_cause,
             bar,
             start: or_dash(node.start.map(|start| column.number(start))),
             lo: or_dash(bounds.map(|(lo, hi)| ends_ms(lo, hi)[0].clone())),
@@ -165,7 +165,8 @@ impl Row {
         }
     }
 
-    /// Returns the row of a sum: its duration and the run's median, in seconds.
+    /// Creates the row of a time that has no node of its own, such as the total. `seconds` is the time in the iteration, `median` the median
+    /// in the run.
     fn sum(
         name: &str,
         host: String,
@@ -185,7 +186,7 @@ impl Row {
             bound: (name == look::NETWORK || name == NETWORK_AND_REST).then(|| EXACT.to_owned()),
             chip: None,
             difference: or_dash(median.map(|median| column.difference(seconds - median))),
-            strong: false,
+            is_cause: false,
             bar,
             start: NONE.to_owned(),
             lo: NONE.to_owned(),
@@ -206,7 +207,7 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
     let nodes_with_delay = timeline.nodes.iter().filter_map(|node| Some((node, node.delay?)));
     let rows = nodes_with_delay.map(|(node, delay)| {
         let bounds = delay.bounds;
-        // An exact delay has no interval next to its value.
+        // The ends of an exact delay are shown as exact, and not as two equal numbers.
         let interval_ends = bounds.filter(|(lo, hi)| hi > lo).map(|(lo, hi)| ends_ms(lo, hi));
         let interval_end = |index: usize| {
             interval_ends.as_ref().map(|ends| ends[index].clone()).or(bounds.map(|_| EXACT.to_owned()))
@@ -233,7 +234,7 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
     rows.collect()
 }
 
-/// Describes the way of the iteration to the other host and back in a sentence, for readers who do not see the picture.
+/// Describes the way of the sample to the other host and the way of the answer back in a sentence, for readers who do not see the picture.
 pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     let Some(visit) = timeline.visit() else { return String::new() };
     let column = timeline.duration_format();
@@ -258,7 +259,7 @@ pub(crate) fn footnote(timeline: &Timeline, cloud: &str) -> Option<String> {
     }
     let shift = shift_ms(earlier, later);
     let sum = visit.network.map_or_else(String::new, |network| {
-        format!(", and so is upload + download = {}{SPACE}ms. Only its split between the two directions carries the bound", timeline.duration_format().duration(network))
+        format!(", and so is upload + download = {}{SPACE}ms. Only the split of this sum between the two directions is uncertain", timeline.duration_format().duration(network))
     });
     Some(format!("The bars on {cloud} may shift together by {shift}{SPACE}ms; their lengths are exact{sum}."))
 }

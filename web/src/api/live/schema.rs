@@ -6,7 +6,7 @@ use utoipa::ToSchema;
 
 use crate::api::schema::{Pipeline, PipelineList, time};
 use crate::view::clock_fault::FaultyClocks;
-use crate::view::storing;
+use crate::view::storage_notice;
 
 /// `event: picture`: the live figures.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -71,7 +71,7 @@ impl StatusEvent {
             hosts: snapshot.hosts.len(),
             behind_s: behind.max_by(f64::total_cmp),
             clock_faults: FaultyClocks::of(snapshot).banner(),
-            not_storing: storing::notice(readiness),
+            not_storing: storage_notice::notice(readiness),
         }
     }
 }

@@ -132,7 +132,7 @@ pub(crate) struct SpeedWhileSending {
 impl SpeedWhileSending {
     fn new(statistics: &RunStatistics) -> Self {
         let transfers = statistics.transfers();
-        let speed = |direction| speed::determined(&transfers, &statistics.bounds, direction);
+        let speed = |direction| speed::determined_speed(&transfers, &statistics.bounds, direction);
         Self {
             upload_bits_per_second: speed(NetworkDirection::Up),
             download_bits_per_second: speed(NetworkDirection::Down),

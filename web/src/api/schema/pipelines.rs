@@ -123,7 +123,7 @@ impl TransferRates {
         let rate = |direction: NetworkDirection| {
             direction.transfer(&window.transfers)?;
             Some(TransferRate {
-                speed_bits_per_second: speed::determined(&window.transfers, &window.bounds, direction),
+                speed_bits_per_second: speed::determined_speed(&window.transfers, &window.bounds, direction),
                 traffic_bits_per_second: speed::direction_traffic(window, direction),
             })
         };

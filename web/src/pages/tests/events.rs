@@ -42,8 +42,8 @@ async fn event_counts_of_each_state_are_shown() {
     }
     let html = part("cam-1", "stored");
     assert!(
-        html.contains("7 batches without room, requested again")
-            && html.contains("19 Nov 2026, 12:01:07 by its clock"),
+        html.contains("7 batches while the queue was full, requested again")
+            && html.contains("19 Nov 2026, 12:01:07 by the host&#39;s clock"),
         "{html}"
     );
     let html = part("cam-2", "accounting");

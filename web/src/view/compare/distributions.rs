@@ -15,7 +15,7 @@ use super::median::{DELAY_OF_QUANTITY, Median};
 use crate::error::WebError;
 use crate::picture::Picture;
 use crate::view::chip::Chip;
-use crate::view::units::shown_in;
+use crate::view::units::display_unit;
 
 /// Maximum number of pictures with which the distributions of all quantities are drawn together.
 const MAX_PICTURES: usize = 24;
@@ -108,7 +108,7 @@ impl Quantity {
         let mut stages = comparison.configurations.iter().flat_map(|one| &one.stages);
         let unit = &stages.find(|statistics| statistics.stage == *name)?.unit;
         let (drawn, total) = choose_runs(comparison, |run| comparison.summary(run.number, name));
-        let (symbol, per_si) = shown_in(unit);
+        let (symbol, per_si) = display_unit(unit);
         let samples = drawn.iter().map(|(.., samples)| *samples);
         let axis = BinnedAxis::around(samples, Unit::symbol(&symbol, per_si))?;
         let look = look::stage(name.trim_end_matches("-throughput"));

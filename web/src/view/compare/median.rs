@@ -9,7 +9,7 @@ use peernet_store::MergeableStatistics;
 
 use crate::view::chip::Chip;
 use crate::view::clocks;
-use crate::view::units::shown_in;
+use crate::view::units::display_unit;
 
 /// Quantities that depend on two clocks, each with the delay that it is computed from.
 pub(super) static DELAY_OF_QUANTITY: [(Name, Name); 4] = [
@@ -39,7 +39,7 @@ impl Median {
         let bound = delay.and_then(|delay| mergeable.bound(delay));
         let verdict = bound.as_ref().and_then(clocks::verdict).filter(|verdict| *verdict != Verdict::Ok);
         let interval = delay.and_then(|delay| median_interval(mergeable, name, delay));
-        let (symbol, _) = shown_in(unit);
+        let (symbol, _) = display_unit(unit);
         let remark =
             interval.and_then(|interval| interval.method.remark()).map(|remark| format!(" ({remark})"));
         let remark = remark.unwrap_or_default();

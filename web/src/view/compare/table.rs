@@ -11,7 +11,7 @@ use peernet_store::QuantityStatistics;
 use super::{Comparison, Configuration, Differences, StageDifference, qualities};
 use crate::look;
 use crate::view::accuracy;
-use crate::view::now::Cell;
+use crate::view::pipeline_table::Cell;
 
 /// The columns of the table in the paper, the sum of the stages, and the total: node and title.
 const COLUMNS: [(&str, &str); 6] = [

@@ -7,7 +7,7 @@ use peernet_store::LinkRow;
 
 use super::super::chip::Chip;
 use super::super::clock_fault::{self, FaultyClocks};
-use super::super::now::Cell;
+use super::super::pipeline_table::Cell;
 use super::stats::ppm;
 use super::time_series::live_probes;
 use super::{CONTRADICTION, Subject, estimate_and_max_error, is_live, is_young, panels};

@@ -4,7 +4,7 @@ use peernet_aggregator::{LiveState, PipelineSnapshot};
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, bytes, rate};
 
-use super::super::now::Cell;
+use super::super::pipeline_table::Cell;
 use super::super::place;
 use super::super::speed::{self, NetworkDirection};
 use super::{RECENT_SPAN, Subject};

@@ -37,7 +37,7 @@ fn run_with_standstill_has_no_rate() {
             episodes: &Episodes::default(),
             starts: Starts { started: 15, missing: Some(0), times, ..Starts::default() },
         };
-        (stored.rate(), stored.time_remarks().iter().any(|text| text.starts_with("nothing for ")))
+        (stored.rate(), stored.time_remarks().iter().any(|text| text.starts_with("no start for ")))
     };
     assert_eq!(rate_and_remark(Some(3_600.0)), (None, true));
     assert_eq!(rate_and_remark(None), (Some(0.25), false));
@@ -92,8 +92,10 @@ fn page_and_summary_show_equal_numbers() {
         starts: Starts::default(),
     };
     let table = peernet_results::summary::markdown(&summary);
-    for (other, (name, expected)) in
-        stored.others().iter().zip([("Download Size", ["44", "B"]), ("grip-force", ["0.00123", ""])])
+    for (other, (name, expected)) in stored
+        .other_statistics()
+        .iter()
+        .zip([("Download Size", ["44", "B"]), ("grip-force", ["0.00123", ""])])
     {
         assert_eq!([other.p50.as_str(), other.unit.as_str()], expected);
         let line = table.lines().find(|line| line.contains(name)).expect("a row of the summary");
@@ -117,7 +119,7 @@ fn stage_statistics(stage: Name, mean: f64, count: u64) -> StageStatistics {
 }
 
 #[test]
-fn stage_of_some_iterations_has_their_number() {
+fn stage_that_some_iterations_lack_has_count() {
     let stages = [
         stage_statistics(stage::SENSING, 0.001, 1_895),
         stage_statistics(stage::ACTUATION, 0.002, 50),
@@ -130,7 +132,7 @@ fn stage_of_some_iterations_has_their_number() {
 }
 
 #[test]
-fn tables_of_fast_iterations_have_digits_of_header() {
+fn tables_and_header_of_fast_run_have_equal_digits() {
     let (mut run, mut series) = run_of_an_hour();
     let total = 18.31e-6;
     run.summary.total = Some(crate::tests::samples::figures(total, 895));

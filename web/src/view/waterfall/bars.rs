@@ -1,4 +1,4 @@
-//! One iteration as bars below each other, and as two rails (edge and cloud) with the messages between them.
+//! Pictures of one iteration: a bar for each node, and two horizontal rails (edge and cloud) with the messages between them.
 
 use peernet_figures::drawing::Orientation;
 use peernet_figures::look::{Style, stage};
@@ -65,7 +65,9 @@ pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, has_med
     let (visit, look) = (timeline.visit(), stage(&node.name));
     let mut items = Item::grid(scale);
     if let Some(visit) = visit.filter(|_| node.location != NodeLocation::Host(0)) {
-        items.extend(bands(visit, scale).into_iter().map(|it| rect(it, (0.0, 1.0), Style::of_page("band"))));
+        items.extend(
+            bands(visit, scale).into_iter().map(|band| rect(band, (0.0, 1.0), Style::of_page("band"))),
+        );
     }
     let is_download = node.name == "download";
     if let Some((start, length)) = node.start.zip(node.length) {
@@ -111,7 +113,7 @@ pub(crate) fn lanes(timeline: &Timeline, label: &str, scale: &Scale) -> Option<P
     let (edge, cloud) = RAILS;
     let bands = bands(visit, scale);
     let mut items = Item::grid(scale);
-    items.extend(bands.iter().map(|it| rect(*it, (0.5, 1.0), Style::of_page("band"))));
+    items.extend(bands.iter().map(|band| rect(*band, (0.5, 1.0), Style::of_page("band"))));
     items.extend([edge, cloud].map(|y| Item::line(At::new(0.0, y), At::new(1.0, y), Style::rail())));
     let hop = |(sent_at, from_y): (f64, f64), (received_at, to_y): (f64, f64), class| {
         Item::line(
@@ -128,7 +130,7 @@ pub(crate) fn lanes(timeline: &Timeline, label: &str, scale: &Scale) -> Option<P
     );
     for (host, y) in [(0, edge), (1, cloud)] {
         let nodes =
-            timeline.nodes.iter().filter(|it| it.depth == 0 && it.location == NodeLocation::Host(host));
+            timeline.nodes.iter().filter(|node| node.depth == 0 && node.location == NodeLocation::Host(host));
         items.extend(nodes.filter_map(|node| {
             let ends = extent(scale, node.start?, node.length?);
             Some(rect(ends, (y - HALF_HEIGHT, y + HALF_HEIGHT), stage(&node.name).plain()))

@@ -38,7 +38,7 @@ fn names_and_values(detail: &IterationDetail) -> Vec<(String, String)> {
 }
 
 #[test]
-fn table_of_stepped_iteration_agrees_with_api() {
+fn table_of_stepped_iteration_has_sum_of_directions() {
     let rows = names_and_values(&stepped_iteration());
     let of =
         |stage_name: &str| rows.iter().find(|(name, _)| name == stage_name).map(|(_, value)| value.as_str());
@@ -47,7 +47,7 @@ fn table_of_stepped_iteration_agrees_with_api() {
 }
 
 #[test]
-fn inseparable_times_have_one_common_row() {
+fn network_and_unattributed_time_may_share_a_row() {
     let mut detail = stepped_iteration();
     (detail.row.unattributed, detail.row.both_ways) = (None, None);
     let rows = names_and_values(&detail);
@@ -103,9 +103,9 @@ fn only_nodes_that_statistics_count_are_compared() {
     let rows = rows(&detail, &timeline, &["cam-1".to_owned()], &Scale::up_to(100.0, 6));
     let compared = |name: &str| {
         let rows = rows.iter().filter(|row| row.name == name);
-        rows.map(|row| (row.value.clone(), row.median.clone(), row.strong)).collect::<Vec<_>>()
+        rows.map(|row| (row.value.clone(), row.median.clone(), row.is_cause)).collect::<Vec<_>>()
     };
-    let row = |value: &str, median: &str, strong| (value.to_owned(), median.to_owned(), strong);
+    let row = |value: &str, median: &str, is_cause| (value.to_owned(), median.to_owned(), is_cause);
     assert_eq!(compared("inference"), [row("40.00", "40.00", true), row("10.00", NONE, false)]);
     assert_eq!(compared("send-queue"), [row("3.00", NONE, false), row("2.00", NONE, false)]);
 }

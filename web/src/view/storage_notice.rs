@@ -1,4 +1,4 @@
-//! Notice on every page while events are not being stored.
+//! Notice that every page shows while events are not stored.
 
 use peernet_aggregator::Readiness;
 

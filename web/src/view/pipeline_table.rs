@@ -1,4 +1,4 @@
-//! Current pipelines as stage bars on one scale, with their numbers.
+//! Table of the pipelines in the last minute: stage bars on one scale, with their numbers.
 
 use peernet_aggregator::{PipelineSnapshot, Window};
 use peernet_figures::scale::Scale;
@@ -17,18 +17,18 @@ use crate::look;
 use crate::picture::Picture;
 
 /// Whiskers extend the axis only up to this multiple of the longest bar.
-const TAIL: f64 = 2.0;
-/// Length of the window of all numbers, seconds: the shortest window with enough iterations for a p99 at 5 Hz. Bars, quantiles and
-/// whiskers come from the same window, because numbers of different windows cannot be compared.
+const MAX_AXIS_RATIO: f64 = 2.0;
+/// Length of the window of all numbers, seconds: the shortest window with enough iterations for a p99 at 5 Hz.
+// Bars, quantiles and whiskers come from one window, because numbers of different windows cannot be compared.
 const WINDOW_S: u32 = 60;
 
 /// Bars on a shared scale.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct NowTable {
+pub(crate) struct PipelineTable {
     pub axis: Picture,
     /// Axis below each bar, for phones.
     pub small_axis: Picture,
-    pub rows: Vec<NowRow>,
+    pub rows: Vec<PipelineRow>,
     /// The stages that any of the rows has: columns of the table view.
     pub columns: Vec<&'static str>,
     /// `true` if a pipeline has a deadline.
@@ -37,10 +37,10 @@ pub(crate) struct NowTable {
 
 /// One pipeline.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct NowRow {
+pub(crate) struct PipelineRow {
     pub name: String,
     pub href: String,
-    /// Place of the model, and the model itself.
+    /// Hosts of the pipeline, and its model or its network and payload: `cam-2 → rack-a · zmq-tcp · 1.23 MB`.
     pub placement: String,
     /// State of the pipeline; `None` while it runs.
     pub state: Option<Chip>,
@@ -51,7 +51,7 @@ pub(crate) struct NowRow {
     pub p99: Cell,
     pub rate: String,
     /// Share of iterations without success, percent.
-    pub lost: Cell,
+    pub failed: Cell,
     /// The miss rate, percent.
     pub missed: Cell,
     /// Speed while sending up, MB/s.
@@ -128,7 +128,7 @@ fn quantile(
     (value, cell)
 }
 
-impl NowTable {
+impl PipelineTable {
     /// Returns the pipelines as they were in the last minute.
     pub(crate) fn new(pipelines: &[&PipelineSnapshot]) -> Self {
         let windows: Vec<(&PipelineSnapshot, &Window)> =
@@ -142,7 +142,7 @@ impl NowTable {
                 .value(&stage::TOTAL)
                 .map_or(0.0, |total| total.p99.or(total.p95).unwrap_or(total.p50) * 1e3)
         });
-        let scale = Scale::up_to(reach.fold(0.0, f64::max).min(TAIL * longest).max(longest), 6);
+        let scale = Scale::up_to(reach.fold(0.0, f64::max).min(MAX_AXIS_RATIO * longest).max(longest), 6);
         let is_measured = |name: &&str| windows.iter().any(|(_, window)| window.value(name).is_some());
         let mut columns: Vec<&'static str> =
             look::STACK.iter().copied().filter(|name| *name != "unattributed").filter(is_measured).collect();
@@ -153,7 +153,7 @@ impl NowTable {
         let rows = windows
             .iter()
             .zip(stacks)
-            .map(|((pipeline, window), stack)| NowRow::new(pipeline, window, &stack, scale, &columns));
+            .map(|((pipeline, window), stack)| PipelineRow::new(pipeline, window, &stack, scale, &columns));
         Self {
             axis: Picture::milliseconds_axis(&scale, ""),
             small_axis: Picture::milliseconds_axis(&scale, "small"),
@@ -164,7 +164,7 @@ impl NowTable {
     }
 }
 
-impl NowRow {
+impl PipelineRow {
     fn new(
         pipeline: &PipelineSnapshot,
         window: &Window,
@@ -198,7 +198,7 @@ impl NowRow {
             p95: p95_cell,
             p99: p99_cell,
             rate: rate(window.rate_hz),
-            lost: window
+            failed: window
                 .failed_fraction
                 .map_or_else(|| Cell::none("no iteration in this time"), |failed| Cell::new(percent(failed))),
             missed: window
