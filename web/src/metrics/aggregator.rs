@@ -5,7 +5,7 @@ use peernet_networks::zmtp::{Rejection, RejectionCounts};
 
 use super::table::{Sample, Sink};
 
-/// Figures of the aggregator.
+/// Values of the metrics of the aggregator.
 #[derive(Debug)]
 pub(super) struct AggregatorNumbers {
     /// `true` while batches are stored and acknowledged.
@@ -20,6 +20,7 @@ pub(super) struct AggregatorNumbers {
     pub(super) database_bytes: Option<u64>,
     /// Number of refused connections for each reason.
     pub(super) rejections: Vec<(&'static str, u64)>,
+    /// Counts over all hosts.
     pub(super) totals: Totals,
 }
 
@@ -43,7 +44,7 @@ impl AggregatorNumbers {
         self
     }
 
-    /// Writes the size of the database.
+    /// Writes the size of the database, if there are files.
     pub(super) fn write_database(&self, sink: &mut Sink<'_>) {
         self.database_bytes.into_iter().for_each(|bytes| sink(&[], Sample::Size(bytes)));
     }

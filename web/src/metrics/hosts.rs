@@ -6,12 +6,12 @@ use peernet_clock::Span;
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
 
-/// Writes a sample of each host.
+/// Writes a sample for each host.
 pub(super) fn write_each(scrape: &Scrape, sink: &mut Sink<'_>, sample_of: impl Fn(&HostSnapshot) -> Sample) {
     scrape.hosts.iter().for_each(|host| sink(&[host.description.name.as_str()], sample_of(host)));
 }
 
-/// Writes a sample of each host whose value is known.
+/// Writes a sample for each host for which `sample_of` returns one.
 pub(super) fn write_each_known(
     scrape: &Scrape,
     sink: &mut Sink<'_>,

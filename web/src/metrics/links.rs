@@ -8,10 +8,10 @@ use super::scrape::Scrape;
 use super::table::{Sample, Sink};
 use crate::view::link::estimate_and_max_error;
 
-/// Time over which probes are counted.
+/// Length of the period whose probes are counted.
 const WINDOW: Span = Span::from_seconds(60);
 
-/// Writes a sample of each link that has one.
+/// Writes a sample for each link for which `sample_of` returns one.
 pub(super) fn write_each(
     scrape: &Scrape,
     sink: &mut Sink<'_>,
@@ -25,20 +25,19 @@ pub(super) fn write_each(
     }
 }
 
-/// Returns half the width of the offset's interval, seconds; `None` if there is no interval, or its sources contradict
-/// each other.
+/// Returns half the width of the offset's interval, seconds; `None` without an interval, or if its sources contradict each other.
 pub(super) fn half_width(link: &LinkSnapshot) -> Option<Sample> {
     let offset = link.live.latest_sample.offset.as_ref()?;
     estimate_and_max_error(offset)?;
     Some(Sample::Value(offset.bounds.width().seconds() / 2.0))
 }
 
-/// Returns the share of the probes of the last [`WINDOW`] that were lost, 0 to 1; `None` if none was sent.
+/// Returns the share of the probes of the last [`WINDOW`] that were lost, 0 to 1; `None` if no probe was sent.
 pub(super) fn loss(link: &LinkSnapshot) -> Option<Sample> {
     recent_probes(link)?.lost_share().map(Sample::Value)
 }
 
-/// Returns the number of packets that were refused as answers to probes within the last [`WINDOW`].
+/// Returns the number of packets that were refused as answers to probes, and of probes that could not be sent, within the last [`WINDOW`].
 pub(super) fn refused(link: &LinkSnapshot) -> Option<Sample> {
     recent_probes(link).map(|probes| Sample::Value(f64::from(probes.refused)))
 }
@@ -50,7 +49,7 @@ fn recent_probes(link: &LinkSnapshot) -> Option<ProbeCounts> {
     Some(recent.map(|point| point.probes).sum())
 }
 
-/// The host of a connection whose counts are written.
+/// The end of a connection whose counts are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum CountingHost {
     Edge,

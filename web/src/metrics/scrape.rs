@@ -9,16 +9,16 @@ use peernet_stream::Connection;
 use super::aggregator::AggregatorNumbers;
 use super::table::{Sample, Sink};
 
-/// Maximum number of hosts in one answer; each makes about twenty lines.
+/// Maximum number of hosts in one answer; each makes at most 24 lines.
 const MAX_HOSTS: usize = 4_096;
-/// Maximum number of pipelines in one answer; each makes at most 49 lines.
+/// Maximum number of pipelines in one answer; each makes at most 63 lines.
 const MAX_PIPELINES: usize = 1_000;
-/// Maximum number of links in one answer; each makes four lines.
+/// Maximum number of links in one answer; each makes at most four lines.
 const MAX_LINKS: usize = 4_096;
-/// Maximum number of connections in one answer; each makes at most 16 lines.
+/// Maximum number of connections in one answer; each makes at most 31 lines.
 const MAX_CONNECTIONS: usize = 1_000;
 
-/// Snapshot from which all samples of an answer are made.
+/// Data of all samples of one answer.
 #[derive(Debug)]
 pub(super) struct Scrape {
     pub(super) aggregator: AggregatorNumbers,
@@ -51,6 +51,7 @@ impl Scrape {
             .filter(|pipeline| host_ids.contains(&pipeline.host))
             .cloned()
             .collect();
+        // Two samples of one metric must not have the same labels, so of links with the same names only the first is taken.
         let mut names = HashSet::new();
         let mut links: Vec<Arc<LinkSnapshot>> = live_state
             .links
