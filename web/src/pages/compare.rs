@@ -18,10 +18,10 @@ use crate::state::App;
 use crate::view::chip::Chip;
 use crate::view::compare::{
     Address, Axes, BoxRow, CompareSelection, Comparison, Configuration, DifferenceRow, Differences,
-    Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, OverTime, Pair, PairwiseRow, PayloadPlots,
-    QualityPlot, RunMeans, Setting, StackRow, StageDifference, Table, UsersPlot, answers, boxes, caveats,
-    commands, distributions, lengths, load_comparison, measured_users, over_time, pairs, pairwise, payload,
-    qualities, run_means, run_time_series, stacks, title, unknown_labels, users,
+    Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, OverTime, PairwiseRow, PayloadPlots,
+    PlaceComparison, QualityPlot, RunMeans, Setting, StackRow, StageDifference, Table, UsersPlot, answers,
+    boxes, caveats, commands, distributions, lengths, load_comparison, measured_users, over_time, pairwise,
+    payload, place_comparisons, qualities, run_means, run_time_series, stacks, title, unknown_labels, users,
 };
 
 /// Registration of this page.
@@ -71,8 +71,8 @@ struct Compare {
     distributions: Option<Distributions>,
     /// Each run over time.
     over_time: Option<OverTime>,
-    pairs: Vec<Pair>,
-    pairs_axes: Axes,
+    place_comparisons: Vec<PlaceComparison>,
+    place_axes: Axes,
     baseline: Baseline,
     /// Settings that do not distinguish configurations.
     settings: Vec<Setting>,
@@ -160,7 +160,7 @@ fn assemble(
     let best = differences.ranking.as_ref().map(|ranking| ranking.best);
     let (stacks, axes) = stacks(comparison, best);
     let (boxes, boxes_axes) = boxes(comparison);
-    let (pairs, pairs_axes) = pairs(comparison);
+    let (place_comparisons, place_axes) = place_comparisons(comparison);
     let (runs, stored_runs) = (comparison.run_count(), comparison.runs().count());
     let crumb = match &comparison.experiment {
         Some((name, _)) => format!("experiment {name}"),
@@ -192,8 +192,8 @@ fn assemble(
         boxes_axes,
         distributions,
         over_time: None,
-        pairs,
-        pairs_axes,
+        place_comparisons,
+        place_axes,
         baseline: Baseline::of(comparison, &differences),
         settings: comparison.settings.clone(),
         names: comparison.configurations.iter().map(|one| one.name.clone()).collect(),

@@ -429,5 +429,5 @@ async fn repeated_run_after_interruption_counts_once() {
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     assert_eq!(page.status, StatusCode::OK, "{}", page.text());
-    assert!(page.text().contains("No run of this experiment was finished yet"), "{}", page.text());
+    assert!(page.text().contains("No run of this experiment has finished yet"), "{}", page.text());
 }

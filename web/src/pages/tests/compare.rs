@@ -392,5 +392,8 @@ async fn delay_with_wide_interval_is_drawn_as_band() {
     mergeable.add_verdicts(stage::UPLOAD, Verdict::Unsynchronised, 300);
     undetermined.mergeable = Arc::new(mergeable);
     let html = page_of_stage(&[two[0].clone(), undetermined], "upload").await.expect("there");
-    assert!(panel(&html, "distributions").contains("The clocks do not determine it for 1 run."), "{html}");
+    assert!(
+        panel(&html, "distributions").contains("The clocks do not determine this quantity for 1 run."),
+        "{html}"
+    );
 }

@@ -15,11 +15,12 @@ use peernet_stream::{OutcomeCounts, PlacementKind};
 use super::*;
 use crate::tests::samples;
 
-/// Number of rows of a run, and of a stored bucket of it.
+/// Number of rows of each run.
 const ROWS: u64 = 200;
+/// Number of rows of a run from which the store makes one bucket of means.
 const BUCKET_ROWS: usize = 10;
 
-/// Returns the run of a folder, whose rows have these values.
+/// Returns a run as it is loaded from a result folder. `values` returns the values of the row of an iteration.
 fn loaded(folder: &str, values: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loaded {
     let row = |iteration: u64| Row {
         iteration,
@@ -87,7 +88,7 @@ fn page_and_table_have_equal_ranking() {
     let fast = loaded("fast", |iteration| {
         vec![("total", 0.010 * wave(iteration)), ("stages-total", 0.009 * wave(iteration))]
     });
-    // By the totals it is slower, but some of its iterations have none.
+    // By its totals this run is slower than `fast`, but some of its iterations have no total.
     let partial = loaded("partial", |iteration| {
         let total = (iteration % 3 > 0).then_some(("total", 0.012 * wave(iteration)));
         total.into_iter().chain([("stages-total", 0.005 * wave(iteration))]).collect()
@@ -101,7 +102,7 @@ fn page_and_table_have_equal_ranking() {
         let table = peernet_analysis::compare::Comparison::new(&runs);
         let (comparison, means) = page(&runs);
         assert_eq!(comparison.total_column, table.total_column);
-        let ranking = Differences::of(&comparison, &means, 0).ranking.expect("several are measured");
+        let ranking = Differences::of(&comparison, &means, 0).ranking.expect("several runs are measured");
         assert_eq!(
             (Some(ranking.best), ranking.ties(), ranking.untested(), ranking.unranked),
             (table.best, table.ties, table.untested, table.unranked)
@@ -128,7 +129,7 @@ fn page_and_figure_have_equal_qualities() {
         }
         values
     });
-    // The `mean-iou` of a detection is that of its boxes, and is not a quality.
+    // In a detection, `mean-iou` is a value of the boxes and not a quality.
     let detector = loaded("detector", |iteration| {
         vec![("total", 0.012), ("map-50", iteration as f64 / ROWS as f64), ("mean-iou", 0.7)]
     });
@@ -159,7 +160,7 @@ fn page_and_figure_have_equal_qualities() {
     );
 }
 
-/// Returns the studies of the files of these runs, all over the same link.
+/// Returns the payload studies of the files of these runs. All runs use the same link.
 fn studies_of_files(runs: &[Loaded]) -> Vec<PayloadStudy> {
     let rows: Vec<RowRef<'_>> = runs.iter().flat_map(in_statistics).collect();
     let directions = DIRECTIONS.map(|name| DirectionMessages::from_rows(name, &rows));
@@ -179,7 +180,7 @@ fn page_and_figure_have_equal_latencies_against_payload() {
     let runs = [1e3, 1e4, 1e4, 1e5, 1e6].map(run);
     let (file, page) = (studies_of_files(&runs), payload::studies(&page(&runs).0));
     let (file, page) = (&file[0].directions, &page[0].directions);
-    assert_eq!((file.len(), page.len()), (1, 1), "nothing was sent down");
+    assert_eq!((file.len(), page.len()), (1, 1), "no message was sent from cloud to edge");
     let relative = |a: f64, b: f64| (a / b - 1.0).abs();
     for (file, page) in file[0].sizes.iter().zip(&page[0].sizes) {
         assert_eq!((file.payload_bytes, file.count), (page.payload_bytes, page.count));
@@ -187,7 +188,7 @@ fn page_and_figure_have_equal_latencies_against_payload() {
         let tolerance = page.relative_error;
         assert!((tolerance, file.relative_error) == (Sketch::RELATIVE_ERROR, 0.0));
         assert!(relative(page.median, file.median) <= tolerance, "{file:?} {page:?}");
-        let [file, page] = [file, page].map(|size| size.tails.expect("enough"));
+        let [file, page] = [file, page].map(|size| size.tails.expect("enough messages"));
         assert!(relative(page.0, file.0) <= tolerance && relative(page.1, file.1) <= tolerance);
     }
     let line = |study: &[DirectionMessages]| line_through_medians(&study[0].sizes).expect("four sizes");

@@ -62,9 +62,8 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     publication.chain(replayed.map(|text| (REPLAYED, text))).chain(others).collect()
 }
 
-/// Returns the name of a run, such as `#11`. The edges of an experiment that measured at the same time have a stored
-/// run each, but the tables of `peernet compare` show them as one run. Its name contains all their numbers: `#11 +
-/// #12`.
+/// Returns the name of a run, such as `#11`. If several edges of an experiment measured at the same time, each edge has a stored run, but
+/// the tables of `peernet compare` show one run for all edges. The name of such a run has the numbers of all stored runs: `#11 + #12`.
 fn name_with_other_edges(comparison: &Comparison, configuration: &Configuration, run: &RunSummary) -> String {
     let edges = comparison.edges_of_run(configuration, run);
     let numbers: Vec<String> = edges.iter().map(|edge| format!("#{}", edge.number)).collect();
@@ -112,7 +111,11 @@ mod tests {
     #[test]
     fn commands_download_and_compare_runs() {
         let mut two = comparison((0..2).map(|at| configuration(at, Local, 1.0, 1e3)).collect());
-        assert_eq!(commands(&two, "localhost:8040"), None, "an experiment has its folder");
+        assert_eq!(
+            commands(&two, "localhost:8040"),
+            None,
+            "the results of an experiment are in a folder already"
+        );
         two.experiment = None;
         let plain = "curl -sSf \"http://localhost:8040/api/v1/runs/{1,2}/export\" -o \"run-#1.csv\"\n\
                      peernet compare run-1.csv run-2.csv";
@@ -200,7 +203,7 @@ mod tests {
     fn labels_unknown_to_the_model_are_counted() {
         let mut two = comparison((0..2).map(|at| configuration(at, Local, 1.0, 1e3)).collect());
         let facts = [("Classes".to_owned(), "4: good, dented".to_owned())];
-        let unknown = UnknownLabels::new(12, &facts).expect("some");
+        let unknown = UnknownLabels::new(12, &facts).expect("12 are not 0");
         two.unknown_labels_by_run.insert(2, unknown);
         let sentences = unknown_labels(&two);
         let text = "B. Not scored: 12 of 300 iterations, because the label is not a class of the model (classes: good, dented).";

@@ -29,7 +29,7 @@ pub(super) fn choose_runs<'a, T>(
     });
     let mut all: Vec<(usize, usize, ChosenRun<'a, T>)> = all.collect();
     let count_with_data = all.len();
-    // The first order decides which runs are kept, the second order is that of the result.
+    // The first sorting decides which runs are kept. The second sorting makes the order of the result.
     all.sort_by_key(|(repeat, index, _)| (*repeat, *index));
     all.truncate(MAX_DRAWN_RUNS);
     all.sort_by_key(|(repeat, index, _)| (*index, *repeat));

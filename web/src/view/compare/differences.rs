@@ -40,7 +40,7 @@ pub(crate) async fn run_means(store: &Store, comparison: &Comparison) -> Result<
 pub(crate) struct Differences {
     /// Index of the baseline.
     pub baseline: usize,
-    /// Index of each other configuration with its stages in their order, without unmeasured stages.
+    /// For each configuration except the baseline: its index, and its stages in their order, without unmeasured stages.
     pub others: Vec<(usize, Vec<StageDifference>)>,
     /// Latency by which the configurations are ranked.
     pub total_column: TotalColumn,
@@ -66,13 +66,13 @@ impl StageDifference {
 }
 
 impl Differences {
-    /// Compares all configurations with the configuration at index `baseline`. Without an index this is the best configuration, as in
-    /// `peernet compare`, or the first if none is the best.
+    /// Compares all configurations with the configuration at index `baseline`. Without an index, the baseline is the best configuration,
+    /// as in `peernet compare`, or the first configuration if there is no ranking.
     pub(crate) fn of(comparison: &Comparison, means: &RunMeans, baseline: impl Into<Option<usize>>) -> Self {
         let names = compared_stages();
         let all = &comparison.configurations;
         let estimate = |configuration: &Configuration, name: &Name| {
-            // A run without values of the stage is left out. A run with values stays even if its buckets were deleted.
+            // A run without values of the stage is left out. A run with values is included even if retention deleted its buckets.
             let has_values = |run: &&RunSummary| comparison.summary(run.number, name).is_some();
             let runs =
                 configuration.runs.iter().filter(has_values).map(|run| buckets(means, run.number, name));

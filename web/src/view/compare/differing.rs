@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn hashes_paths_and_lists_are_named_without_column() {
+    fn hashes_paths_and_lists_have_name_but_no_column() {
         let hashes =
             ["model.py 5f4dcc3b5aa765d61d8327deb882cf99", "model.py 098f6bcd4621d373cade4e832627b4f6"];
         let long = "numpy 1.24.2, ".repeat(12);

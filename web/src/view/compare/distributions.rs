@@ -20,7 +20,7 @@ use crate::view::units::display_unit;
 /// Maximum number of pictures with which the distributions of all quantities are drawn together.
 const MAX_PICTURES: usize = 24;
 
-/// Distributions that are drawn, and links to others.
+/// Distributions that are drawn, and hyperlinks to others.
 pub(crate) struct Distributions {
     pub groups: Vec<Group>,
     /// Quantities that can be selected; empty where there is no choice.
@@ -52,10 +52,10 @@ pub(crate) struct RunHistogram {
     pub picture: Picture,
 }
 
-/// A link to other distributions.
+/// A hyperlink to other distributions.
 pub(crate) struct Choice {
     pub name: String,
-    /// Name of the node whose distributions the link shows; `None` for the distributions of all nodes.
+    /// Name of the node whose distributions the hyperlink shows; `None` for the distributions of all nodes.
     pub stage: Option<String>,
     /// `true` if the page shows these distributions now.
     pub is_shown: bool,
@@ -86,7 +86,7 @@ struct Quantity {
 }
 
 impl Quantity {
-    /// Returns the quantities that every comparison offers, measured or not.
+    /// Returns the quantities that a comparison offers if they were measured.
     fn usual() -> Vec<Self> {
         let total = (stage::TOTAL, "Total");
         let published = HISTOGRAMS.map(|(_, column, title)| (Name::from_static(column), title));
@@ -109,19 +109,20 @@ impl Quantity {
         let unit = &stages.find(|statistics| statistics.stage == *name)?.unit;
         let (drawn, total) = choose_runs(comparison, |run| comparison.summary(run.number, name));
         let (symbol, per_si) = display_unit(unit);
-        let samples = drawn.iter().map(|(.., samples)| *samples);
-        let axis = BinnedAxis::around(samples, Unit::symbol(&symbol, per_si))?;
+        let summaries = drawn.iter().map(|(.., summary)| *summary);
+        let axis = BinnedAxis::around(summaries, Unit::symbol(&symbol, per_si))?;
+        // A throughput has the colour of its direction.
         let look = look::stage(name.trim_end_matches("-throughput"));
-        let runs = drawn.iter().filter_map(|(one, run, samples)| {
+        let runs = drawn.iter().filter_map(|(one, run, summary)| {
             let median = Median::of(comparison.statistics_by_run.get(&run.number)?, name, unit)?;
-            let (below, above) = axis.beyond(samples);
+            let (below, above) = axis.beyond(summary);
             let below = (below > 0).then(|| format!(", ←\u{a0}{}\u{a0}below", count(below)));
             let above = (above > 0).then(|| format!(", {}\u{a0}beyond\u{a0}→", count(above)));
             let beyond: String = below.into_iter().chain(above).collect();
-            let caption = format!("{}, {}{beyond}", counted_values(name, samples), median.text);
+            let caption = format!("{}, {}{beyond}", counted_values(name, summary), median.text);
             let label = format!("{} of run {}: {caption}", self.title, run.number);
             let name = one.name.clone();
-            let items = axis.histogram(samples, &look, median.within);
+            let items = axis.histogram(summary, &look, median.clock_interval);
             let picture =
                 Picture::of_items(&items, "plot", &label).followed_by(&Picture::axis_below(&axis.scale));
             Some(RunHistogram { run: run.number, name, caption, doubt: median.doubt, picture })
@@ -151,8 +152,9 @@ impl Quantity {
             has_delays && comparison.summary(run.number, &self.name).is_none()
         });
         let runs = runs.count();
-        (runs > 0)
-            .then(|| format!("The clocks do not determine it for {}.", number::counted(runs as u64, "run")))
+        (runs > 0).then(|| {
+            format!("The clocks do not determine this quantity for {}.", number::counted(runs as u64, "run"))
+        })
     }
 }
 

@@ -62,9 +62,9 @@ impl CompareSelection {
             (0, None) => Ok(None),
             (0, Some(id)) => Ok(Some(Self::Experiment(id))),
             (_, Some(_)) => bad_request("experiment: give either runs or an experiment".to_owned()),
-            (many, None) if many > MAX_SELECTED_RUNS => {
-                bad_request(format!("runs: {many} are more than {MAX_SELECTED_RUNS}"))
-            }
+            (many, None) if many > MAX_SELECTED_RUNS => bad_request(format!(
+                "runs: {many} runs are named, but at most {MAX_SELECTED_RUNS} can be compared"
+            )),
             (_, None) => Ok(Some(Self::Runs(runs))),
         }
     }
@@ -102,7 +102,7 @@ pub(crate) async fn load_comparison(
                 )));
             };
             let (runs, left_out) = select_runs(runs);
-            // The facts of these runs are loaded below, when each run is judged.
+            // The settings of an experiment come without facts. `JudgedRuns` loads the facts below.
             let details = runs.into_iter().map(RunDetail::from).collect();
             (Some((experiment.name, experiment.id)), details, left_out, is_truncated)
         }

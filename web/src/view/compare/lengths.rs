@@ -1,4 +1,4 @@
-//! Response length against latency: a sample of the iterations as points, and the distributions of all iterations.
+//! Response length against latency: some of the iterations as points, and the distributions of all iterations.
 
 #[cfg(test)]
 pub(crate) mod tests;
@@ -30,8 +30,8 @@ const KILOBYTES: f64 = 10_000.0;
 /// A configuration whose answers differ in length.
 struct VaryingLengths<'a> {
     configuration: &'a Configuration,
-    /// Node with the length of an answer.
-    length: &'a str,
+    /// Name of the node with the length of an answer.
+    length_name: &'a str,
     lengths: &'a Summary,
     latencies: &'a Summary,
 }
@@ -39,11 +39,11 @@ struct VaryingLengths<'a> {
 impl<'a> VaryingLengths<'a> {
     fn of(configuration: &'a Configuration) -> Option<Self> {
         let names = configuration.stages.iter().map(|statistics: &StageStatistics| statistics.stage.as_str());
-        let length = answer_length(names);
-        let (lengths, latencies) = (configuration.summary(length)?, configuration.summary(LATENCY)?);
+        let length_name = answer_length(names);
+        let (lengths, latencies) = (configuration.summary(length_name)?, configuration.summary(LATENCY)?);
         varies(lengths.moments.min, lengths.moments.max).then_some(Self {
             configuration,
-            length,
+            length_name,
             lengths,
             latencies,
         })
@@ -56,8 +56,8 @@ impl<'a> VaryingLengths<'a> {
     /// Returns the unit of lengths: its name, and the factor from the measured value to this unit. Also returns the unit of the slope: its
     /// name, and the measured length for which the slope is given.
     fn unit(&self, longest: f64) -> (String, f64, &'static str, f64) {
-        if is_tokens(self.length) {
-            (self.length.replace(['-', '_'], " "), 1.0, "token", 1.0)
+        if is_tokens(self.length_name) {
+            (self.length_name.replace(['-', '_'], " "), 1.0, "token", 1.0)
         } else if longest >= KILOBYTES {
             ("kB of answer".to_owned(), 1e-3, "kB", 1e3)
         } else {
@@ -65,8 +65,9 @@ impl<'a> VaryingLengths<'a> {
         }
     }
 
-    fn length_of(&self, length: f64) -> String {
-        if is_tokens(self.length) {
+    /// Formats a length with its unit.
+    fn format_length(&self, length: f64) -> String {
+        if is_tokens(self.length_name) {
             format!("{} tokens", fixed(length, 0))
         } else {
             bytes(length).to_string()
@@ -74,23 +75,23 @@ impl<'a> VaryingLengths<'a> {
     }
 }
 
-/// Iterations read of a configuration.
+/// Iterations of a configuration that were read from the store.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Answers {
     /// Name of the configuration.
     pub name: String,
-    /// Length in the measured unit, and latency in seconds.
+    /// For each iteration the length of the answer in the measured unit, and the latency in seconds.
     pub points: Vec<(f64, f64)>,
     /// `true` if all stored iterations were read.
     pub is_whole: bool,
 }
 
-/// Returns whether the statistics include a value. Only such a value has a position on an axis.
+/// Returns whether statistics can include a value. Any other value has no position on an axis.
 fn is_included(value: f64) -> bool {
     Summary::accepts(value)
 }
 
-/// Reads a sample of the iterations of each configuration that is drawn. From each run of a configuration the same share is read.
+/// Reads some iterations of each configuration that is drawn: the same share of the iterations of each run.
 ///
 /// # Errors
 /// Returns an error when the store cannot be read.
@@ -116,8 +117,9 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
             } else {
                 (max_read * answered(run)).div_ceil(all_answered)
             };
-            let pairs =
-                store.value_pairs(run.number, [varying_configuration.length, LATENCY], limit as u32).await?;
+            let pairs = store
+                .value_pairs(run.number, [varying_configuration.length_name, LATENCY], limit as u32)
+                .await?;
             answers.is_whole &= pairs.is_complete();
             answers
                 .points
@@ -133,8 +135,8 @@ pub(crate) struct LengthRow {
     pub name: String,
     pub plot: Picture,
     /// `true` if the plot has cells that count points, because there are too many points to draw.
-    is_counted: bool,
-    /// Sentences about the contents of the plot and its basis.
+    has_cells: bool,
+    /// Sentences about the plot, and about the iterations from which it is drawn.
     pub sentences: Vec<String>,
 }
 
@@ -146,7 +148,7 @@ pub(crate) struct Lengths {
     /// Sentence about the configurations whose servers reported no numbers of tokens; `None` if there are none.
     pub without_usage: Option<String>,
     /// `true` if any plot has cells that count points.
-    pub is_counted: bool,
+    pub has_cells: bool,
 }
 
 /// Returns `A; B: the server sent no …`: the configurations with language models whose servers reported no numbers of tokens. `None` if there
@@ -162,8 +164,8 @@ fn without_usage(comparison: &Comparison) -> Option<String> {
     })
 }
 
-/// Draws the configurations whose answers differ in length, on shared axes, and names those whose lengths could be
-/// counted in tokens if their servers reported the numbers. `None` if there are neither.
+/// Draws the configurations whose answers differ in length, on shared axes. Also names the configurations whose servers reported no
+/// numbers of tokens. `None` if there are no configurations of either kind.
 pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Lengths> {
     let mut varying = VaryingLengths::all(comparison);
     let not_drawn = varying.split_off(varying.len().min(MAX_CONFIGURATIONS));
@@ -176,14 +178,14 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
             rows: Vec::new(),
             others: None,
             without_usage: Some(sentence),
-            is_counted: false,
+            has_cells: false,
         });
     };
     let row = |varying_configuration: &VaryingLengths<'_>| {
         let same_unit = || {
             varying
                 .iter()
-                .filter(|other| other.length == varying_configuration.length)
+                .filter(|other| other.length_name == varying_configuration.length_name)
                 .map(|other| other.lengths)
         };
         let longest = same_unit().map(|lengths| lengths.moments.max).fold(0.0, f64::max);
@@ -212,11 +214,11 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         Some(LengthRow {
             name: varying_configuration.configuration.name.clone(),
             plot: Picture::of_plot(&joint.plot(), "joint", &label),
-            is_counted: joint.has_cells(),
+            has_cells: joint.has_cells(),
             sentences: [medians, slope]
                 .into_iter()
                 .chain([amount_sentence(varying_configuration, &sample)])
-                .chain(beyond(varying_configuration, (&horizontal, &vertical)))
+                .chain(beyond_axes_sentence(varying_configuration, (&horizontal, &vertical)))
                 .collect(),
         })
     };
@@ -226,7 +228,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         .map(|varying_configuration| varying_configuration.configuration.name.as_str())
         .collect();
     Some(Lengths {
-        is_counted: rows.iter().any(|row| row.is_counted),
+        has_cells: rows.iter().any(|row| row.has_cells),
         others: (!others.is_empty()).then(|| others.join("; ")),
         without_usage,
         rows,
@@ -240,13 +242,13 @@ fn medians_sentence(varying_configuration: &VaryingLengths<'_>) -> String {
     format!(
         "Median {}; answers of {} to {}, median {}.",
         duration(median(varying_configuration.latencies)),
-        if is_tokens(varying_configuration.length) {
+        if is_tokens(varying_configuration.length_name) {
             fixed(range.0, 0)
         } else {
-            varying_configuration.length_of(range.0)
+            varying_configuration.format_length(range.0)
         },
-        varying_configuration.length_of(range.1),
-        varying_configuration.length_of(median(varying_configuration.lengths))
+        varying_configuration.format_length(range.1),
+        varying_configuration.format_length(median(varying_configuration.lengths))
     )
 }
 
@@ -255,13 +257,17 @@ fn amount_sentence(varying_configuration: &VaryingLengths<'_>, sample: &Answers)
     let points = sample.points.len() as u64;
     let [lengths, latencies] =
         [varying_configuration.lengths, varying_configuration.latencies].map(Summary::count);
-    // Several nodes of one iteration may have the name of the length. Then the number of lengths says nothing about iterations.
-    let has_one_length = IterationValues::has_one_value(varying_configuration.length);
+    // If several nodes of one iteration have the name of the length, the number of lengths says nothing about iterations.
+    let has_one_length = IterationValues::has_one_value(varying_configuration.length_name);
     let iterations = if has_one_length { lengths.max(latencies) } else { latencies };
     let all = lengths.min(latencies);
     let without_length = iterations - all;
     let rest = if without_length > 0 {
-        format!(" {} of {} iterations have no such number.", count(without_length), count(iterations))
+        format!(
+            " {} of {} iterations lack a valid length or latency.",
+            count(without_length),
+            count(iterations)
+        )
     } else {
         String::new()
     };
@@ -269,7 +275,7 @@ fn amount_sentence(varying_configuration: &VaryingLengths<'_>, sample: &Answers)
     match (sample.is_whole, is_deleted) {
         _ if points == 0 => format!("No iteration is stored any more; histograms of all {}.", count(all)),
         (true, false) if without_length > 0 => format!(
-            "{} of {} iterations; the others have no such number.",
+            "{} of {} iterations; the others lack a valid length or latency.",
             count(points),
             count(points + without_length)
         ),
@@ -291,7 +297,7 @@ fn amount_sentence(varying_configuration: &VaryingLengths<'_>, sample: &Answers)
 }
 
 /// Returns a sentence about the number of values beyond the axes; `None` if there are none.
-fn beyond(
+fn beyond_axes_sentence(
     varying_configuration: &VaryingLengths<'_>,
     (horizontal, vertical): (&BinnedAxis, &BinnedAxis),
 ) -> Option<String> {

@@ -19,14 +19,14 @@ pub(super) static DELAY_OF_QUANTITY: [(Name, Name); 4] = [
     (stage::DOWNLOAD_THROUGHPUT, stage::DOWNLOAD),
 ];
 
-/// A median in words.
+/// A median as a page shows it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Median {
     /// Median with its unit, and the interval by the clock bounds. The text has only the interval if it is too wide for
     /// a single value.
     pub text: String,
     /// Interval of the median by the clock bounds, in the SI unit; `None` without uncertainty.
-    pub within: Option<(f64, f64)>,
+    pub clock_interval: Option<(f64, f64)>,
     /// Verdict on the clock bounds; `None` if it needs no attention.
     pub doubt: Option<Chip>,
 }
@@ -58,8 +58,8 @@ impl Median {
                 )
             }
         };
-        let within = interval.map(|interval| interval.ends());
-        Some(Self { text, within, doubt: verdict.map(Chip::verdict) })
+        let clock_interval = interval.map(|interval| interval.ends());
+        Some(Self { text, clock_interval, doubt: verdict.map(Chip::verdict) })
     }
 }
 
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn interval_from_half_widths_names_its_method() {
-        // An earlier version stored the run.
+        // The run was stored by an earlier version, which stored no ends of intervals.
         let statistics = mergeable(0.5, Verdict::Ok, false);
         assert_eq!(
             median_text(&statistics, &stage::UPLOAD, "s").0,
@@ -166,6 +166,6 @@ mod tests {
         );
         let median = Median::of(&wide, &stage::UPLOAD_THROUGHPUT, "bit/s").expect("samples");
         assert!(median.text.ends_with("≥ 10.7\u{202f}MB/s") && median.doubt.is_some(), "{median:?}");
-        assert_eq!(median.within.expect("bounded").1, f64::INFINITY);
+        assert_eq!(median.clock_interval.expect("bounded").1, f64::INFINITY);
     }
 }

@@ -1,4 +1,4 @@
-//! Comparison of runs, from their roll-ups and a bounded number of rows, so that its cost does not depend on the length of a run.
+//! Comparison of runs. It reads roll-ups and a bounded number of rows, so that its cost does not depend on the length of a run.
 
 #[cfg(test)]
 mod agreement;
@@ -30,7 +30,7 @@ pub(crate) use gather::{CompareSelection, MAX_EXPERIMENT_RUNS, load_comparison};
 pub(crate) use lengths::{Lengths, answers, lengths};
 pub(crate) use pairwise::{PairwiseRow, pairwise};
 pub(crate) use payload::{PayloadPlots, payload};
-pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
+pub(crate) use pictures::{Axes, PlaceComparison, StackRow, place_comparisons, stacks};
 pub(crate) use qualities::{QualityPlot, qualities};
 pub(crate) use series::{OverTime, over_time, run_time_series};
 pub(crate) use spread::{BoxRow, boxes};
@@ -115,7 +115,7 @@ pub(super) fn total_column(configurations: &[Configuration]) -> TotalColumn {
 /// Runs of one configuration, combined.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Configuration {
-    /// Differences from the other configurations in words; unique.
+    /// Unique name: what distinguishes the configuration from the others, in words.
     pub name: String,
     /// Value of the configuration on each axis.
     pub values: Vec<String>,
@@ -142,7 +142,7 @@ impl Configuration {
         self.mergeable.summary(name)
     }
 
-    /// Returns the runs, grouped by edges that measured at the same time.
+    /// Returns the runs in groups: the runs of edges that measured at the same time are one group.
     pub(crate) fn concurrent_runs(&self) -> Vec<Vec<&RunSummary>> {
         concurrent_groups(&self.runs, |run| run.experiment.as_ref(), |run| &run.host_name)
     }
@@ -180,14 +180,15 @@ impl Configuration {
 }
 
 impl Comparison {
-    /// Returns the statistics of the latency by which configurations are compared, seconds, or of `sensing` for a pipeline that only senses.
+    /// Returns the statistics of the latency by which configurations are compared, seconds. For a pipeline that only senses, these are the
+    /// statistics of `sensing`.
     pub(crate) fn total<'a>(&self, configuration: &'a Configuration) -> Option<&'a QuantityStatistics> {
         configuration
             .statistics(self.total_column.name())
             .or_else(|| configuration.statistics(&stage::SENSING))
     }
 
-    /// Returns the number of decimals of the means in one column, ms. Pictures and tables of the page have the same.
+    /// Returns the number of decimals of the means in one column, ms. Pictures and tables of the page show equally many decimals.
     pub(crate) fn mean_decimals(&self, column: &str) -> usize {
         let statistics = self.configurations.iter().filter_map(|one| one.statistics(column));
         column_decimals(statistics.map(|statistics| statistics.std))
@@ -214,8 +215,8 @@ impl Comparison {
         self.statistics_by_run.get(&run)?.summary(name)
     }
 
-    /// Returns the number of compared runs. Stored runs of edges that measured at the same time in an experiment are one run, as in the tables of
-    /// files.
+    /// Returns the number of compared runs. The stored runs of edges that measured at the same time in an experiment count as one run, as in
+    /// the tables of result folders.
     pub(crate) fn run_count(&self) -> usize {
         match self.experiment {
             Some(_) => self.configurations.iter().map(|one| one.concurrent_runs().len()).sum(),
@@ -223,8 +224,8 @@ impl Comparison {
         }
     }
 
-    /// Returns the stored runs of all edges that measured at the same time as the edge of `run`: only `run` if no
-    /// experiment is compared.
+    /// Returns the stored runs of all edges that measured at the same time as the edge of `run`. If no experiment is
+    /// compared, returns only `run`.
     pub(crate) fn edges_of_run<'a>(
         &self,
         configuration: &'a Configuration,

@@ -1,4 +1,4 @@
-//! Names of configurations, made of their differences.
+//! Names of configurations, made of the settings in which they differ.
 
 use peernet_analysis::compare::readable_names;
 use peernet_store::RunSummary;

@@ -23,7 +23,7 @@ pub(crate) struct PairwiseRow {
 
 /// Returns the pairwise differences between the totals of the baseline and of each other configuration, in the order of
 /// `differences.others`. An entry is `None` if one of the two configurations has no total. The list has at most
-/// [`MAX_DISTRIBUTIONS`] entries.
+/// [`MAX_DISTRIBUTIONS`] entries, and is empty if no axis can be drawn.
 pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Vec<Option<PairwiseRow>> {
     let all = &comparison.configurations;
     let total = |index: usize| all.get(index)?.summary(comparison.total_column.name());

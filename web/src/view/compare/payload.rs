@@ -32,7 +32,7 @@ pub(crate) struct PayloadPlot {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SizeRow {
     /// `upload` or `download`.
-    pub way: &'static str,
+    pub direction: &'static str,
     /// Median size on the wire: payload and metadata.
     pub size: String,
     /// Number of messages.
@@ -43,7 +43,7 @@ pub(crate) struct SizeRow {
     pub throughput: (String, Option<String>),
 }
 
-/// Returns the studies of all links whose messages differ enough in size.
+/// Returns the payload studies of the links whose messages differ enough in size.
 pub(super) fn studies(comparison: &Comparison) -> Vec<PayloadStudy> {
     let runs = comparison.configurations.iter().flat_map(|one| one.runs.iter().map(move |run| (one, run)));
     let links = group_by_link(runs.map(|(one, run)| (link_of(run), run.experiment.as_ref(), (one, run))));
@@ -67,7 +67,7 @@ fn link_of(run: &RunSummary) -> Link {
     }
 }
 
-/// Returns the distributions of the messages of a run in one direction; `None` if no message was sent.
+/// Returns the distributions of the messages that a run sent in one direction; `None` if it sent none.
 fn sketches<'a>(comparison: &'a Comparison, run: i64, name: &str) -> Option<MessageSketches<'a>> {
     let statistics = comparison.statistics_by_run.get(&run)?;
     Some(MessageSketches {
@@ -104,9 +104,9 @@ fn plot(scaling: &Scaling) -> PayloadPlot {
     PayloadPlot { picture, notes: figure.notes }
 }
 
-fn row(way: &'static str, size: &SizeSummary) -> SizeRow {
+fn row(direction: &'static str, size: &SizeSummary) -> SizeRow {
     SizeRow {
-        way,
+        direction,
         size: bytes(size.wire_bytes).to_string(),
         messages: count(size.count),
         delay: milliseconds(size.median),

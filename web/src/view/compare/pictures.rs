@@ -1,4 +1,4 @@
-//! Pictures of a comparison: stacks, pairs of local and cloud.
+//! Pictures of a comparison: the mean stages of each configuration as a bar, and the inference of each model at several places.
 
 use peernet_analysis::compare::{Latency, LatencyBar, compare_label};
 use peernet_analysis::model_places::{ModelPlaces, PlacedModel};
@@ -29,7 +29,7 @@ pub(crate) struct StackRow {
     /// Mean total and its standard deviation, ms.
     pub total: (String, Option<String>),
     /// `true` for the best configuration of the ranking.
-    pub best: bool,
+    pub is_best: bool,
 }
 
 /// The labels of a scale: once above all bars, and again below each bar on narrow screens.
@@ -47,15 +47,15 @@ impl Axes {
     }
 }
 
-/// One model, with its places.
-pub(crate) struct Pair {
+/// A model that ran at several places.
+pub(crate) struct PlaceComparison {
     pub model: String,
     pub places: Vec<PlaceRow>,
 }
 
 /// Row of a place of a model.
 pub(crate) struct PlaceRow {
-    /// Names of its configurations.
+    /// Names of the configurations of the model at the place.
     pub configuration: String,
     /// Name of the place, the host of the model, and the hosts that it serves.
     pub place: String,
@@ -84,7 +84,7 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
                 mean_and_std(bar.total, bar.std, decimals)
             },
             bar: Picture::of_items(items, "stages", &label(one, bar)),
-            best: best == Some(index),
+            is_best: best == Some(index),
         }
     };
     (pictures.iter().enumerate().map(row).collect(), Axes::of(&scale))
@@ -140,9 +140,9 @@ fn routes(configurations: &[&Configuration]) -> String {
     routes.into_iter().map(route).collect::<Vec<_>>().join("; ")
 }
 
-/// Returns the models that ran at several places, such as on board and in the cloud. Only their inference is compared,
-/// on one scale. All configurations of a model at one place are combined.
-pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
+/// Returns the models that ran at several places, such as on board and in the cloud. Only the inference is compared, on one scale. All
+/// configurations of a model at one place are combined.
+pub(crate) fn place_comparisons(comparison: &Comparison) -> (Vec<PlaceComparison>, Axes) {
     let measured = comparison.configurations.iter().filter(|one| one.summary(&stage::INFERENCE).is_some());
     let measured: Vec<(&Configuration, &Placement)> =
         measured.filter_map(|one| Some((one, one.placement()?))).collect();
@@ -163,11 +163,11 @@ pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
         .collect();
     let upper_ends = rows.iter().flat_map(|(_, places)| places).map(|place| place.quartiles.top());
     let scale = Scale::up_to(upper_ends.fold(0.0, f64::max) * 1e3, 6);
-    let pair = |(model, places): &(&String, Vec<PlaceValues<'_>>)| Pair {
+    let place_comparison = |(model, places): &(&String, Vec<PlaceValues<'_>>)| PlaceComparison {
         model: (*model).clone(),
         places: places.iter().map(|place| place.row(&scale)).collect(),
     };
-    (rows.iter().map(pair).collect(), Axes::of(&scale))
+    (rows.iter().map(place_comparison).collect(), Axes::of(&scale))
 }
 
 /// Inference of a model at one place.

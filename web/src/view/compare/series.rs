@@ -26,9 +26,9 @@ use crate::view::{episodes, stack};
 const MAX_POINTS: usize = 100;
 /// Minimum number of points that are requested for a run.
 const MIN_POINTS: u64 = 20;
-/// Number of samples that a point should have: enough for a 95th percentile.
-const SAMPLES_PER_POINT: u64 = 60;
-/// A run with fewer points is not drawn, because its drawn length would be too inexact.
+/// Number of iterations that a point should have: enough for a 95th percentile.
+const ITERATIONS_PER_POINT: u64 = 60;
+/// Minimum number of points of a run that is drawn. The drawn length of a shorter run would be too inexact.
 const MIN_DRAWN_POINTS: usize = 3;
 /// If a run has fewer points than this, the caption states its length, because the drawn length is inexact by up to one
 /// point at each end.
@@ -37,7 +37,7 @@ const MIN_EXACT_POINTS: f64 = 5.0;
 /// Stored data of a run over time.
 #[derive(Clone, Debug)]
 pub(crate) struct RunTimeSeries {
-    /// Time series of the total, or of the sensor in a run without a model.
+    /// Time series of the total, or of `sensing` in a run without a model.
     pub series: Series,
     /// Means of the stages and the total, in the buckets of `series`.
     pub means: Vec<StageMeans>,
@@ -67,8 +67,8 @@ pub(crate) struct RunPicture {
     pub picture: Picture,
 }
 
-/// Chooses the runs that are drawn, each with the drawn quantity: [`TotalColumn`], or `sensing` in a run without a model. If there is not
-/// enough room for all, also returns the number of runs with data.
+/// Chooses the runs that are drawn, each with the drawn quantity: [`TotalColumn`], or `sensing` in a run without a model. If not all runs
+/// with data are drawn, also returns the number of all runs with data.
 fn drawn_runs(comparison: &Comparison) -> (Vec<ChosenRun<'_, Name>>, Option<usize>) {
     choose_runs(comparison, |run| {
         let names = [Name::from_static(total_column(comparison, run).name()), stage::SENSING];
@@ -95,8 +95,8 @@ pub(crate) async fn run_time_series(
     let totals = [stage::TOTAL, stage::STAGES_TOTAL, stage::UNATTRIBUTED, Name::from_static(LATENESS)];
     let names: &Vec<Name> = &totals.into_iter().chain(stage::ORDER).collect();
     let request = |(_, run, name): ChosenRun<'_, Name>| {
-        let samples = comparison.summary(run.number, &name).map_or(0, |summary| summary.count());
-        let points = (samples / SAMPLES_PER_POINT).clamp(MIN_POINTS, MAX_POINTS as u64) as usize;
+        let iterations = comparison.summary(run.number, &name).map_or(0, |summary| summary.count());
+        let points = (iterations / ITERATIONS_PER_POINT).clamp(MIN_POINTS, MAX_POINTS as u64) as usize;
         (run.number, [name], points)
     };
     let read = |(run, main, points): (i64, [Name; 1], usize)| async move {
@@ -160,7 +160,7 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
     })
 }
 
-/// Returns `5.3 ms from first to last start`. `None` for a single iteration, and if the clock was set back during the run.
+/// Returns `5.3 ms from first to last start`; `None` for a single iteration, or if the clock was set back during the run.
 fn length_text(run: &RunSummary, episodes: &Episodes) -> Option<String> {
     let seconds = (run.last_iteration? - episodes.first.unwrap_or(run.started)).seconds();
     let length = if seconds < 1.0 { duration(seconds).to_string() } else { length(seconds) };
@@ -201,7 +201,7 @@ fn data(
     let bounds = [stage::UPLOAD, stage::DOWNLOAD].map(|way| statistics.and_then(|all| all.bound(&way)));
     let sent_messages = DelayAccuracy::sent_messages(&bounds.into_iter().flatten().collect::<Vec<_>>());
     let bucket = |point: &SeriesPoint| {
-        // How many messages were sent is stored only for the whole run, so the number for this bucket is estimated.
+        // The store has the number of sent messages of the whole run only, so the number of this bucket is estimated.
         let sent_in_bucket = sent_in_part(sent_messages, run.counts.ok, point.count);
         let latency_of = |name: &str| {
             let MeanBucket { count, mean, .. } = *mean(name, point.at)?;
@@ -222,7 +222,7 @@ fn data(
     let (lo, hi) =
         medians().fold((f64::INFINITY, 0.0_f64), |(lo, hi), median| (lo.min(median), hi.max(median)));
     let range = if buckets.is_empty() {
-        "nothing is kept".to_owned()
+        "no statistics are stored".to_owned()
     } else {
         format!("medians from {} to {} over {}", duration(lo), duration(hi), length(length_s))
     };
@@ -240,6 +240,7 @@ fn data(
             .warm_up
             .iter()
             .map(|(from, until)| (since(*from).max(0.0), since(*until)))
+            // If the clock was set back during a warm-up, the warm-up seems to end before its beginning.
             .filter(|(from, until)| until > from)
             .collect(),
         failed: episodes.failed_starts.iter().filter(|at| is_inside(at)).map(|at| since(*at)).collect(),

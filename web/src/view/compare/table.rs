@@ -1,4 +1,4 @@
-//! Table of the figures of each configuration, and rows of the differences between two configurations.
+//! Table with a row for each configuration, and table of the differences between two configurations.
 
 use peernet_analysis::compare::Difference;
 use peernet_analysis::quality::Quality;
@@ -23,7 +23,7 @@ const COLUMNS: [(&str, &str); 6] = [
     ("total", "total"),
 ];
 
-/// Figures per configuration.
+/// Table with a row for each configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Table {
     pub header: Header,
@@ -36,7 +36,7 @@ pub(crate) struct Header {
     pub axes: Vec<String>,
     pub columns: Vec<&'static str>,
     /// Title of each quality, and its unit.
-    pub accuracies: Vec<(&'static str, &'static str)>,
+    pub qualities: Vec<(&'static str, &'static str)>,
     /// `true` if a configuration sends payloads, so that there is a column with their size.
     pub has_uploads: bool,
     /// `true` if a run has a deadline, so that there is a column with the miss rates.
@@ -54,13 +54,13 @@ pub(crate) struct Row {
     /// Mean and standard deviation in each column.
     pub cells: Vec<(String, Option<String>)>,
     /// Estimate of each quality and its interval.
-    pub accuracies: Vec<(String, Option<String>)>,
+    pub qualities: Vec<(String, Option<String>)>,
     /// Mean size of the payloads sent up, with its unit.
     pub sent: String,
     /// Miss rate, percent, with the counts from which it is computed as the tooltip.
     pub missed: Cell,
     /// `true` for the best configuration of the ranking.
-    pub best: bool,
+    pub is_best: bool,
 }
 
 impl Table {
@@ -72,7 +72,7 @@ impl Table {
             columns.map(|(name, title)| (name, title, comparison.mean_decimals(name))).collect();
         let is_known =
             |column: &QualityColumn| comparison.configurations.iter().any(|one| column.cell(one).is_some());
-        let accuracies: Vec<QualityColumn> = QualityColumn::all().filter(is_known).collect();
+        let quality_columns: Vec<QualityColumn> = QualityColumn::all().filter(is_known).collect();
         let best = differences.ranking.as_ref().map(|ranking| ranking.best);
         let has_axes = !comparison.axes.is_empty();
         let row = |(index, one): (usize, &Configuration)| Row {
@@ -86,7 +86,7 @@ impl Table {
                     None => (NONE.to_owned(), None),
                 })
                 .collect(),
-            accuracies: accuracies
+            qualities: quality_columns
                 .iter()
                 .map(|column| column.cell(one).unwrap_or_else(|| (NONE.to_owned(), None)))
                 .collect(),
@@ -94,14 +94,14 @@ impl Table {
                 .statistics(&stage::UPLOAD_BYTES)
                 .map_or_else(|| NONE.to_owned(), |sent| bytes(sent.mean).to_string()),
             missed: miss_rate_cell(one),
-            best: best == Some(index),
+            is_best: best == Some(index),
         };
         Self {
             rows: comparison.configurations.iter().enumerate().map(row).collect(),
             header: Header {
                 axes: if has_axes { comparison.axes.clone() } else { vec![String::new()] },
                 columns: columns.into_iter().map(|(_, title, _)| title).collect(),
-                accuracies: accuracies.iter().map(QualityColumn::title).collect(),
+                qualities: quality_columns.iter().map(QualityColumn::title).collect(),
                 has_uploads: is_measured(&stage::UPLOAD_BYTES),
                 has_deadlines: comparison.configurations.iter().any(|one| one.misses().is_some()),
             },
@@ -176,15 +176,13 @@ pub(super) fn difference_decimals(stages: &[StageDifference]) -> usize {
 pub(crate) struct DifferenceRow {
     pub name: String,
     pub look: &'static str,
-    /// Mean of the baseline.
-    pub first: String,
-    /// Mean of the other configuration.
-    pub second: String,
-    /// The second minus the first; a dash if only one configuration has the stage.
+    pub baseline_mean: String,
+    pub other_mean: String,
+    /// Mean of the other configuration minus mean of the baseline; a dash if only one configuration has the stage.
     pub difference: String,
     /// 95 % interval of the difference; `None` if it is unknown.
     pub interval: Option<String>,
-    /// `true` if the difference is significant; `None` if that cannot be determined.
+    /// `true` if the difference is larger than chance explains; `None` if that cannot be determined.
     pub is_certain: Option<bool>,
 }
 
@@ -204,8 +202,8 @@ impl DifferenceRow {
         Self {
             name: column.map_or(&*stage.name, |(_, title)| title).to_owned(),
             look: look::class(&stage.name),
-            first: mean(stage.means.0),
-            second: mean(stage.means.1),
+            baseline_mean: mean(stage.means.0),
+            other_mean: mean(stage.means.1),
             difference,
             interval,
             is_certain: stage.is_distinct(),

@@ -59,8 +59,7 @@ pub(crate) fn stages(scale: f64, bytes: f64) -> (Vec<StageStatistics>, Vec<Delay
     (all, window.bounds)
 }
 
-/// Returns a configuration of one run. Its name is the letter, and the number of its run the number, that belong to the
-/// index `at`.
+/// Returns a configuration of one run. The configuration with index 0 has the name `A` and the run 1, index 1 has `B` and 2, and so on.
 pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f64) -> Configuration {
     let (stages, bounds) = stages(scale, bytes);
     let values = vec![format!("{} kB", bytes / 1e3), HOSTILE.to_owned()];
@@ -69,7 +68,7 @@ pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f
     Configuration { name, values, runs, stages, bounds, mergeable, model_computes: true }
 }
 
-/// Returns the comparison of these configurations, as those of an experiment.
+/// Returns the comparison of these configurations of an experiment.
 pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
     let axes = vec!["size".to_owned(), "where".to_owned()];
     let experiment = Some(("sizes".to_owned(), "a".to_owned()));
@@ -111,7 +110,7 @@ fn mergeable(stages: &[StageStatistics]) -> Arc<MergeableStatistics> {
     Arc::new(mergeable)
 }
 
-/// Returns the total of a run in buckets, which varies by 1 % about `mean`.
+/// Returns the means of the total of a run, one for each bucket. The total varies by 1 % about `mean`.
 pub(crate) fn total_in_buckets(mean: f64, buckets: usize) -> Vec<StageMeans> {
     let bucket = |at: usize| {
         let mut summary = Summary::default();
@@ -186,13 +185,13 @@ fn addresses_name_runs_or_an_experiment() {
         let pairs: Vec<_> = pairs.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
         CompareSelection::parse(&pairs, "runs")
     };
-    assert_eq!(parse(&[]).expect("fine"), None);
+    assert_eq!(parse(&[]).expect("valid parameters"), None);
     assert_eq!(
-        parse(&[("runs", "3,#5, 3"), ("runs", "7")]).expect("fine"),
+        parse(&[("runs", "3,#5, 3"), ("runs", "7")]).expect("valid parameters"),
         Some(CompareSelection::Runs(vec![3, 5, 7]))
     );
     assert_eq!(
-        parse(&[("experiment", "x")]).expect("fine"),
+        parse(&[("experiment", "x")]).expect("valid parameters"),
         Some(CompareSelection::Experiment("x".to_owned()))
     );
     for wrong in [&[("runs", "3,x")][..], &[("run", "3")], &[("runs", "3"), ("experiment", "x")]] {
@@ -202,7 +201,7 @@ fn addresses_name_runs_or_an_experiment() {
     assert!(parse(&[("runs", &many)]).is_err());
 }
 
-/// Returns the total of the first run of each configuration, in `buckets` buckets.
+/// Returns the means of the total over time, in `buckets` buckets, of the first run of each configuration.
 pub(crate) fn totals(comparison: &Comparison, buckets: usize) -> RunMeans {
     let number_and_mean = |configuration: &Configuration| {
         configuration
@@ -219,7 +218,7 @@ fn title_of(comparison: &Comparison, means: &RunMeans, baseline: usize) -> Strin
     title(comparison, &Differences::of(comparison, means, baseline))
 }
 
-/// Returns the comparison of a configuration for each scale.
+/// Returns the comparison of one configuration for each scale.
 fn comparison_of_scales(scales: &[f64]) -> Comparison {
     let one = |(at, scale): (usize, &f64)| configuration(at, PlacementKind::Remote, *scale, 1e3);
     comparison(scales.iter().enumerate().map(one).collect())
@@ -235,12 +234,16 @@ fn title_says_which_is_fastest_by_how_much() {
     assert!(text.starts_with("B is the fastest: 16.0\u{202f}ms, 8.0"), "{text}");
     assert!(text.contains(" less than A (95\u{202f}%: "), "{text}");
     let of_stages = found.others[0].1[1].mean_difference.expect("both means are known");
-    assert_eq!(of_stages.interval, None, "nothing is known of the course of the stages");
+    assert_eq!(of_stages.interval, None, "the means of single stages over time are not given");
 
     let three = comparison_of_scales(&[2.0, 1.0, 3.0]);
     let text = |baseline| title_of(&three, &totals(&three, 20), baseline);
     assert!(text(2).contains("ms less than C"), "{}", text(2));
-    assert!(text(1).contains("ms less than A"), "the next one where the best is the baseline: {}", text(1));
+    assert!(
+        text(1).contains("ms less than A"),
+        "a best baseline is compared with the next configuration: {}",
+        text(1)
+    );
 }
 
 #[test]
@@ -255,8 +258,11 @@ fn title_without_ranking_names_no_fastest() {
     let mut few = comparison_of_scales(&[1.0, 1.5, 2.0]);
     few.configurations[1].runs[0].counts.ok = 29;
     let text = title_of(&few, &totals(&few, 3), 0);
-    assert!(text.ends_with("; too little is known to tell more"), "the command cannot tell either: {text}");
-    assert!(title_of(&comparison(Vec::new()), &RunMeans::new(), 0).contains("was finished yet"));
+    assert!(
+        text.ends_with("; too little is known to tell more"),
+        "`peernet compare` has too few iterations, too: {text}"
+    );
+    assert!(title_of(&comparison(Vec::new()), &RunMeans::new(), 0).contains("has finished yet"));
 }
 
 #[test]
@@ -269,10 +275,14 @@ fn configuration_that_computes_nothing_is_not_ranked() {
     assert_eq!(
         found.total(1).and_then(StageDifference::is_distinct),
         Some(true),
-        "it is compared all the same"
+        "a configuration without rank is compared with the baseline nevertheless"
     );
     all.configurations.iter_mut().for_each(|one| one.model_computes = false);
-    assert!(text(&all).starts_with("B is the fastest"), "where none computes all are ranked: {}", text(&all));
+    assert!(
+        text(&all).starts_with("B is the fastest"),
+        "if no model computes, all configurations are ranked: {}",
+        text(&all)
+    );
 }
 
 #[test]
@@ -286,7 +296,7 @@ fn title_ignores_unmeasured_configurations() {
         title_of(&all, &totals(&all, 20), 0)
     };
     let text = "B has the smallest mean of the 3 configurations, 24.1\u{202f}ms; too little is known of A to tell more";
-    assert_eq!(without(&[0]), text, "the terminal says so too");
+    assert_eq!(without(&[0]), text, "`peernet compare` has the same statement");
     assert_eq!(without(&[0, 2]), "Only B has measured anything: there is nothing to compare it with");
     assert_eq!(without(&[0, 1, 2]), "No successful iteration of these runs is stored yet");
 }
@@ -314,7 +324,7 @@ fn best_configuration_is_the_baseline_unless_one_is_chosen() {
 }
 
 #[test]
-fn after_deletion_difference_equals_that_of_shown_means() {
+fn difference_after_deletion_equals_that_of_shown_means() {
     let two = comparison_of_scales(&[1.0, 2.0]);
     let mut means = totals(&two, 20);
     let complete = Differences::of(&two, &means, 0);
@@ -334,22 +344,22 @@ fn after_deletion_difference_equals_that_of_shown_means() {
 }
 
 #[test]
-fn models_in_both_places_are_paired() {
+fn inference_of_model_is_compared_between_places() {
     let mixed = comparison(vec![
         configuration(0, PlacementKind::Remote, 1.0, 1e3),
         configuration(1, PlacementKind::Local, 2.0, 1e3),
         configuration(2, PlacementKind::Remote, 3.0, 1e6),
     ]);
-    let (pairs, _) = pairs(&mixed);
-    let names: Vec<&str> = pairs[0].places.iter().map(|place| place.configuration.as_str()).collect();
-    assert_eq!((pairs.len(), names), (1, vec!["B", "A + C"]), "both clouds are one place, as in the figure");
+    let (models, _) = place_comparisons(&mixed);
+    let names: Vec<&str> = models[0].places.iter().map(|place| place.configuration.as_str()).collect();
+    assert_eq!((models.len(), names), (1, vec!["B", "A + C"]), "both clouds are one place, as in the figure");
     let mut many = configuration(1, PlacementKind::Remote, 1.0, 1e3);
     let run = many.runs.remove(0);
     for user in [10, 2, 1, 2] {
         many.runs.push(RunSummary { host_name: samples::slug(&format!("user-{user}")), ..run.clone() });
     }
     let users = comparison(vec![configuration(0, PlacementKind::Local, 1.0, 1e3), many]);
-    let (several_users, _) = super::pairs(&users);
+    let (several_users, _) = place_comparisons(&users);
     assert!(
         several_users[0].places[1].place.starts_with("cloud: user-1, user-2, user-10 → "),
         "{}",
@@ -357,5 +367,5 @@ fn models_in_both_places_are_paired() {
     );
     let equal_sizes =
         comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
-    assert!(super::pairs(&equal_sizes).0.is_empty());
+    assert!(place_comparisons(&equal_sizes).0.is_empty());
 }

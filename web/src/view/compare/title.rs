@@ -14,7 +14,7 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
     let all = &comparison.configurations;
     let measured: Vec<&Configuration> = all.iter().filter(|one| comparison.total(one).is_some()).collect();
     let ranking = match (all.len(), measured.as_slice(), differences.ranking.as_ref()) {
-        (0, ..) => return "No run of this experiment was finished yet".to_owned(),
+        (0, ..) => return "No run of this experiment has finished yet".to_owned(),
         (1, ..) => return "One configuration: there is nothing to compare it with yet".to_owned(),
         (_, [], _) => return "No successful iteration of these runs is stored yet".to_owned(),
         (_, [only], _) => {

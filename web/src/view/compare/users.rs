@@ -17,7 +17,7 @@ use super::{Comparison, Configuration};
 use crate::error::WebError;
 use crate::picture::Picture;
 
-/// Row of a configuration with a number of users.
+/// Row of a configuration, for its number of users.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct UsersRow {
     pub name: String,
@@ -32,7 +32,7 @@ pub(crate) struct UsersRow {
     pub total: String,
 }
 
-/// Measurements of the users of each configuration from the time that they have in common.
+/// Measurements of the users of each configuration, from the time in which all users of a repeat measured.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct MeasuredUsers {
     /// Repeats of each configuration, without repeats that lack a user. Empty if all configurations have the same
@@ -50,7 +50,7 @@ pub(crate) struct UsersPlot {
     pub method: String,
 }
 
-/// Reads the measurements of the users of each configuration from the time that they have in common. Reads nothing
+/// Reads the measurements of the users of each configuration, from the time in which all users of a repeat measured. Reads nothing
 /// unless an experiment is compared whose configurations have different numbers of users.
 ///
 /// # Errors
@@ -83,8 +83,8 @@ fn complete_repeats(configuration: &Configuration) -> Vec<Vec<&RunSummary>> {
     complete_groups(configuration.concurrent_runs(), |run| run.experiment.as_ref())
 }
 
-/// Reads the measurements of the users of a repeat from the time that they have in common. Also returns the resolution
-/// of that time, seconds.
+/// Reads the measurements of the users of a repeat, from the time in which all of them measured. Also returns the resolution of this time,
+/// seconds.
 async fn measured_repeat(store: &Store, users: &[RunSummary]) -> Result<(Repeat<Summary>, u32), WebError> {
     let mut times = Vec::with_capacity(users.len());
     for run in users {
@@ -124,7 +124,7 @@ pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option
     let differ =
         |curve: &Curve<'_>| users_of_line(curve.points.first()) != users_of_line(curve.points.last());
     curves.iter().any(differ).then_some(())?;
-    // Within an experiment the values identify a configuration.
+    // The configurations of an experiment differ in their values, so the values identify a configuration.
     let configuration_of =
         |line: &UsersLine| comparison.configurations.iter().find(|one| one.values == line.labels);
     let points: Vec<Vec<(&UsersLine, &Configuration)>> = curves
@@ -203,7 +203,7 @@ mod tests {
     use crate::view::compare::tests::{comparison, configuration, measured_users, run};
 
     #[test]
-    fn users_have_measured_totals_whatever_is_compared() {
+    fn users_have_measured_totals_for_any_compared_latency() {
         let edge = |host_name: &str| RunSummary {
             host_name: samples::slug(host_name),
             experiment: Some(ExperimentPosition::default()),

@@ -88,7 +88,7 @@ fn cost_of_a_token_has_an_interval() {
 }
 
 #[test]
-fn sample_has_number_of_all_and_deleted_iterations() {
+fn sentence_has_numbers_of_drawn_and_all_iterations() {
     let points = sample_answers(800);
     let mut one = answers_of_lengths(0, "tokens", &points);
     let amount = |configuration: &Configuration, points: &[(f64, f64)], is_whole| {
@@ -118,14 +118,18 @@ fn sample_has_number_of_all_and_deleted_iterations() {
 }
 
 #[test]
-fn too_few_or_flat_points_give_no_growth() {
+fn too_few_or_flat_points_give_no_line() {
     let sentence = |points: &[(f64, f64)]| {
         Growth::from_iterations(points).map(|growth| growth.describe_slope("kB", 1e3))
     };
     assert_eq!(sentence(&sample_answers(59)), Err(NoLine::Answers(59)));
     let equal_lengths: Vec<(f64, f64)> =
         sample_answers(60).iter().map(|(x, y)| (f64::from(*x > 30.0 && *x < 32.0), *y)).collect();
-    assert_eq!(sentence(&equal_lengths), Err(NoLine::Lengths(60)), "one other length tells nothing");
+    assert_eq!(
+        sentence(&equal_lengths),
+        Err(NoLine::Lengths(60)),
+        "one answer of another length gives no line"
+    );
     let flat: Vec<(f64, f64)> =
         (0..400).map(|n| (f64::from(n % 97), 0.1 + 0.01 * (f64::from(n) * 1.7).sin())).collect();
     let text = sentence(&flat).expect("enough");
@@ -187,7 +191,7 @@ fn count_intervals_with_slope(iterations: usize, iteration: impl Fn(&mut SplitMi
         };
         let points: Vec<(f64, f64)> = (0..iterations).map(answer).collect();
         let (lo, hi) = Growth::from_iterations(&points).expect("enough").interval;
-        assert!(hi - lo < SLOPE, "it says something: {lo} {hi}");
+        assert!(hi - lo < SLOPE, "the interval is narrow enough to be useful: {lo} {hi}");
         (lo..=hi).contains(&SLOPE)
     };
     (0..200).filter(|_| holds()).count()
@@ -234,19 +238,19 @@ fn iterations_without_valid_length_are_counted() {
     let sentences = &found.rows[0].sentences;
     assert_eq!(
         sentences.last().map(String::as_str),
-        Some("168 of 295 iterations; the others have no such number.")
+        Some("168 of 295 iterations; the others lack a valid length or latency.")
     );
     let part = lengths(&one, &answers_of_first(counted[..100].to_vec(), false)).expect("lengths");
     assert!(
         part.rows[0].sentences.iter().any(|text| text
-            == "100 of 168 iterations, evenly spread; histograms of all. 127 of 295 iterations have no such number."),
+            == "100 of 168 iterations, evenly spread; histograms of all. 127 of 295 iterations lack a valid length or latency."),
         "{:?}",
         part.rows[0].sentences
     );
 }
 
 #[test]
-fn repeated_lengths_of_an_iteration_count_once() {
+fn second_length_of_an_iteration_is_not_counted() {
     let points = sample_answers(80);
     let mut one = answers_of_lengths(0, "tokens", &points);
     let mut mergeable = MergeableStatistics::clone(&one.mergeable);
@@ -283,7 +287,7 @@ fn tokens_and_bytes_have_separate_axes() {
         answers_of_lengths(1, "download-bytes", &many),
     ]);
     let found = lengths(&both, &all_answers(&both)).expect("lengths");
-    assert!(found.is_counted, "450 are many");
+    assert!(found.has_cells, "450 points are drawn as cells");
     let [tokens, bytes] = [0, 1].map(|at| found.rows[at].plot.to_string());
     assert!(tokens.contains(">tokens<") && bytes.contains(">kB of answer<"), "{bytes}");
     let rows = |html: &str| {
