@@ -58,7 +58,12 @@ fn page_api_and_metrics_show_connection() {
 
     let (status, page) = api.get("/links/edge~cloud").expect("the aggregator answers");
     assert_eq!(status, 200);
-    for text in ["Connections</h2>", "by lo, loopback, MTU ", "round trip of its packets ", remote.as_str()] {
+    for text in [
+        "Connections</h2>",
+        "by lo, loopback, MTU ",
+        "round trip of the transport&#39;s packets ",
+        remote.as_str(),
+    ] {
         assert!(page.contains(text), "the page lacks {text:?}: {page}");
     }
     assert!(page.contains("data-h=\"counted by\">cloud</td>"), "{page}");
@@ -146,8 +151,8 @@ fn page_api_metrics_show_lost_and_reordered_datagrams() {
     for text in [
         "zmq-udp",
         "by data, ",
-        "round trip of its packets ",
-        " lost in transit or with the connection",
+        "round trip of the transport&#39;s packets ",
+        " messages lost in transit or with the connection",
         remote.as_str(),
     ] {
         assert!(page.contains(text), "the page lacks {text:?}: {page}");

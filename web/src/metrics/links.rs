@@ -25,7 +25,8 @@ pub(super) fn write_each(
     }
 }
 
-/// Returns half the width of the offset's interval, seconds; `None` without an interval, or if its sources contradict each other.
+/// Returns half the width of the offset's interval, seconds; `None` without an interval, or if its sources contradict
+/// each other.
 pub(super) fn half_width(link: &LinkSnapshot) -> Option<Sample> {
     let offset = link.live.latest_sample.offset.as_ref()?;
     estimate_and_max_error(offset)?;
@@ -37,7 +38,8 @@ pub(super) fn loss(link: &LinkSnapshot) -> Option<Sample> {
     recent_probes(link)?.lost_share().map(Sample::Value)
 }
 
-/// Returns the number of packets that were refused as answers to probes, and of probes that could not be sent, within the last [`WINDOW`].
+/// Returns the number of packets that were refused as answers to probes, and of probes that could not be sent, within
+/// the last [`WINDOW`].
 pub(super) fn refused(link: &LinkSnapshot) -> Option<Sample> {
     recent_probes(link).map(|probes| Sample::Value(f64::from(probes.refused)))
 }

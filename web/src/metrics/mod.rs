@@ -1,6 +1,7 @@
 //! `GET /metrics`: the live state as OpenMetrics text, for Prometheus and other readers of this format.
 //!
-//! Each metric is an entry of [`table`]. A sample of a metric is a value with its labels. All samples of an answer come from one snapshot.
+//! Each metric is an entry of [`table`]. A sample of a metric is a value with its labels. All samples of an answer come
+//! from one snapshot.
 
 mod aggregator;
 mod hosts;

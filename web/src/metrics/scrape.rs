@@ -51,7 +51,8 @@ impl Scrape {
             .filter(|pipeline| host_ids.contains(&pipeline.host))
             .cloned()
             .collect();
-        // Two samples of one metric must not have the same labels, so of links with the same names only the first is taken.
+        // Two samples of one metric must not have the same labels, so of links with the same names only the first is
+        // taken.
         let mut names = HashSet::new();
         let mut links: Vec<Arc<LinkSnapshot>> = live_state
             .links

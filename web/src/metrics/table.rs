@@ -28,7 +28,8 @@ impl Sample {
     }
 }
 
-/// Callback that receives the samples of a metric: the values of its labels, in the order of their names, and the number.
+/// Callback that receives the samples of a metric: the values of its labels, in the order of their names, and the
+/// number.
 pub(super) type Sink<'a> = dyn FnMut(&[&str], Sample) + 'a;
 
 /// One metric. The full name is `peernet_<name>_<unit>` for a gauge, and `peernet_<name>_<unit>_total` for a counter.

@@ -157,7 +157,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
         facts: facts(app, run, detail),
         warm_up: row.warm_up,
         clock_fault: run.has_clock_fault.then_some(clock_fault::CHIP),
-        link: link::of_placement(&snapshot, run.host_name.as_str(), &run.placement),
+        link: link::href_of_placement(&snapshot, run.host_name.as_str(), &run.placement),
         previous: neighbour(detail.previous),
         next: neighbour(detail.next),
         slower: detail.slower,

@@ -249,7 +249,7 @@ fn pipeline_page(
     facts.extend([place::model(placement), pipeline.load.clone()]);
     facts.push(format!("last update {} ago", length((snapshot.at - pipeline.last_seen).seconds().max(0.0))));
     let charts = vec![ChartCard::new(pipeline, snapshot, app.zone)];
-    let link = link::of_placement(snapshot, &host, placement);
+    let link = link::href_of_placement(snapshot, &host, placement);
     let cloud = placement.peer.as_ref().map_or("", Slug::as_str);
     let has_clock_fault = FaultyClocks::of(snapshot).concerns(&[&host, cloud]);
     Ok(PipelinePage {

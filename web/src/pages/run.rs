@@ -274,7 +274,7 @@ fn assemble(
         |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), |seconds| format.duration(seconds));
     let missing = MissingCount::from_gaps(run.gaps.iter().map(|gap| gap.count));
     let (zone, snapshot) = (app.zone, app.live_state());
-    let link = link::of_placement(&snapshot, summary.host_name.as_str(), &summary.placement);
+    let link = link::href_of_placement(&snapshot, summary.host_name.as_str(), &summary.placement);
     let delay_notes = Note::delay_notes(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
         stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics)
     });

@@ -4,7 +4,8 @@ use peernet_analysis::accuracy::Accuracy;
 use peernet_statistics::number::{join_ends, share};
 use peernet_store::QuantityStatistics;
 
-/// Returns the 95 % interval of an accuracy in percent: `79.1 – 88.2`. `scores` are the statistics of scores that are 0 or 1.
+/// Returns the 95 % interval of an accuracy in percent: `79.1 – 88.2`. `scores` are the statistics of scores that are 0
+/// or 1.
 pub(crate) fn interval(scores: &QuantityStatistics) -> Option<String> {
     let (lo, hi) = Accuracy::from_mean(scores.mean, scores.count, scores.count)?.interval;
     Some(join_ends([share(lo), share(hi)]))

@@ -8,7 +8,8 @@ use peernet_store::{IterationDetail, QuantityStatistics};
 
 use crate::timeline::NodeStatistics;
 
-/// Names of four nodes of each direction: the delay, the size of the payload, the size of the metadata, and the throughput.
+/// Names of four nodes of each direction: the delay, the size of the payload, the size of the metadata, and the
+/// throughput.
 const DIRECTIONS: [(&str, &str, &str, &str); 2] = [
     ("upload", "upload-bytes", "upload-logger-bytes", "upload-throughput"),
     ("download", "download-bytes", "download-logger-bytes", "download-throughput"),
@@ -38,8 +39,8 @@ pub(crate) struct OtherMeasurement {
     pub median: String,
 }
 
-/// Returns the size or throughput with this name. An iteration may have several nodes of one name. The value is the one that the
-/// statistics of the run include.
+/// Returns the size or throughput with this name. An iteration may have several nodes of one name. The value is the one
+/// that the statistics of the run include.
 fn counted_value(detail: &IterationDetail, name: &str) -> Option<f64> {
     detail.tree.counted_nodes().get(name)
 }
@@ -81,8 +82,9 @@ impl ByteRow {
     }
 }
 
-/// Returns the throughput in words. Also returns the reason if the throughput is missing or is an interval. If the verdict on the delay is
-/// `limited`, only the interval is returned, because a single value would look more certain than it is.
+/// Returns the throughput in words. Also returns the reason if the throughput is missing or is an interval. If the
+/// verdict on the delay is `limited`, only the interval is returned, because a single value would look more certain
+/// than it is.
 fn throughput_text(detail: &IterationDetail, name: &str, delay: &str) -> (String, &'static str) {
     let node =
         |name: &str| detail.tree.nodes().iter().find(|node| node.name == *name).map(|node| &node.measure);

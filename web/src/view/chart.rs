@@ -102,7 +102,8 @@ struct ChartData {
     gpu: Vec<(i64, RoundedNumber)>,
 }
 
-/// For each second: the bytes of the messages whose delay is known, and the sum of these delays in µs. `None` if no delay is known.
+/// For each second: the bytes of the messages whose delay is known, and the sum of these delays in µs. `None` if no
+/// delay is known.
 // The chart adds up bytes and delays of several seconds before it divides, so the data has no speed of a single second.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct TransferData {
@@ -132,7 +133,8 @@ struct PageData<'a> {
     marks: &'a [IncidentMark],
 }
 
-/// Returns the bytes of the messages whose delay is known, and the sum of these delays in µs; `None` if no delay is known.
+/// Returns the bytes of the messages whose delay is known, and the sum of these delays in µs; `None` if no delay is
+/// known.
 fn timed_transfer(transfer: Option<Transfer>) -> Option<(RoundedNumber, RoundedNumber)> {
     let transfer = transfer.filter(|transfer| transfer.speed().is_some())?;
     Some((RoundedNumber(Some(transfer.timed_bytes)), RoundedNumber(Some(transfer.seconds * 1e6))))

@@ -1,4 +1,5 @@
-//! Chips: an icon (sign) and a word for a verdict or a state. The icon and the word say everything that the colour says.
+//! Chips: an icon (sign) and a word for a verdict or a state. The icon and the word say everything that the colour
+//! says.
 
 use askama::Template;
 use peernet_clock::Verdict;

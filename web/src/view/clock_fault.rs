@@ -26,7 +26,8 @@ impl FaultyClocks {
         let faults_reported_by_edges = links.filter_map(|link| {
             Some((link.live.peer_name.to_string(), link.live.cloud.as_ref()?.faults.as_ref()?.to_string()))
         });
-        // If a host and an edge both report the fault of the host, the map keeps the report that comes last: the host's own.
+        // If a host and an edge both report the fault of the host, the map keeps the report that comes last: the host's
+        // own.
         Self(faults_reported_by_edges.chain(own_faults).collect())
     }
 

@@ -19,8 +19,8 @@ pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
 /// Returns `3 iterations failed`, `3 iterations failed, 2 iterations of the warm-up failed`, or
 /// `995 iterations failed, 300 marked` if not all have a mark. `None` if no iteration failed.
 pub(crate) fn failed_count_text(episodes: &Episodes, run: &RunSummary) -> Option<String> {
-    // The counts of a run exclude the warm-up. The stored rows include the warm-up, but not the iterations that retention
-    // deleted. Above the limit of counted rows, the number of failed iterations of the warm-up is not known.
+    // The counts of a run exclude the warm-up. The stored rows include the warm-up, but not the iterations that
+    // retention deleted. Above the limit of counted rows, the number of failed iterations of the warm-up is not known.
     let failed = run.counts.all_failed();
     let in_warm_up = match episodes.failed_count {
         stored if stored > Episodes::MAX_COUNTED => 0,

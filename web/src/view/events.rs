@@ -1,5 +1,5 @@
-//! Counts of a host's events on their way from the measurement to the database. Each produced event is acknowledged, waiting or
-//! dropped.
+//! Counts of a host's events on their way from the measurement to the database. Each produced event is acknowledged,
+//! waiting or dropped.
 
 use std::cmp::Reverse;
 
@@ -147,8 +147,8 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     }
     let warned_bytes = account.spool_limit_bytes as f64 * NEARLY_FULL;
     if account.spool_limit_bytes > 0 && account.spool_bytes as f64 >= warned_bytes {
-        // Events are dropped when their batch does not fit, which can happen slightly below the limit. Both chips therefore have
-        // the same text.
+        // Events are dropped when their batch does not fit, which can happen slightly below the limit. Both chips
+        // therefore have the same text.
         let (tone, word) = if account.spool_bytes >= account.spool_limit_bytes {
             (Tone::Bad, "spool full")
         } else {
@@ -179,8 +179,8 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     }
     let missing = host.missing_events();
     if missing > 0 {
-        // If the agent dropped fewer events than are missing, some events were lost in another way, for example because the
-        // spool was deleted.
+        // If the agent dropped fewer events than are missing, some events were lost in another way, for example because
+        // the spool was deleted.
         let why = loss_reasons(account).filter(|_| account.dropped == missing).unwrap_or("missing");
         let text = format!(
             "{} {why}; the gaps of its runs, or incidents of the kind gap, say why.",
@@ -200,8 +200,8 @@ pub(crate) fn most_severe_remark(host: &HostSnapshot) -> Option<Remark> {
     remarks(host).into_iter().min_by_key(|remark| Reverse(remark.chip.tone))
 }
 
-/// Returns the aggregator's counts of a host's data, as pairs of name and text. `rejected` is `None` for a host that is not in the live
-/// state.
+/// Returns the aggregator's counts of a host's data, as pairs of name and text. `rejected` is `None` for a host that is
+/// not in the live state.
 pub(crate) fn stored_count_pairs(
     stored: &StoredCounts,
     rejected: Option<&RejectedBatches>,
@@ -212,7 +212,8 @@ pub(crate) fn stored_count_pairs(
         0 => String::new(),
         before => format!(", {} of them in another database", count(before)),
     };
-    // A gap of known size lacks at least one event. If no event is missing, the sizes of all gaps are therefore unknown.
+    // A gap of known size lacks at least one event. If no event is missing, the sizes of all gaps are therefore
+    // unknown.
     let missing = match stored.missing {
         0 if stored.gaps > 0 => "an unknown number of events missing".to_owned(),
         missing => format!("{} events missing", count(missing)),
@@ -222,7 +223,8 @@ pub(crate) fn stored_count_pairs(
         ("Gaps", format!("{}, {missing}{before}", count(stored.gaps))),
         ("Quarantined", format!("{} batches that could not be stored", count(stored.quarantined))),
     ];
-    // These counts begin at the start of the aggregator, so they say nothing about a host that has not reported since then.
+    // These counts begin at the start of the aggregator, so they say nothing about a host that has not reported since
+    // then.
     if let Some(rejected) = rejected {
         pairs.extend([
             ("Duplicates", format!("{} batches, stored once", count(stored.duplicates))),

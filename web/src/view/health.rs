@@ -138,7 +138,7 @@ fn pipeline_notes(pipeline: &PipelineSnapshot, snapshot: &LiveState, warn: &Warn
         notes.push(note(Chip::new(Tone::Warn, "gap", "losses"), text));
     }
     notes.extend(warnings::pipeline_warnings(window, warn).into_iter().map(|(chip, text)| note(chip, text)));
-    let link = link::of_placement(snapshot, pipeline.host_name.as_str(), &pipeline.placement);
+    let link = link::href_of_placement(snapshot, pipeline.host_name.as_str(), &pipeline.placement);
     let value = |name: &Name| window.value(name).copied();
     notes.extend(Note::delay_notes(&subject, &href, link.as_deref(), &window.bounds, value));
     notes

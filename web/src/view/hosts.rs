@@ -86,8 +86,8 @@ fn history(
     points: &[std::sync::Arc<MetricsPoint>],
     share_of: impl Fn(&HostMetrics) -> Option<f64>,
 ) -> Vec<Option<f64>> {
-    // The newest point is always at the right end. If the first point is less than ten minutes old, the time before it is
-    // a gap.
+    // The newest point is always at the right end. If the first point is less than ten minutes old, the time before it
+    // is a gap.
     let mut newest_first = Vec::with_capacity(POINTS);
     let mut later_time = None;
     for point in points.iter().rev() {
@@ -142,8 +142,8 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
 }
 
 impl HostLine {
-    /// Converts the first `limit` hosts of the live state. Returns the hosts whose agents have not said goodbye, and the hosts whose
-    /// agents have.
+    /// Converts the first `limit` hosts of the live state. Returns the hosts whose agents have not said goodbye, and
+    /// the hosts whose agents have.
     pub(crate) fn current_and_ended(
         limit: usize,
         snapshot: &LiveState,

@@ -108,7 +108,8 @@ pub(crate) fn state_reason(state: &PipelineState) -> Option<String> {
     state.reason().map(|reason| format!("{verb}: {reason}"))
 }
 
-/// Returns a quantile of `total`, and its cell. Without a value the cell explains that the quantile needs `min_iterations` iterations.
+/// Returns a quantile of `total`, and its cell. Without a value the cell explains that the quantile needs
+/// `min_iterations` iterations.
 fn quantile(
     total: Option<&QuantityStatistics>,
     min_iterations: u64,
@@ -134,8 +135,8 @@ impl PipelineTable {
         let windows: Vec<(&PipelineSnapshot, &Window)> =
             pipelines.iter().filter_map(|one| Some((*one, one.window(WINDOW_S)?))).collect();
         let stacks: Vec<Stack> = windows.iter().map(|(_, window)| Stack::of_window(window)).collect();
-        // A whisker that is far longer than the bars would compress the bars. Such a whisker is cut at the end of the axis, and the table shows
-        // its value.
+        // A whisker that is far longer than the bars would compress the bars. Such a whisker is cut at the end of the
+        // axis, and the table shows its value.
         let longest = stacks.iter().map(Stack::end_ms).fold(0.0, f64::max);
         let reach = windows.iter().map(|(_, window)| {
             window

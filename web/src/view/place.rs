@@ -9,8 +9,8 @@ use peernet_stream::{Placement, PlacementKind};
 /// Text in the place of model and network, for a pipeline that only senses.
 const SENSOR_ONLY: &str = "sensor alone";
 
-/// Returns the hosts of a pipeline: `cam-2 → rack-a`, or `cam-1` if the edge computes. A cloud without a known name is shown by its
-/// address.
+/// Returns the hosts of a pipeline: `cam-2 → rack-a`, or `cam-1` if the edge computes. A cloud without a known name is
+/// shown by its address.
 pub(crate) fn route(host: &str, placement: &Placement) -> String {
     match (placement.kind, &placement.peer, &placement.address) {
         (PlacementKind::Local | PlacementKind::None, ..) => host.to_owned(),

@@ -127,8 +127,8 @@ impl StoredRun<'_> {
         [episodes::episode_count_text(self.episodes), failed, standstill].into_iter().flatten().collect()
     }
 
-    /// Returns the starts per second after the warm-up; `None` if the time from the first to the last start is unknown, as after a
-    /// standstill.
+    /// Returns the starts per second after the warm-up; `None` if the time from the first to the last start is unknown,
+    /// as after a standstill.
     pub(crate) fn rate(&self) -> Option<f64> {
         self.starts.actual_hz()
     }
@@ -165,8 +165,8 @@ impl StoredRun<'_> {
             [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED, SUPERSEDED].into_iter().chain(ACCURACIES);
         let counts = counts.chain(ACTION_REPORTS).chain(EPISODE_VALUES);
         let is_count = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
-        // A mean of the throughputs of single iterations is not a speed, because small messages count as much as large ones.
-        // `transfer_rows` returns the speed.
+        // A mean of the throughputs of single iterations is not a speed, because small messages count as much as large
+        // ones. `transfer_rows` returns the speed.
         let is_ratio = |stage: &StageStatistics| {
             [stage::UPLOAD_THROUGHPUT, stage::DOWNLOAD_THROUGHPUT].contains(&stage.stage)
         };
@@ -208,8 +208,8 @@ impl StoredRun<'_> {
         .collect()
     }
 
-    /// Returns the speed while sending: a number, or an interval if the verdict on the delays is `limited`. `None` if the verdict is worse
-    /// than `limited`, or no delay is known.
+    /// Returns the speed while sending: a number, or an interval if the verdict on the delays is `limited`. `None` if
+    /// the verdict is worse than `limited`, or no delay is known.
     fn speed(&self, direction: NetworkDirection, transfer: Transfer) -> Option<String> {
         let speed = transfer.speed()?;
         let bound = self.statistics.bounds.iter().find(|bound| bound.stage == *direction.delay_name());
@@ -224,7 +224,8 @@ impl StoredRun<'_> {
         }
     }
 
-    /// Returns the number of iterations after the warm-up divided by the rate of the run, seconds; `None` if the rate is unknown.
+    /// Returns the number of iterations after the warm-up divided by the rate of the run, seconds; `None` if the rate
+    /// is unknown.
     fn measured_seconds(&self) -> Option<f64> {
         Some(self.run.summary.counts.total() as f64 / self.rate()?)
     }

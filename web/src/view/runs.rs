@@ -88,7 +88,8 @@ fn deletion_reason(retention: &RetentionConfig) -> String {
     match (retention.nodes_days, retention.size_limit_bytes) {
         (1, 0) => "after 1 day".to_owned(),
         (days, 0) if days > 0 => format!("after {} days", count(days.into())),
-        // With a size limit, both reasons are possible. Without any limit, an earlier configuration deleted the iterations.
+        // With a size limit, both reasons are possible. Without any limit, an earlier configuration deleted the
+        // iterations.
         _ => "because of their age or to free disk space".to_owned(),
     }
 }
@@ -128,8 +129,8 @@ pub(crate) fn deleted_iterations_note(run: &RunSummary, retention: &RetentionCon
     })
 }
 
-/// Returns a note for each reason why events were not recorded: the number of missing events, and the time from the beginning of the
-/// first gap to the end of the last.
+/// Returns a note for each reason why events were not recorded: the number of missing events, and the time from the
+/// beginning of the first gap to the end of the last.
 pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
     let mut reasons: Vec<&str> = gaps.iter().map(|gap| gap.reason.as_str()).collect();
     reasons.sort_unstable();

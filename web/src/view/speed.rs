@@ -42,8 +42,8 @@ impl NetworkDirection {
     }
 }
 
-/// Returns the speed while sending in a direction, bits per second. `None` if no delay is known, or the clocks do not determine the
-/// delays: the verdict on the delays is neither `ok` nor `limited`.
+/// Returns the speed while sending in a direction, bits per second. `None` if no delay is known, or the clocks do not
+/// determine the delays: the verdict on the delays is neither `ok` nor `limited`.
 pub(crate) fn determined_speed(
     transfers: &Transfers,
     bounds: &[DelayAccuracy],
@@ -61,9 +61,10 @@ pub(crate) fn obstacle(window: &Window, direction: NetworkDirection) -> Option<&
     find_obstacle(bound.and_then(clocks::verdict), window.counts.ok)
 }
 
-/// Returns the reason why a chart of `series` has no line for a direction; `None` if the chart has such a line. The reason is that of the
-/// minute that ends with the newest successful iteration.
-// The newest minute itself would give no reason for a pipeline that has ended: its chart still shows the earlier minutes.
+/// Returns the reason why a chart of `series` has no line for a direction; `None` if the chart has such a line. The
+/// reason is that of the minute that ends with the newest successful iteration.
+// The newest minute itself would give no reason for a pipeline that has ended: its chart still shows the earlier
+// minutes.
 pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirection) -> Option<&'static str> {
     let last = series.iter().rfind(|second| second.counts.ok > 0).map(|second| second.at);
     let minute = || series.iter().filter(|second| last.is_some_and(|last| second.at > last - MINUTE_S));
@@ -79,7 +80,8 @@ pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirectio
     )
 }
 
-/// Returns the reason why there is no single speed, from the verdict on the delays and the number of successful iterations.
+/// Returns the reason why there is no single speed, from the verdict on the delays and the number of successful
+/// iterations.
 fn find_obstacle(verdict: Option<Verdict>, successful_iterations: u64) -> Option<&'static str> {
     match verdict {
         Some(Verdict::Ok) => None,

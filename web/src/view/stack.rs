@@ -55,7 +55,8 @@ impl Stack {
         Self { parts: bar_parts(StageSplit::new(sent, mean_of).parts), total: statistics_of("total") }
     }
 
-    /// Returns the stack of one iteration. If upload or download is unknown, the stack has the sum of both in their place.
+    /// Returns the stack of one iteration. If upload or download is unknown, the stack has the sum of both in their
+    /// place.
     pub(crate) fn of_iteration(row: &IterationRow) -> Self {
         let parts = match durations(row) {
             Some(durations) => UnaccountedTime::parts_of(&durations),

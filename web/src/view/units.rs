@@ -3,7 +3,8 @@
 use peernet_analysis::summary::Scale;
 use peernet_figures::plot::Unit;
 
-/// Upper limit of the numbers on an axis of sizes. Larger numbers would be too wide for a phone, so the axis has a larger unit.
+/// Upper limit of the numbers on an axis of sizes. Larger numbers would be too wide for a phone, so the axis has a
+/// larger unit.
 const MAX_AXIS_BYTES: f64 = 1e5;
 
 /// Returns the unit of an axis that ends at this value. Axes of sizes are in B, kB, MB or GB.

@@ -73,8 +73,8 @@ fn split(minute: &Window) -> StageSplit {
     StageSplit::new(DelayAccuracy::sent_messages(&minute.bounds), mean_of)
 }
 
-/// Returns the warning about time that no stage, lateness or restart explains, or about stages that overlap. The trust report has the same
-/// rule.
+/// Returns the warning about time that no stage, lateness or restart explains, or about stages that overlap. The trust
+/// report has the same rule.
 fn unattributed_warning(split: &StageSplit, warn: &WarnConfig) -> Option<(Chip, String)> {
     let seconds = split.unexplained()?;
     split.is_notable(seconds, warn.unattributed_percent / 100.0).then_some(())?;

@@ -165,8 +165,8 @@ impl Row {
         }
     }
 
-    /// Creates the row of a time that has no node of its own, such as the total. `seconds` is the time in the iteration, `median` the median
-    /// in the run.
+    /// Creates the row of a time that has no node of its own, such as the total. `seconds` is the time in the
+    /// iteration, `median` the median in the run.
     fn sum(
         name: &str,
         host: String,
@@ -234,7 +234,8 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
     rows.collect()
 }
 
-/// Describes the way of the sample to the other host and the way of the answer back in a sentence, for readers who do not see the picture.
+/// Describes the way of the sample to the other host and the way of the answer back in a sentence, for readers who do
+/// not see the picture.
 pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     let Some(visit) = timeline.visit() else { return String::new() };
     let column = timeline.duration_format();

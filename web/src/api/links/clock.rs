@@ -114,7 +114,7 @@ pub(crate) struct MedianDelay {
 
 impl From<DelayPoint> for MedianDelay {
     fn from(point: DelayPoint) -> Self {
-        let (lo_s, hi_s) = crate::view::link::delays::bounds(&point);
+        let (lo_s, hi_s) = crate::view::link::delays::non_negative_bounds(&point);
         Self { value_s: point.value.seconds(), lo_s, hi_s, bits_per_second: point.bits_per_second }
     }
 }

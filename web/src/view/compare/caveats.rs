@@ -62,8 +62,9 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     publication.chain(replayed.map(|text| (REPLAYED, text))).chain(others).collect()
 }
 
-/// Returns the name of a run, such as `#11`. If several edges of an experiment measured at the same time, each edge has a stored run, but
-/// the tables of `peernet compare` show one run for all edges. The name of such a run has the numbers of all stored runs: `#11 + #12`.
+/// Returns the name of a run, such as `#11`. If several edges of an experiment measured at the same time, each edge has
+/// a stored run, but the tables of `peernet compare` show one run for all edges. The name of such a run has the numbers
+/// of all stored runs: `#11 + #12`.
 fn name_with_other_edges(comparison: &Comparison, configuration: &Configuration, run: &RunSummary) -> String {
     let edges = comparison.edges_of_run(configuration, run);
     let numbers: Vec<String> = edges.iter().map(|edge| format!("#{}", edge.number)).collect();

@@ -66,13 +66,14 @@ impl StageDifference {
 }
 
 impl Differences {
-    /// Compares all configurations with the configuration at index `baseline`. Without an index, the baseline is the best configuration,
-    /// as in `peernet compare`, or the first configuration if there is no ranking.
+    /// Compares all configurations with the configuration at index `baseline`. Without an index, the baseline is the
+    /// best configuration, as in `peernet compare`, or the first configuration if there is no ranking.
     pub(crate) fn of(comparison: &Comparison, means: &RunMeans, baseline: impl Into<Option<usize>>) -> Self {
         let names = compared_stages();
         let all = &comparison.configurations;
         let estimate = |configuration: &Configuration, name: &Name| {
-            // A run without values of the stage is left out. A run with values is included even if retention deleted its buckets.
+            // A run without values of the stage is left out. A run with values is included even if retention deleted
+            // its buckets.
             let has_values = |run: &&RunSummary| comparison.summary(run.number, name).is_some();
             let runs =
                 configuration.runs.iter().filter(has_values).map(|run| buckets(means, run.number, name));

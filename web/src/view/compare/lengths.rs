@@ -164,8 +164,8 @@ fn without_usage(comparison: &Comparison) -> Option<String> {
     })
 }
 
-/// Draws the configurations whose answers differ in length, on shared axes. Also names the configurations whose servers reported no
-/// numbers of tokens. `None` if there are no configurations of either kind.
+/// Draws the configurations whose answers differ in length, on shared axes. Also names the configurations whose servers
+/// reported no numbers of tokens. `None` if there are no configurations of either kind.
 pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Lengths> {
     let mut varying = VaryingLengths::all(comparison);
     let not_drawn = varying.split_off(varying.len().min(MAX_CONFIGURATIONS));
@@ -257,7 +257,8 @@ fn amount_sentence(varying_configuration: &VaryingLengths<'_>, sample: &Answers)
     let points = sample.points.len() as u64;
     let [lengths, latencies] =
         [varying_configuration.lengths, varying_configuration.latencies].map(Summary::count);
-    // If several nodes of one iteration have the name of the length, the number of lengths says nothing about iterations.
+    // If several nodes of one iteration have the name of the length, the number of lengths says nothing about
+    // iterations.
     let has_one_length = IterationValues::has_one_value(varying_configuration.length_name);
     let iterations = if has_one_length { lengths.max(latencies) } else { latencies };
     let all = lengths.min(latencies);

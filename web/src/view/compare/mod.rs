@@ -1,4 +1,5 @@
-//! Comparison of runs. It reads roll-ups and a bounded number of rows, so that its cost does not depend on the length of a run.
+//! Comparison of runs. It reads roll-ups and a bounded number of rows, so that its cost does not depend on the length
+//! of a run.
 
 #[cfg(test)]
 mod agreement;
@@ -180,15 +181,16 @@ impl Configuration {
 }
 
 impl Comparison {
-    /// Returns the statistics of the latency by which configurations are compared, seconds. For a pipeline that only senses, these are the
-    /// statistics of `sensing`.
+    /// Returns the statistics of the latency by which configurations are compared, seconds. For a pipeline that only
+    /// senses, these are the statistics of `sensing`.
     pub(crate) fn total<'a>(&self, configuration: &'a Configuration) -> Option<&'a QuantityStatistics> {
         configuration
             .statistics(self.total_column.name())
             .or_else(|| configuration.statistics(&stage::SENSING))
     }
 
-    /// Returns the number of decimals of the means in one column, ms. Pictures and tables of the page show equally many decimals.
+    /// Returns the number of decimals of the means in one column, ms. Pictures and tables of the page show equally many
+    /// decimals.
     pub(crate) fn mean_decimals(&self, column: &str) -> usize {
         let statistics = self.configurations.iter().filter_map(|one| one.statistics(column));
         column_decimals(statistics.map(|statistics| statistics.std))
@@ -215,8 +217,8 @@ impl Comparison {
         self.statistics_by_run.get(&run)?.summary(name)
     }
 
-    /// Returns the number of compared runs. The stored runs of edges that measured at the same time in an experiment count as one run, as in
-    /// the tables of result folders.
+    /// Returns the number of compared runs. The stored runs of edges that measured at the same time in an experiment
+    /// count as one run, as in the tables of result folders.
     pub(crate) fn run_count(&self) -> usize {
         match self.experiment {
             Some(_) => self.configurations.iter().map(|one| one.concurrent_runs().len()).sum(),

@@ -1,4 +1,5 @@
-//! Pictures of a comparison: the mean stages of each configuration as a bar, and the inference of each model at several places.
+//! Pictures of a comparison: the mean stages of each configuration as a bar, and the inference of each model at several
+//! places.
 
 use peernet_analysis::compare::{Latency, LatencyBar, compare_label};
 use peernet_analysis::model_places::{ModelPlaces, PlacedModel};
@@ -140,8 +141,8 @@ fn routes(configurations: &[&Configuration]) -> String {
     routes.into_iter().map(route).collect::<Vec<_>>().join("; ")
 }
 
-/// Returns the models that ran at several places, such as on board and in the cloud. Only the inference is compared, on one scale. All
-/// configurations of a model at one place are combined.
+/// Returns the models that ran at several places, such as on board and in the cloud. Only the inference is compared, on
+/// one scale. All configurations of a model at one place are combined.
 pub(crate) fn place_comparisons(comparison: &Comparison) -> (Vec<PlaceComparison>, Axes) {
     let measured = comparison.configurations.iter().filter(|one| one.summary(&stage::INFERENCE).is_some());
     let measured: Vec<(&Configuration, &Placement)> =

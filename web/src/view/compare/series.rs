@@ -67,8 +67,8 @@ pub(crate) struct RunPicture {
     pub picture: Picture,
 }
 
-/// Chooses the runs that are drawn, each with the drawn quantity: [`TotalColumn`], or `sensing` in a run without a model. If not all runs
-/// with data are drawn, also returns the number of all runs with data.
+/// Chooses the runs that are drawn, each with the drawn quantity: [`TotalColumn`], or `sensing` in a run without a
+/// model. If not all runs with data are drawn, also returns the number of all runs with data.
 fn drawn_runs(comparison: &Comparison) -> (Vec<ChosenRun<'_, Name>>, Option<usize>) {
     choose_runs(comparison, |run| {
         let names = [Name::from_static(total_column(comparison, run).name()), stage::SENSING];
@@ -160,7 +160,8 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
     })
 }
 
-/// Returns `5.3 ms from first to last start`; `None` for a single iteration, or if the clock was set back during the run.
+/// Returns `5.3 ms from first to last start`; `None` for a single iteration, or if the clock was set back during the
+/// run.
 fn length_text(run: &RunSummary, episodes: &Episodes) -> Option<String> {
     let seconds = (run.last_iteration? - episodes.first.unwrap_or(run.started)).seconds();
     let length = if seconds < 1.0 { duration(seconds).to_string() } else { length(seconds) };

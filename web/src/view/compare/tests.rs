@@ -59,7 +59,8 @@ pub(crate) fn stages(scale: f64, bytes: f64) -> (Vec<StageStatistics>, Vec<Delay
     (all, window.bounds)
 }
 
-/// Returns a configuration of one run. The configuration with index 0 has the name `A` and the run 1, index 1 has `B` and 2, and so on.
+/// Returns a configuration of one run. The configuration with index 0 has the name `A` and the run 1, index 1 has `B`
+/// and 2, and so on.
 pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f64) -> Configuration {
     let (stages, bounds) = stages(scale, bytes);
     let values = vec![format!("{} kB", bytes / 1e3), HOSTILE.to_owned()];

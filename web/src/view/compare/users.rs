@@ -50,8 +50,8 @@ pub(crate) struct UsersPlot {
     pub method: String,
 }
 
-/// Reads the measurements of the users of each configuration, from the time in which all users of a repeat measured. Reads nothing
-/// unless an experiment is compared whose configurations have different numbers of users.
+/// Reads the measurements of the users of each configuration, from the time in which all users of a repeat measured.
+/// Reads nothing unless an experiment is compared whose configurations have different numbers of users.
 ///
 /// # Errors
 /// Returns an error when the store cannot be read.
@@ -83,8 +83,8 @@ fn complete_repeats(configuration: &Configuration) -> Vec<Vec<&RunSummary>> {
     complete_groups(configuration.concurrent_runs(), |run| run.experiment.as_ref())
 }
 
-/// Reads the measurements of the users of a repeat, from the time in which all of them measured. Also returns the resolution of this time,
-/// seconds.
+/// Reads the measurements of the users of a repeat, from the time in which all of them measured. Also returns the
+/// resolution of this time, seconds.
 async fn measured_repeat(store: &Store, users: &[RunSummary]) -> Result<(Repeat<Summary>, u32), WebError> {
     let mut times = Vec::with_capacity(users.len());
     for run in users {

@@ -19,7 +19,7 @@ const fn clocks_subject(clocks: RelatedClocks) -> &'static str {
 }
 
 /// Returns a sentence with the conditions under which the intervals contain the true delays. README.md and docs/clocks.md have the same
-/// sentence; here it contains the numbers of a link.
+/// sentence with default values; this sentence has the values of a link.
 pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
     let clocks = clocks_subject(assumptions.clocks);
     let drift = assumptions.max_drift_ppm.map_or_else(
@@ -31,6 +31,7 @@ pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
         conditions.push(format!("this rate changes by at most {}{SPACE}ppm per second", figure(change)));
     }
     conditions.push("neither is stepped unnoticed".to_owned());
+    // Stamps of probes can be forged by anyone on the path if the probes are not authenticated.
     let stamps = "no stamp is forged";
     conditions.push(match assumptions.probes_authenticated {
         Some(false) => format!("{stamps} (their probes are not authenticated)"),
@@ -55,7 +56,8 @@ pub(crate) const fn source_words(source: DelaySource) -> &'static str {
     }
 }
 
-/// Returns remarks that limit the trust in the bounds: claims that narrow them, and probes without authentication.
+/// Returns remarks that limit the trust in the bounds: claims that narrow the bounds, and probes without
+/// authentication.
 pub(crate) fn trust_remarks(subject: &Subject<'_>) -> Vec<String> {
     let mut remarks = Vec::new();
     let uses_claims = |offset: &Offset| {
@@ -99,17 +101,17 @@ pub(crate) fn pairs(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Pair
                 clocks_subject(assumptions.clocks)
             )
         }
-        clocks => format!("{}: what steps or slews a wall clock reaches the delays", clocks_subject(clocks)),
+        clocks => format!("{}: a step or slew of a wall clock affects the delays", clocks_subject(clocks)),
     };
     let mut pairs: Pairs = vec![("Clocks related", clocks)];
     if let Some(drift) = assumptions.max_drift_ppm {
         pairs.push(("Assumed drift", format!("at most {}{SPACE}ppm (ρ)", figure(drift))));
     }
     let change = assumptions.max_drift_change_ppm_per_s.map_or_else(
-        || "nothing: each exchange is carried to other times by the assumed drift alone".to_owned(),
+        || "no limit: bounds at other times than an exchange depend on the assumed drift alone".to_owned(),
         |change| format!("at most {}{SPACE}ppm per second (κ)", figure(change)),
     );
-    pairs.push(("Of its change", change));
+    pairs.push(("Assumed change of drift", change));
     pairs.push(("Proven drift", describe_proven_drift(subject, assumptions, newest.proven_skew_ppm)));
     pairs.push(("Window", window_text(newest.grown_window)));
     let claims = match assumptions.claims_trusted {
@@ -126,14 +128,14 @@ pub(crate) fn pairs(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Pair
     pairs.push(("Claims of time daemons", claims));
     let probes = match assumptions.probes_authenticated {
         Some(true) => "authenticated",
-        Some(false) => "not authenticated: who is on the path can forge their answers",
-        None => "not reported, or none",
+        Some(false) => "not authenticated: anyone on the network path can forge answers",
+        None => "not reported, or no probes are sent",
     };
     pairs.push(("Probes", probes.to_owned()));
     pairs
 }
 
-/// Values of the newest sample of a link that depend on its exchanges.
+/// Values of the newest clock sample of a link that follow from exchanges.
 #[derive(Clone, Copy, Default)]
 struct NewestBasis {
     proven_skew_ppm: Option<(f64, f64)>,
@@ -155,13 +157,14 @@ impl NewestBasis {
     }
 }
 
+/// Describes the interval of the drift that the exchanges prove.
 fn describe_proven_drift(
     subject: &Subject<'_>,
     assumptions: &DelayAssumptions,
     skew: Option<(f64, f64)>,
 ) -> String {
     let Some((min, max)) = skew else {
-        return "not narrower than assumed yet".to_owned();
+        return "the exchanges do not prove a narrower limit than the assumed one yet".to_owned();
     };
     let between = format!("between {} and {}{SPACE}ppm", ppm(min), ppm(max));
     // The smallest absolute drift in the interval; zero or negative if the interval contains zero.
@@ -182,8 +185,8 @@ fn window_text(grown_window: Option<Span>) -> String {
         || "no exchange older than [clock] window_s bounds a delay".to_owned(),
         |age| {
             format!(
-                "grown to {} because exchanges are rare: the newest eight exchanges bound the delay whatever their age; a violated \
-                 assumption affects the bound for the same time",
+                "grown to {} because exchanges are rare: the newest eight exchanges bound the delay whatever their age; if an \
+                 assumption is violated, the bound is wrong for as long",
                 length(age.seconds())
             )
         },
@@ -226,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn few_words_name_clocks_limits_and_authentication() {
+    fn brief_words_name_clocks_limits_and_authentication() {
         assert_eq!(
             brief_words(&RAW).replace(SPACE, " "),
             "by free-running clocks, ρ 200 ppm, κ 1.00 ppm/s, probes authenticated"

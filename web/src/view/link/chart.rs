@@ -12,7 +12,7 @@ use serde::Deserialize;
 use super::super::chip::{Chip, Tone};
 use super::super::incidents::IncidentLine;
 use super::super::speed::NetworkDirection;
-use super::delays::{bounds, of_point};
+use super::delays::{delays_of_point, non_negative_bounds};
 use super::time_series::LinkTimeSeries;
 use super::tracks::{Place, RailSign, Track, Tracks, span};
 use super::{Subject, estimate_and_max_error, offset};
@@ -40,14 +40,14 @@ impl OffsetView {
     }
 }
 
-/// Approximate maximum number of whiskers over the whole width.
+/// Approximate maximum number of whiskers of one direction over the whole time axis.
 const MAX_WHISKERS: f64 = 60.0;
 /// A gap has a label if it is at least this wide, as a share of the time axis.
 const MIN_LABELLED_GAP: f64 = 0.08;
 /// Minimum distance between two signs, as a share of the time axis; closer signs would overlap.
 const MIN_SIGN_DISTANCE: f64 = 0.022;
-/// A scale ends at the largest value, or at this multiple of the 95th percentile if that is smaller.
-const TAIL: f64 = 3.0;
+/// A scale ends at the largest value, but at most at this multiple of the 95th percentile.
+const MAX_OUTLIER_RATIO: f64 = 3.0;
 
 /// Data from which a chart is drawn: the time series of a link, and its gaps.
 pub(super) struct ChartInput<'a> {
@@ -70,8 +70,9 @@ impl ChartInput<'_> {
     }
 
     /// Returns the result of `value_of` for the position and the data of each point. `None` separates two points with a
-    /// gap or a clock step between them. A window is the period between two clock steps. If a clock was set back, the
-    /// times of two windows overlap, so the points of each window are drawn separately.
+    /// gap or a clock step between them.
+    // A window is the period between two clock steps. If a clock was set back, the times of two windows overlap, so the
+    // points of each window are drawn separately.
     pub(super) fn with_breaks<T>(
         &self,
         points: &[ClockPoint],
@@ -102,9 +103,9 @@ impl ChartInput<'_> {
     }
 }
 
-/// Returns the largest value, but at most [`TAIL`] times the 95th percentile.
+/// Returns the largest value, but at most [`MAX_OUTLIER_RATIO`] times the 95th percentile.
 pub(super) fn reach(values: impl Iterator<Item = f64>) -> f64 {
-    values.collect::<SortedValues>().scale_end(0.95, TAIL).unwrap_or(0.0)
+    values.collect::<SortedValues>().scale_end(0.95, MAX_OUTLIER_RATIO).unwrap_or(0.0)
 }
 
 /// Returns the number of values beyond the end of a scale, in words; `None` if there are no such values.
@@ -182,7 +183,7 @@ fn strip(input: &ChartInput<'_>, direction: NetworkDirection, hatches: &[Item]) 
     let bucket_width = input.time_series.bucket as f64 / input.time_series.seconds().max(1.0);
     let mut segments: Vec<(f64, f64, Verdict)> = Vec::new();
     for point in &input.time_series.points {
-        let Some(verdict) = of_point(point, direction).map(|second| second.verdict) else { continue };
+        let Some(verdict) = delays_of_point(point, direction).map(|second| second.verdict) else { continue };
         let end = input.x(point.at);
         let begin = (end - bucket_width).max(0.0);
         // A point continues the segment of the previous point if it has the same verdict and no bucket is missing
@@ -223,15 +224,16 @@ fn delays(input: &ChartInput<'_>) -> Track {
     let directions = [NetworkDirection::Up, NetworkDirection::Down];
     let upper_bounds = || {
         let medians = points.iter().flat_map(|point| {
-            directions.map(|direction| of_point(point, direction).and_then(|one| one.median))
+            directions.map(|direction| delays_of_point(point, direction).and_then(|one| one.median))
         });
-        medians.flatten().map(|median| bounds(&median).1 * 1e3)
+        medians.flatten().map(|median| non_negative_bounds(&median).1 * 1e3)
     };
     let scale = Scale::up_to(reach(upper_bounds()), 3);
     let mut track =
         Track::new(format!("one-way delay, median of {}, ms", bucket_text(input.coarse.bucket)), scale);
     track.note = "whiskers: contain the true value".to_owned();
     track.beyond = beyond(upper_bounds(), &scale, "ms");
+    // The time of a point is the end of its bucket. The whisker and the dot are drawn in the middle of the bucket.
     let half_bucket = input.coarse.bucket as f64 / input.time_series.seconds().max(1.0) / 2.0;
     for (direction, whiskers, dots) in [
         (NetworkDirection::Up, "whiskers up", "dots up"),
@@ -243,8 +245,8 @@ fn delays(input: &ChartInput<'_>) -> Track {
             .iter()
             .filter_map(|point| {
                 let median =
-                    of_point(point, direction)?.median.filter(|median| !median.value.is_negative())?;
-                let (lo, hi) = bounds(&median);
+                    delays_of_point(point, direction)?.median.filter(|median| !median.value.is_negative())?;
+                let (lo, hi) = non_negative_bounds(&median);
                 let at = |seconds: f64| distance_from_top(&scale, seconds * 1e3);
                 Some(((input.x(point.at) - half_bucket).max(0.0), at(hi), at(lo), at(median.value.seconds())))
             })
@@ -310,7 +312,7 @@ fn finding(subject: &Subject<'_>, input: &ChartInput<'_>, incidents: usize) -> S
         return format!("{text} Nothing was reported.");
     }
     for direction in [NetworkDirection::Up, NetworkDirection::Down] {
-        let seconds = input.coarse.points.iter().filter_map(|point| of_point(point, direction));
+        let seconds = input.coarse.points.iter().filter_map(|point| delays_of_point(point, direction));
         let worst = seconds.clone().map(|second| second.verdict).max_by_key(|verdict| verdict.severity());
         if let Some(range) =
             range(seconds.filter_map(|second| second.median).map(|median| median.value.seconds()))

@@ -1,7 +1,7 @@
 //! The connections of a link: sent and received messages, and the route.
 
 use peernet_clock::Span;
-use peernet_statistics::number::{NONE, SPACE, bytes, count, trip_ms};
+use peernet_statistics::number::{self, NONE, SPACE, bytes, count, trip_ms};
 use peernet_stream::{Connection, DirectionStatistics};
 
 use super::Subject;
@@ -19,14 +19,15 @@ pub(crate) struct DirectionRow {
     pub counts: Vec<Count>,
 }
 
-/// A count with the name of its column. `None` if the counting host does not know the value.
+/// A cell of the table: a count, and the name of its column.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Count {
     pub name: &'static str,
+    /// `None` if the counting host does not know the count.
     pub value: Option<String>,
 }
 
-/// Route of a connection, in words.
+/// Way of the messages of a connection, in words: addresses, interface, round trip and losses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Route {
     pub pipeline: String,
@@ -110,15 +111,15 @@ fn describe_interface(connection: &Connection) -> Option<String> {
     Some(format!("by {}{kind}{}", interface.name, mtu.unwrap_or_default()))
 }
 
-/// Returns `round trip of its packets 0.52 ms, at least 0.41 ms`.
+/// Returns `round trip of the transport's packets 0.52 ms, at least 0.41 ms`.
 fn describe_round_trip(connection: &Connection) -> Option<String> {
     let trip = connection.statistics.round_trip?;
     let ms = |span: Span| format!("{}{SPACE}ms", trip_ms(span.seconds()));
     let least = trip.min.map(|min| format!(", at least {}", ms(min))).unwrap_or_default();
-    Some(format!("round trip of its packets {}{least}", ms(trip.smoothed)))
+    Some(format!("round trip of the transport's packets {}{least}", ms(trip.smoothed)))
 }
 
-/// Returns the numbers of lost, late and malformed messages in words, without those that are zero.
+/// Returns the numbers of lost, late and malformed messages in words, without numbers that are zero.
 fn describe_losses(connection: &Connection) -> impl Iterator<Item = String> {
     let statistics = connection.statistics;
     let counts = [
@@ -129,7 +130,7 @@ fn describe_losses(connection: &Connection) -> impl Iterator<Item = String> {
     counts
         .into_iter()
         .filter(|(number, _)| *number > 0)
-        .map(|(number, what)| format!("{} {what}", count(number)))
+        .map(|(number, what)| format!("{} {what}", number::counted(number, "message")))
 }
 
 impl Count {
@@ -145,7 +146,7 @@ mod tests {
     use crate::tests::samples;
 
     #[test]
-    fn unknown_counts_are_dashes_and_zero_is_zero() {
+    fn only_unknown_counts_are_dashes() {
         let link = samples::link(Some(0.0005), &[]);
         let rows = rows(&Subject::live(&link));
         let [up, received, down, sent] = &rows[..] else { panic!("{rows:?}") };
@@ -169,8 +170,8 @@ mod tests {
         assert_eq!(
             words(&link),
             format!(
-                "zmq-tcp · 192.0.2.7:40112 → 192.0.2.5:5551 · by wlan0, wireless, MTU 1,500{SPACE}bytes · round trip of its \
-                 packets 2.31{SPACE}ms, at least 1.08{SPACE}ms · 2 lost in transit or with the connection"
+                "zmq-tcp · 192.0.2.7:40112 → 192.0.2.5:5551 · by wlan0, wireless, MTU 1,500{SPACE}bytes · round trip of the transport's \
+                 packets 2.31{SPACE}ms, at least 1.08{SPACE}ms · 2 messages lost in transit or with the connection"
             )
         );
         let connection = &mut link.live.connections[0];

@@ -1,4 +1,4 @@
-//! The one-way delays of one direction over a few seconds.
+//! Statistics of the one-way delays of one direction over a few seconds.
 
 use peernet_analysis::delays::DelaySummary;
 use peernet_clock::Verdict;
@@ -19,13 +19,14 @@ pub(crate) struct Delays {
     /// Median delay, with the median of all lower bounds and the median of all upper bounds; `None` without known
     /// delays.
     pub median: Option<DelayPoint>,
-    /// Verdict that prevails among the delays: at least 5 % of them have this verdict or a worse one. A delay counts with the prevailing verdict
-    /// of its second, because the verdicts of single delays are not reported.
+    /// Verdict on the delays: the worst verdict for which at least 5 % of the delays have this verdict or a worse one.
+    /// All delays of a second count with the verdict on that second, because the verdicts on single delays are not
+    /// reported.
     pub verdict: Option<Verdict>,
 }
 
-/// Returns the delays of a direction within one point; `None` if nothing was sent.
-pub(crate) fn of_point(point: &ClockPoint, direction: NetworkDirection) -> Option<&DelaySecond> {
+/// Returns the delays of a direction in the seconds of one point; `None` if nothing was sent.
+pub(crate) fn delays_of_point(point: &ClockPoint, direction: NetworkDirection) -> Option<&DelaySecond> {
     match direction {
         NetworkDirection::Up => point.up.as_ref(),
         NetworkDirection::Down => point.down.as_ref(),
@@ -34,13 +35,13 @@ pub(crate) fn of_point(point: &ClockPoint, direction: NetworkDirection) -> Optio
 
 /// Returns the lower and the upper bound of a delay, seconds. Negative bounds become zero, because no message arrives
 /// before it was sent.
-pub(crate) fn bounds(point: &DelayPoint) -> (f64, f64) {
+pub(crate) fn non_negative_bounds(point: &DelayPoint) -> (f64, f64) {
     (point.bounds.lo.seconds().max(0.0), point.bounds.hi.seconds().max(0.0))
 }
 
 /// Returns a delay in ms with the digits that its bounds support.
 pub(super) fn format_delay(point: &DelayPoint) -> String {
-    within_ms(point.value.seconds(), bounds(point))
+    within_ms(point.value.seconds(), non_negative_bounds(point))
 }
 
 impl Delays {
@@ -50,14 +51,14 @@ impl Delays {
         points: impl IntoIterator<Item = &'a ClockPoint>,
     ) -> Self {
         let seconds: Vec<DelaySecond> =
-            points.into_iter().filter_map(|point| of_point(point, direction).copied()).collect();
+            points.into_iter().filter_map(|point| delays_of_point(point, direction).copied()).collect();
         Self::merge(direction, &seconds)
     }
 
     /// Combines the delays of several seconds.
     pub(crate) fn merge(direction: NetworkDirection, seconds: &[DelaySecond]) -> Self {
-        let sum: DelaySummary = seconds.iter().collect();
-        Self { direction, count: sum.count(), median: sum.median(), verdict: sum.verdict() }
+        let summary: DelaySummary = seconds.iter().collect();
+        Self { direction, count: summary.count(), median: summary.median(), verdict: summary.verdict() }
     }
 
     /// Returns the name of the stage for the start of a sentence.
@@ -80,7 +81,7 @@ impl Delays {
 
     /// Returns the interval that contains the median, in ms; `None` without a median.
     pub(crate) fn interval(&self) -> Option<String> {
-        let (lo, hi) = bounds(self.median.as_ref()?);
+        let (lo, hi) = non_negative_bounds(self.median.as_ref()?);
         Some(if lo == hi { EXACT.to_owned() } else { interval_ms(lo, hi) })
     }
 

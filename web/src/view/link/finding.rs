@@ -1,4 +1,4 @@
-//! Title of a link's page, and the meaning of each verdict there.
+//! Title of a link's page, and the meaning of the verdict on each direction.
 
 use peernet_clock::Verdict;
 use peernet_statistics::number::{SPACE, bound, ends_ms, interval_ms};
@@ -6,7 +6,7 @@ use peernet_statistics::number::{SPACE, bound, ends_ms, interval_ms};
 use super::super::chip::Chip;
 use super::super::clocks;
 use super::super::speed::NetworkDirection;
-use super::delays::{Delays, bounds, format_delay};
+use super::delays::{Delays, format_delay, non_negative_bounds};
 use super::list::{TOO_YOUNG, missing_offset_reason};
 use super::{CONTRADICTION, Subject, is_young};
 use crate::zone::Zone;
@@ -98,7 +98,7 @@ fn meaning(delays: &Delays, is_young_link: bool) -> Meaning {
     let text = match (delays.verdict, &delays.median) {
         (None, _) => format!("was not used in the last 10{SPACE}s: without data there is nothing to judge."),
         (Some(Verdict::Ok), Some(point)) => {
-            let (lo, hi) = bounds(point);
+            let (lo, hi) = non_negative_bounds(point);
             let takes = format!("takes {}{SPACE}ms", format_delay(point));
             let half = (hi - lo) / 2.0;
             if half > 0.0 {
@@ -113,7 +113,7 @@ fn meaning(delays: &Delays, is_young_link: bool) -> Meaning {
             }
         }
         (Some(Verdict::Limited), Some(point)) => {
-            let (lo, hi) = bounds(point);
+            let (lo, hi) = non_negative_bounds(point);
             format!(
                 "takes about {}{SPACE}ms, too little for the width of its interval. Read it as {}{SPACE}ms: the true value \
                  can be anywhere in it.",
@@ -121,7 +121,9 @@ fn meaning(delays: &Delays, is_young_link: bool) -> Meaning {
                 interval_ms(lo, hi)
             )
         }
-        (Some(Verdict::Stale), _) if is_young_link => format!("is known only widely: {TOO_YOUNG}."),
+        (Some(Verdict::Stale), _) if is_young_link => {
+            format!("is known only within a wide interval: {TOO_YOUNG}.")
+        }
         (Some(verdict), _) => format!("cannot be trusted: {}.", clocks::meaning(verdict)),
     };
     Meaning { chip: delays.chip(), subject: delays.title(), text }

@@ -19,7 +19,7 @@ pub(crate) struct LinkLine {
     pub name: String,
     pub href: String,
     pub chip: Option<Chip>,
-    /// Meaning of the verdict.
+    /// Meaning of the verdict; empty without a verdict.
     pub meaning: &'static str,
     /// Time of the last report, for a link whose edge does not report now.
     pub away: Option<ZonedTime>,

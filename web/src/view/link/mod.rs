@@ -27,10 +27,10 @@ use super::speed::NetworkDirection;
 use crate::error::WebError;
 use delays::Delays;
 
-/// Time span of the recent delays and rates.
+/// Time span of the delays and rates that count as current.
 const RECENT_SPAN: Span = Span::from_seconds(10);
 
-/// Separator between the parts of a link's name. No part can contain it.
+/// Separator between edge, cloud and network in a link's name. None of these three names can contain the separator.
 pub(crate) const NAME_SEPARATOR: char = '~';
 
 /// Returns the name of a link in addresses: `EDGE~CLOUD` over `zmq-tcp`, as in earlier releases, and `EDGE~CLOUD~NETWORK` over any
@@ -45,14 +45,14 @@ pub(crate) fn name(edge: &str, cloud: &str, network: &NetworkName) -> String {
 
 /// Returns the canonical form of a link's name, without the network `zmq-tcp`.
 pub(crate) fn canonical(link_name: String) -> String {
-    match parts(&link_name) {
+    match split_name(&link_name) {
         Some((edge, cloud, network)) => name(edge, cloud, &network),
         None => link_name,
     }
 }
 
-/// Returns edge, cloud and network of a link's name.
-fn parts(link_name: &str) -> Option<(&str, &str, NetworkName)> {
+/// Splits a link's name into edge, cloud and network.
+fn split_name(link_name: &str) -> Option<(&str, &str, NetworkName)> {
     let (edge, rest) = link_name.split_once(NAME_SEPARATOR)?;
     match rest.split_once(NAME_SEPARATOR) {
         Some((cloud, network)) => Some((edge, cloud, network.parse().ok()?)),
@@ -65,8 +65,8 @@ pub(crate) fn href(edge: &str, cloud: &str, network: &NetworkName) -> String {
     format!("/links/{}", name(edge, cloud, network))
 }
 
-/// Returns the address of the page of the link that a placement uses, if the link is known.
-pub(crate) fn of_placement(snapshot: &LiveState, edge: &str, placement: &Placement) -> Option<String> {
+/// Returns the address of the page of the link that a placement uses; `None` if the link is not in the live state.
+pub(crate) fn href_of_placement(snapshot: &LiveState, edge: &str, placement: &Placement) -> Option<String> {
     let cloud = placement.peer.as_ref().filter(|_| placement.kind == PlacementKind::Remote)?.as_str();
     let network = placement.network.as_ref().map(|network| network.parse::<NetworkName>());
     let network = network.transpose().ok()?;
@@ -76,7 +76,7 @@ pub(crate) fn of_placement(snapshot: &LiveState, edge: &str, placement: &Placeme
 
 /// Returns the link with a name from the live state.
 pub(crate) fn find<'a>(snapshot: &'a LiveState, link_name: &str) -> Option<&'a LinkSnapshot> {
-    let (edge, cloud, network) = parts(link_name)?;
+    let (edge, cloud, network) = split_name(link_name)?;
     let matches = |link: &&LinkSnapshot| {
         link.edge_name.as_str() == edge
             && link.live.peer_name.as_str() == cloud
@@ -117,7 +117,7 @@ pub(crate) struct Subject<'a> {
     pub connected: bool,
     /// Last offset of a link that is stored and not in the live state.
     last_offset: Option<Offset>,
-    /// Assumptions of the bounds; `None` if both hosts read one clock, or no assumptions were reported.
+    /// Assumptions on which the bounds depend; `None` if both hosts read one clock, or no assumptions were reported.
     pub assumptions: Option<DelayAssumptions>,
 }
 
@@ -144,7 +144,7 @@ impl<'a> Subject<'a> {
         }
     }
 
-    /// Creates the subject of a link that is only stored.
+    /// Creates the subject of a link that is stored and not in the live state.
     pub(crate) fn past(row: &LinkRow) -> Self {
         Self {
             edge: row.edge_name.to_string(),
@@ -158,12 +158,13 @@ impl<'a> Subject<'a> {
         }
     }
 
-    /// Sets the assumptions. Those of a link that is only stored are the assumptions of its newest stored window.
+    /// Sets the assumptions. A link that is not in the live state has the assumptions of its newest stored window.
     pub(crate) fn with_assumptions(self, assumptions: Option<DelayAssumptions>) -> Self {
         Self { assumptions, ..self }
     }
 
-    /// Returns the kind of clock whose offset is shown: the clocks of the assumptions, or the wall clocks without assumptions.
+    /// Returns which clocks have the shown offset: the clocks of the assumptions, or the wall clocks without
+    /// assumptions.
     pub(crate) fn clocks(&self) -> RelatedClocks {
         self.assumptions.map_or(RelatedClocks::Wall, |assumptions| assumptions.clocks)
     }
@@ -199,7 +200,7 @@ impl<'a> Subject<'a> {
         self.live.is_some_and(|link| link.live.same_clock)
     }
 
-    /// Returns the points of the last ten minutes, oldest first; empty for a link that is only stored.
+    /// Returns the points of the last ten minutes, oldest first; empty for a link that is not in the live state.
     pub(crate) fn history(&self) -> &'a [Arc<ClockPoint>] {
         self.live.map_or(&[], |link| link.history.as_slice())
     }
@@ -207,8 +208,8 @@ impl<'a> Subject<'a> {
     /// Returns the current offset, or else the last offset that the edge reported.
     pub(crate) fn offset(&self) -> Option<&Offset> {
         let Some(link) = self.live else { return self.last_offset.as_ref() };
-        // If the edge is connected, an offset from before a clock step says nothing about the present. Windows are
-        // separated by clock steps.
+        // If the edge is connected, an older offset says nothing about the present. Only the newest point may stand in
+        // for a missing offset, and only if no clock was stepped since then: a clock step begins a new window.
         let is_valid =
             |point: &&Arc<ClockPoint>| !self.connected || point.window == link.live.latest_sample.window;
         let recent = if self.connected { 1 } else { link.history.len() };
@@ -237,8 +238,8 @@ impl<'a> Subject<'a> {
         estimate_and_max_error(self.offset()?).map(|(_, max_error)| max_error)
     }
 
-    /// Returns the delays of messages in the last ten seconds. Delays from before the current clock relation was established are excluded, so
-    /// that the verdict of a link does not depend on its start.
+    /// Returns the delays of messages in the last ten seconds. Delays from before the current clock relation was
+    /// established are excluded, because the verdict of a link must not depend on the first seconds of the link.
     pub(crate) fn delays(&self, direction: NetworkDirection) -> Delays {
         let since = self.end - RECENT_SPAN;
         let recent = self.history().iter().rev().take_while(|point| point.at > since);
@@ -247,9 +248,9 @@ impl<'a> Subject<'a> {
             .iter()
             .position(|point| !is_settled(point) || point.window != newest_first[0].window);
         let is_whole_history = self.history().len() == newest_first.len();
-        // In the second in which the relation was established, some delays are older than the relation. The whole
-        // second is excluded. If all recent points are settled and there are older points, that second is older than
-        // the recent points, and none of them is excluded.
+        // In the second in which the relation was established, some delays are older than the relation, so the whole
+        // second is excluded. If all recent points are settled and there are older points, the relation was established
+        // before the recent points, and no recent point is excluded.
         let settled_count = first_unsettled.unwrap_or(newest_first.len() + usize::from(!is_whole_history));
         if settled_count > 1 && !self.same_clock() {
             newest_first.truncate(settled_count - 1);

@@ -13,7 +13,7 @@ use super::tracks::Track;
 
 /// An interval of another source extends the scale only if it is at most this multiple of the band.
 const MAX_OTHER_RATIO: f64 = 4.0;
-/// The scale ends at the widest band, or at this multiple of the 90th percentile of all bands if that is smaller.
+/// The scale ends at the widest band, but at most at this multiple of the 90th percentile of all bands.
 const MAX_OUTLIER_RATIO: f64 = 1.5;
 
 /// Lower and upper end of an interval in ms, as drawn.
@@ -30,7 +30,7 @@ fn usual_size(sizes: impl Iterator<Item = f64>) -> f64 {
     sizes.collect::<SortedValues>().scale_end(0.9, MAX_OUTLIER_RATIO).unwrap_or(0.0)
 }
 
-/// Returns the track of the offset of `cloud`.
+/// Draws the offset of the clock of `cloud` from the clock of the edge.
 pub(super) fn track(cloud: &str, input: &ChartInput<'_>, view: OffsetView) -> Track {
     let points = &input.time_series.points;
     let trend = match view {
@@ -85,7 +85,7 @@ pub(super) fn track(cloud: &str, input: &ChartInput<'_>, view: OffsetView) -> Tr
         Some((x, distance_from_top(&scale, hi), distance_from_top(&scale, lo)))
     });
     track.draw("band", Path::band(band_path));
-    let mut note = vec!["filled: certain".to_owned()];
+    let mut note = vec!["filled: bounds".to_owned()];
     for (source, intervals) in &others {
         if intervals.is_empty() {
             continue;

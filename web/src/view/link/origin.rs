@@ -1,4 +1,4 @@
-//! Origin of the bounds of an offset, and advice to narrow it.
+//! Origin of the bounds of an offset, and advice to narrow the bounds.
 
 use peernet_clock::{ClockClaim, DelaySource, Interval, Offset, RelatedClocks, Span};
 use peernet_statistics::number::{NONE, SPACE, count, interval_ms, trip_ms};
@@ -25,7 +25,7 @@ pub(crate) struct Origin {
     /// `Where the bounds come from`.
     pub title: String,
     pub rows: Vec<SourceRow>,
-    /// Sentences.
+    /// Reasons for the width of the bounds, or for the absence of bounds, in sentences.
     pub why: Vec<String>,
     /// Purpose of the hints: `To narrow it`.
     pub hint_title: &'static str,
@@ -51,14 +51,14 @@ pub(crate) fn source(source: DelaySource, exchanges: u64) -> String {
 }
 
 impl Origin {
-    /// Describes the origin of a link's bound; empty for one clock.
+    /// Describes the origin of the bounds of a link's offset.
     pub(crate) fn of(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Self {
         let Some(offset) = subject.offset() else {
             let why = if subject.was_related() {
                 "No exchange has finished since a clock was stepped: earlier exchanges do not bound the present offset."
             } else {
-                "No exchange between the two hosts has finished yet. Each data message with its answer is one, each answered \
-                 probe another."
+                "No exchange between the two hosts has finished yet. A data message and its answer are an exchange, and so are a \
+                 probe and its answer."
             };
             return Self {
                 title: "Why there is no bound".to_owned(),
@@ -104,11 +104,11 @@ impl Origin {
 
 /// Returns the offset that follows from the present claims of both hosts' time daemons, if no delay depends on these claims.
 fn unused_claims(subject: &Subject<'_>, offset: &Offset) -> Option<SourceRow> {
-    let (from, interval) = claimed_offset(subject)?;
+    let (claim_source, interval) = claimed_offset(subject)?;
     let is_unused = offset.sources.iter().all(|(source, _)| *source == DelaySource::InBand);
     // Claims are about wall clocks, so the offset that follows from two claims is an offset of wall clocks.
     let clocks = if subject.clocks() == RelatedClocks::Wall { "" } else { ", of the wall clocks" };
-    is_unused.then(|| row(format!("{}{clocks}, not used", source(from, 0)), interval, false))
+    is_unused.then(|| row(format!("{}{clocks}, not used", source(claim_source, 0)), interval, false))
 }
 
 /// Returns the offset of the wall clocks that follows from the present claims of both hosts' time daemons.
@@ -155,7 +155,7 @@ fn explain_bound(offset: &Offset, time_series: &LinkTimeSeries) -> Vec<String> {
                  the drift that two clocks may have."
             )
         } else if half < best * 0.7 {
-            format!("{general} {smallest}, and so far apart are the bounds that it gives; {}.", describe_narrowing(offset))
+            format!("{general} {smallest}, and alone it gives bounds that are that far apart; {}.", describe_narrowing(offset))
         } else {
             format!("{general} {smallest}, so the bounds of the offset are about that far apart.")
         });
@@ -175,10 +175,10 @@ fn explain_bound(offset: &Offset, time_series: &LinkTimeSeries) -> Vec<String> {
     why
 }
 
-/// Returns what narrows the bound more than the best round trip alone, in words.
+/// Returns the reason why the bounds are narrower than the best round trip alone can make them.
 fn describe_narrowing(offset: &Offset) -> String {
-    let others = offset.sources.iter().filter(|(from, _)| *from != DelaySource::InBand);
-    let others: Vec<String> = others.map(|(from, _)| source(*from, 0)).collect();
+    let others = offset.sources.iter().filter(|(origin, _)| *origin != DelaySource::InBand);
+    let others: Vec<String> = others.map(|(origin, _)| source(*origin, 0)).collect();
     if others.is_empty() {
         return "the fastest way there and the fastest way back, of different exchanges, narrow it together"
             .to_owned();
@@ -186,11 +186,11 @@ fn describe_narrowing(offset: &Offset) -> String {
     format!("the offset {} narrows it", others.join(" and "))
 }
 
-/// A time daemon is recommended if half the width of the bounds is more than this, because a daemon seldom claims a
-/// smaller error.
+/// Smallest error that a time daemon usually claims. A time daemon is recommended only if half the width of the bounds
+/// is larger.
 const BEST_CLAIM: Span = Span::from_micros(50);
 
-/// Returns advice to narrow the bound of this link.
+/// Returns advice to narrow the bounds of a link, most promising first; empty for a link that is not in the live state.
 fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
     let mut hints = Vec::new();
     let Some(link) = subject.live else { return hints };
@@ -222,7 +222,7 @@ fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
     let is_wide = offset.is_none_or(|offset| offset.bounds.width() > BEST_CLAIM + BEST_CLAIM);
     let claimed_interval = claimed_offset(subject).map(|(_, interval)| interval);
     if !is_wide {
-        // The bound is already narrower than the claim of most time daemons, so a daemon would not help.
+        // The bounds are already narrower than the claim of most time daemons, so a daemon would not help.
     } else if !hosts_without_daemon.is_empty() {
         let hosts = hosts_without_daemon.join(" and ");
         hints.push(format!("PTP or chrony on {hosts}, which gives a second source where {TRUST_KEY} is set"));

@@ -1,4 +1,5 @@
-//! Panels of a link: its probing, claims of time daemons, and counts of exchanges.
+//! Panels of a link: probes, the clocks of both hosts with the claims of time daemons, the configured reflector, and
+//! counts of exchanges.
 
 use peernet_clock::Verdict;
 use peernet_statistics::number::{self, NONE, SPACE, bound, count, offset_ms, rate, trip_ms};
@@ -54,11 +55,12 @@ pub(crate) fn describe_synchronisation(clock: &HostClock) -> String {
     }
 }
 
-/// Returns the rows of both hosts; empty for a link that is only stored.
+/// Returns the rows of both hosts; empty for a link that is not in the live state.
 pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
     let Some(link) = subject.live else { return Vec::new() };
     let row = |name: &str, role, clock: Option<&HostClock>| HostRow {
         name: name.to_owned(),
+        // A host may have the name `edge` or `cloud`. Then the role would repeat the name.
         role: if role == name { "" } else { role },
         text: clock.map_or_else(|| "has not reported yet".to_owned(), describe_synchronisation),
         claims: clock.map_or_else(|| NONE.to_owned(), reported_error_bounds),
@@ -71,7 +73,7 @@ pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
     ]
 }
 
-/// Returns the probing of the link as a fact: `probes 10 /s, kernel stamps`.
+/// Returns the state of the probing: `10 probes/s, stamps: kernel`, `probes unanswered` or `no probes`.
 pub(crate) fn probing(probing: &Probing) -> String {
     match probing {
         Probing::On { rate_hz, stamps, .. } => format!("{}{SPACE}probes/s, stamps: {stamps}", rate(*rate_hz)),
@@ -155,14 +157,14 @@ pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
     pairs.push((
         "Tied to",
         format!(
-            "it is not proven that it has the same clock as {}, so no delay is computed with it",
+            "no host: it is not proven that the reflector reads the clock of {}, so no delay is computed with it",
             subject.cloud
         ),
     ));
     pairs
 }
 
-/// Returns the panel with the counts of the exchanges; empty for a link that is only stored.
+/// Returns the panel with the counts of the exchanges; empty for a link that is not in the live state.
 pub(crate) fn exchanges(subject: &Subject<'_>) -> Pairs {
     let Some(link) = subject.live else { return Vec::new() };
     let counts = link.live.latest_sample.exchanges;

@@ -77,7 +77,8 @@ fn offset(subject: &Subject<'_>) -> Stat {
     };
     let suffix = if subject.connected { "" } else { ", when last reported" };
     if subject.clocks() != RelatedClocks::Wall {
-        // Free-running clocks count from the start of their machines. Which of them is ahead says nothing about the time of day.
+        // Free-running clocks count from the start of their machines, so which clock is ahead says nothing about the
+        // time of day.
         let line =
             format!("free-running clocks count from the machine's start, {}{suffix}", bound(max_error));
         return Stat::new(name, Some(offset_ms(estimate, max_error)), "ms", line);
@@ -107,8 +108,9 @@ fn drift(subject: &Subject<'_>) -> Stat {
     let line = skew.map_or_else(absence_reason, |skew| {
         let seconds_per_day = skew.abs() * 1e-6 * 86_400.0;
         let verb = if skew < 0.0 { "loses" } else { "gains" };
+        // Two decimals would show such a drift as 0.00 s.
         if seconds_per_day < 0.005 {
-            "both run alike".to_owned()
+            "both run equally fast".to_owned()
         } else {
             format!("{} {verb} {}{SPACE}s a day", subject.cloud, figure(seconds_per_day))
         }

@@ -34,9 +34,9 @@ impl LinkTimeSeries {
         Self { from, to, bucket: 1, points: recent.collect() }.merged(i64::from(LIVE_BUCKET_S))
     }
 
-    /// Converts stored samples of a link. The range begins at `from`, or at the first point if the first point is
-    /// later: the time before the first point is not a gap. The range lasts at least a minute if the time from `from`
-    /// to `to` does.
+    /// Converts stored clock samples of a link. The range begins at `from`, or at the first point if the first point is
+    /// later: the time before the first point is not a gap. The range lasts at least a minute, unless the time from
+    /// `from` to `to` is shorter.
     pub(crate) fn stored(series: ClockSeries, from: WallTime, to: WallTime) -> Self {
         let bucket = i64::from(series.bucket_s.max(1));
         let first_begin = series.points.first().map(|point| point.at - Span::from_seconds(bucket));
@@ -54,7 +54,7 @@ impl LinkTimeSeries {
         (self.to - self.from).seconds()
     }
 
-    /// Returns the time series with points that cover `seconds` seconds each, merged from the points of this one.
+    /// Returns the time series with one point for each `seconds` seconds, merged from the points of these seconds.
     pub(crate) fn merged(&self, seconds: i64) -> Self {
         let seconds = seconds.max(1);
         let width = u32::try_from(seconds).unwrap_or(u32::MAX);
@@ -100,8 +100,9 @@ fn live_range(end: WallTime, seconds: i64) -> (WallTime, WallTime) {
     (to - Span::from_seconds(seconds), to)
 }
 
-/// Returns the counts of probes, and the newest round trip, of the points that [`LinkTimeSeries::live`] returns for ten minutes. A list of
-/// links does not need the points.
+/// Returns the counts of probes and the newest round trip of the points that [`LinkTimeSeries::live`] returns for ten
+/// minutes.
+// A list of links needs only these values, and would take long if it merged all points of each link.
 pub(crate) fn live_probes(history: &[Arc<ClockPoint>], end: WallTime) -> (ProbeCounts, Option<RoundTrip>) {
     let (from, to) = live_range(end, LIVE_RANGE_S);
     let recent = || history.iter().filter(move |point| point.at > from && point.at <= to);

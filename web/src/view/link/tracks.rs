@@ -7,7 +7,8 @@ use peernet_figures::scale::{Scale, Tick};
 
 use crate::picture::Picture;
 
-/// Tracks with one time axis. Above the tracks are a row with signs of incidents and strips with verdicts.
+/// Tracks with one time axis. Above the tracks are a row with signs of incidents, and a strip with the verdicts of each
+/// direction.
 #[derive(Clone, Debug, PartialEq, Template)]
 #[template(path = "pages/tracks.html")]
 pub(crate) struct Tracks {
@@ -41,11 +42,11 @@ pub(super) struct RailSign {
     pub(super) sign: &'static str,
     /// CSS class of the tone.
     pub(super) tone: &'static str,
-    /// `true` if the icon is drawn, and not only the line. Of icons that would overlap, only the first is drawn.
+    /// `true` if the icon is drawn in addition to the line. If icons would overlap, only the first icon is drawn.
     pub(super) is_shown: bool,
 }
 
-/// One quantity, or several on one scale.
+/// Chart of one quantity, or of several quantities on one scale.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Track {
     pub(super) title: String,
@@ -55,7 +56,7 @@ pub(super) struct Track {
     pub(super) class: &'static str,
     scale: Scale,
     lines: Vec<Item>,
-    /// Text at the upper end if values lie beyond the scale.
+    /// Text at the upper end of the track about values beyond the scale; `None` if there are no such values.
     pub(super) beyond: Option<String>,
 }
 

@@ -24,7 +24,7 @@ pub(crate) struct TrafficRow {
 }
 
 impl TrafficRow {
-    /// Returns the pipelines that use the link, by name.
+    /// Returns a row for each pipeline that uses the link.
     pub(crate) fn all(snapshot: &LiveState, subject: &Subject<'_>) -> Vec<Self> {
         let Some(link) = subject.live else { return Vec::new() };
         let uses =

@@ -1,4 +1,5 @@
-//! Pictures of one iteration: a bar for each node, and two horizontal rails (edge and cloud) with the messages between them.
+//! Pictures of one iteration: a bar for each node, and two horizontal rails (edge and cloud) with the messages between
+//! them.
 
 use peernet_figures::drawing::Orientation;
 use peernet_figures::look::{Style, stage};

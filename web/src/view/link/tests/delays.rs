@@ -1,4 +1,4 @@
-//! Delays of several seconds, combined.
+//! Tests of the combination of the delays of several seconds.
 
 use peernet_clock::Interval;
 use peernet_stream::{DelayPoint, DelaySecond};

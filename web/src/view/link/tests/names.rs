@@ -1,4 +1,4 @@
-//! Names of links, and where they are found.
+//! Tests of the names of links.
 
 use super::super::*;
 use crate::tests::samples::link;
@@ -41,7 +41,7 @@ fn placement_uses_link_over_its_network() {
         network: network.map(str::to_owned),
         ..Placement::sensor_alone()
     };
-    let page = |network| of_placement(&live_state, "cam-1", &placement(network));
+    let page = |network| href_of_placement(&live_state, "cam-1", &placement(network));
     assert_eq!(page(Some("zmq-udp")).as_deref(), Some("/links/cam-1~rack-a~zmq-udp"));
     assert_eq!((page(Some("zmq-tcp")), page(None), page(Some("~"))), (None, None, None));
 }

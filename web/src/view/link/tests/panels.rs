@@ -20,7 +20,7 @@ fn claim_is_formatted_as_error_and_uncertainty() {
 }
 
 #[test]
-fn offset_interval_with_zero_is_undecided() {
+fn no_clock_is_ahead_if_bounds_contain_zero() {
     let mut level = link(Some(0.000_004), &[]);
     let offset = level.live.latest_sample.offset.as_mut().expect("known");
     let half = Span::from_nanos(4_000);
@@ -29,8 +29,9 @@ fn offset_interval_with_zero_is_undecided() {
     let stats = stats::all(&Subject::live(&level), &time_series(&level));
     let line = |name: &str| stats.iter().find(|stat| stat.name == name).expect("a figure").line.clone();
     assert_eq!(line("Clock offset"), "neither clock is known to be ahead, ±0.004\u{202f}ms");
-    assert_eq!(line("Drift"), "both run alike");
-    // The estimate is seldom in the middle of its bounds: those of 5.6 ms are 5.5 and 6.5 ms.
+    assert_eq!(line("Drift"), "both run equally fast");
+    // The estimate is seldom in the middle of its bounds. Here the estimate is 5.6 ms, and the bounds are 5.5 and 6.5
+    // ms.
     let offset = level.live.latest_sample.offset.as_mut().expect("known");
     let [lo, estimate, hi] = [5_500, 5_600, 6_500].map(Span::from_micros);
     (offset.estimate, offset.bounds) = (estimate, Interval { lo, hi });

@@ -1,4 +1,4 @@
-//! The points of a chart: merging, and the steady drift.
+//! Tests of the points of a chart, and of the trend of the offset.
 
 use peernet_analysis::offset_trend::OffsetTrend;
 use peernet_stream::RoundTrip;
@@ -43,7 +43,7 @@ fn merged_points_keep_widest_bounds_and_all_probes() {
 }
 
 #[test]
-fn list_of_links_has_probes_of_page() {
+fn list_of_links_and_page_have_equal_probes() {
     let at = |second: i64| WallTime::from_unix_nanos(second * 1_000_000_000);
     let history: Vec<Arc<ClockPoint>> = (1..=701)
         .map(|second| {
