@@ -16,6 +16,7 @@ pub(crate) struct FaultyClocks(pub BTreeMap<String, String>);
 impl FaultyClocks {
     /// Collects the clock faults of the hosts in the live state.
     pub(crate) fn of(snapshot: &LiveState) -> Self {
+        // The fault of a host that does not report now may have ended, so it is not shown.
         let connected = snapshot.hosts.iter().filter(|host| host.connected);
         let own_faults = connected.filter_map(|host| {
             Some((host.description.name.to_string(), host.clock.faults.as_ref()?.to_string()))

@@ -129,6 +129,7 @@ fn pipeline_notes(pipeline: &PipelineSnapshot, snapshot: &LiveState, warn: &Warn
     notes.extend(
         state_chip(&pipeline.state).zip(state_reason(&pipeline.state)).map(|(chip, text)| note(chip, text)),
     );
+    // The figures of a pipeline that does not run are not current, so they cause no notes.
     if pipeline.state != PipelineState::Running {
         return notes;
     }

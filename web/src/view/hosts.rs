@@ -163,6 +163,7 @@ impl HostLine {
         let remark =
             events::most_severe_remark(host).filter(|remark| is_far_behind || remark.chip.tone >= Tone::Warn);
         let tone = match &remark {
+            // An agent that said goodbye was stopped on purpose, so its host needs no attention.
             _ if host.has_left => Tone::Quiet,
             _ if !host.connected => Tone::Bad,
             Some(remark) => remark.chip.tone.max(Tone::Warn),

@@ -24,6 +24,7 @@ pub(crate) struct FindingLine {
 
 impl From<&Report> for Trust {
     fn from(report: &Report) -> Self {
+        // Unknown findings do not speak against publishing, so they are listed with the good ones.
         let (remarks, other_findings) =
             report.findings.iter().partition::<Vec<_>, _>(|finding| finding.grade > Grade::Unknown);
         let lines = |findings: Vec<&Finding>| {

@@ -201,6 +201,7 @@ pub(crate) fn distributions(
         all_fit.then(|| Choice { name: "all".to_owned(), stage: None, is_shown: single_name.is_none() });
     let each = offered.iter().map(|quantity| quantity.choice(single_name.as_ref() == Some(&quantity.name)));
     let mut choices: Vec<Choice> = all.into_iter().chain(each).collect();
+    // With one quantity, which is drawn, there is nothing to choose.
     if offered.len() < 2 && !groups.is_empty() {
         choices.clear();
     }

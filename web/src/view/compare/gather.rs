@@ -92,6 +92,7 @@ pub(crate) async fn load_comparison(
             (None, details, Vec::new(), false)
         }
         CompareSelection::Experiment(id) => {
+            // One run more than the limit shows whether the experiment has more runs.
             let mut runs = store.runs_of_experiment(id, MAX_EXPERIMENT_RUNS + 1).await?;
             let is_truncated = runs.len() > MAX_EXPERIMENT_RUNS as usize;
             runs.truncate(MAX_EXPERIMENT_RUNS as usize);

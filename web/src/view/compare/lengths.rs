@@ -100,6 +100,7 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
     let drawn = varying.len().min(MAX_CONFIGURATIONS);
     let mut all = Vec::with_capacity(drawn);
     for varying_configuration in &varying[..drawn] {
+        // The page has a fixed budget of iterations, which the drawn configurations share equally.
         let max_read = (MAX_READ / drawn as u64).min(MAX_READ_PER_CONFIGURATION);
         let answered = |run: &RunSummary| run.counts.ok.max(1);
         let all_answered: u64 = varying_configuration.configuration.runs.iter().map(answered).sum();

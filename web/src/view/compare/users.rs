@@ -62,6 +62,7 @@ pub(crate) async fn measured_users(
     let configurations: Vec<Vec<Vec<&RunSummary>>> =
         comparison.configurations.iter().map(complete_repeats).collect();
     let numbers = || configurations.iter().filter_map(|repeats| repeats.first().map(Vec::len));
+    // With equal numbers of users there is no curve to draw, so no measurement is read.
     if comparison.experiment.is_none() || numbers().min() == numbers().max() {
         return Ok(MeasuredUsers::default());
     }

@@ -94,6 +94,7 @@ impl LinkLine {
                 clock_cell(None)
             } else {
                 let consistent = offset.filter(|offset| estimate_and_max_error(offset).is_some());
+                // Two clocks need more exchanges for a drift than for an offset.
                 let why = if subject.contradicts() { why } else { "too few exchanges yet" };
                 cell(consistent.and_then(|offset| offset.skew_ppm).map(ppm), why)
             },

@@ -201,6 +201,7 @@ fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
             "open {address} for UDP, and give both ends the same key ([probes] key_file) or none: probes go there and none \
              comes back"
         )),
+        // Stamps of the program contain the time that the message waits between program and kernel.
         Probing::On { stamps, .. } if stamps.contains("program") => {
             hints.push("kernel stamps instead of the program's".to_owned());
         }

@@ -66,6 +66,7 @@ impl LinkTimeSeries {
     /// Returns the beginning and the end of each gap. A gap begins at the last point before it, and ends at the first
     /// point after it or at the end of the time range.
     pub(crate) fn gaps(&self) -> Vec<(WallTime, WallTime)> {
+        // Reports are not exactly periodic, so half a bucket and one second more than the usual distance are not a gap.
         let max_distance = Span::from_seconds_f64(self.bucket as f64 * 1.5 + 1.0);
         let between = self.points.windows(2).map(|pair| (pair[0].at, pair[1].at));
         let last = self.points.last().map(|point| (point.at, self.to));
