@@ -52,8 +52,8 @@ fn models_are_found_by_name_and_path() {
         .collect();
     let expected = [
         ("twin", true, false),
-        ("efficientnet_v2_s", true, false),
         ("broken", false, false),
+        ("efficientnet_v2_s", true, false),
         ("twin", true, true),
     ];
     assert_eq!(
