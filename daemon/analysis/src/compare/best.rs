@@ -5,14 +5,15 @@ use peernet_statistics::number::column_decimals;
 
 use super::difference_table::{INTERVAL_LIMITATION, MEAN_INTERVAL_MEANING, in_milliseconds};
 use super::ranking::{ConfigurationTotal, Ranking, model_computes};
-use super::{Comparison, EMPTY_CELL, Line, MeanEstimate, values};
+use super::{Comparison, EMPTY_CELL, Line, MeanEstimate, accepted_values};
 use crate::loaded::Loaded;
 use crate::table::{CaptionedTable, Table};
 
 /// Ranks the lines, and stores the difference of each other line to the best.
 pub(super) fn rank_lines(comparison: &mut Comparison, runs: &[Loaded]) {
     let total = |line: &Line| {
-        let totals = line.runs.iter().map(|run| values(&runs[*run].rows, comparison.total_column.name()));
+        let totals =
+            line.runs.iter().map(|run| accepted_values(&runs[*run].rows, comparison.total_column.name()));
         ConfigurationTotal {
             model_computes: line.runs.iter().all(|run| model_computes(&runs[*run].record.facts)),
             mean: MeanEstimate::from_values(&totals.collect::<Vec<_>>()),
@@ -36,17 +37,18 @@ pub fn differences_to_best(comparison: &Comparison) -> Option<CaptionedTable> {
     Some(CaptionedTable {
         heading: printable_line(&format!(
             "Mean total ({}) against the smallest, {name}.",
-            comparison.total()
+            comparison.total_word()
         ))
         .into_owned(),
         table: differences_table(comparison),
         notes: format!(
-            "In ms. {MEAN_INTERVAL_MEANING} Each interval is computed alone: they are not corrected for their number. \
-             {INTERVAL_LIMITATION}"
+            "In ms. {MEAN_INTERVAL_MEANING} Each interval is computed alone: no interval is corrected for the number of \
+             differences. {INTERVAL_LIMITATION}"
         ),
     })
 }
 
+/// Returns a row for each line that has a difference to the best line.
 fn differences_table(comparison: &Comparison) -> Table {
     let Comparison { axes, lines, total_column, .. } = comparison;
     let others = || lines.iter().filter_map(|line| Some((line, line.difference_to_best?)));
@@ -83,15 +85,22 @@ cuda:0  lan       23.390               +3.130           +3.130
 cuda:0  can      105.550              +85.290          +85.290
 ";
         assert!(against.text().starts_with(expected), "{}", against.text());
-        assert!(against.text().contains(" they are not corrected for their number. "), "{}", against.text());
+        assert!(
+            against.text().contains(" no interval is corrected for the number of differences. "),
+            "{}",
+            against.text()
+        );
         assert!(against.latex().contains("+3.130") && against.markdown().contains("| +3.130 |"));
-        let ends = comparison.lines[1].difference_to_best.expect("known").ends();
+        let expected_cells = comparison.lines[1].difference_to_best.expect("known").value_and_ends();
         let csv = comparison.csv();
         let header = csv.lines().next().expect("a header");
         let first = header.split(',').position(|name| name == "beyond-best").expect("a column");
         let cells = csv.lines().nth(2).into_iter().flat_map(|line| line.split(',').skip(first).take(3));
-        assert_eq!(cells.map(|cell| cell.parse().ok()).collect::<Vec<Option<f64>>>(), ends);
-        assert!(differences_to_best(&Comparison::new(&paper()[..2])).is_none(), "two have their stages");
+        assert_eq!(cells.map(|cell| cell.parse().ok()).collect::<Vec<Option<f64>>>(), expected_cells);
+        assert!(
+            differences_to_best(&Comparison::new(&paper()[..2])).is_none(),
+            "two lines are compared stage by stage instead"
+        );
     }
 
     #[test]
@@ -117,9 +126,9 @@ cuda:0  can      105.550              +85.290          +85.290
             let sentence = "too few iterations to tell whether it differs from cuda:0";
             assert!(comparison.text().contains(sentence), "{}", comparison.text());
             assert!(comparison.markdown().contains(sentence) && comparison.latex().contains(sentence));
-            assert!(!comparison.text().contains("other differs"), "{}", comparison.text());
+            assert!(!comparison.text().contains("other line differs"), "{}", comparison.text());
             let line = comparison.csv().lines().nth(2).map(str::to_owned).expect("a line");
-            assert!(line.contains(",1,0,101,0,,"), "no tie is known: {line}");
+            assert!(line.contains(",1,0,101,0,,"), "the cell `tie` is empty: {line}");
         }
     }
 }

@@ -42,7 +42,7 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     }
     if !missing_numbers.is_empty() {
         sentences.push(format!(
-            "Without a number in data.csv, or with one beyond ±10¹⁴⁰, and left out of the mean: {}.",
+            "Left out of the mean, because data.csv has no number, or a number beyond ±10¹⁴⁰: {}.",
             missing_numbers.join("; ")
         ));
     }
@@ -59,8 +59,8 @@ fn shared_folder(runs: &[Loaded]) -> PathBuf {
     parents.reduce(shared).unwrap_or_default()
 }
 
-/// Returns a sentence about the configurations with skipped starts. Each configuration is given by its name and its starts. The name of a
-/// single configuration may be empty. `None` if no start was skipped.
+/// Returns a sentence about the configurations with skipped starts. Each configuration is given by its name and its
+/// starts. The name may be empty if there is a single configuration. `None` if no start was skipped.
 pub fn skipped_starts(configurations: impl IntoIterator<Item = (String, Starts)>) -> Option<String> {
     let describe = |(name, starts): (String, Starts)| Some(with_name(&name, &starts.skipped_text()?));
     let descriptions: Vec<String> = configurations.into_iter().filter_map(describe).collect();
@@ -74,7 +74,8 @@ pub fn skipped_starts(configurations: impl IntoIterator<Item = (String, Starts)>
 }
 
 /// Returns a sentence about the configurations whose latencies are drawn from a distribution. Each configuration is given by its name and its
-/// [description](crate::trust::ReplayedLatencies::describe_all). The name of a single configuration may be empty. `None` if no latency is drawn.
+/// [description](crate::trust::ReplayedLatencies::describe_all). The name may be empty if there is a single configuration. `None` if no
+/// latency is drawn.
 pub fn replayed_configurations<'a>(
     configurations: impl IntoIterator<Item = (String, Option<&'a str>)>,
 ) -> Option<String> {
@@ -93,7 +94,7 @@ fn describe_missing_numbers(runs: &[Loaded], line: &Line) -> Vec<String> {
         (known_share >= MIN_KNOWN_SHARE || !["upload", "download"].contains(&name)).then_some(())?;
         let missing_count = rows().filter(|row| is_missing(*row, name)).count();
         let iterations = format!("{missing_count} of {}", counted(line.count, "iteration"));
-        (missing_count > 0).then(|| format!("{name} of {} {iterations}", line.name))
+        (missing_count > 0).then(|| format!("{name} of {}: {iterations}", line.name))
     };
     LATENCIES.into_iter().zip(&line.latencies).filter_map(describe).collect()
 }
@@ -122,7 +123,7 @@ mod tests {
     use crate::trust::{Publish, Report, TrustInput};
 
     #[test]
-    fn too_large_number_is_not_reported_as_infinite() {
+    fn too_large_number_is_reported_as_left_out_of_mean() {
         let mut runs = paper();
         runs[1].rows.change(|row| {
             if row.iteration == 50 {
@@ -132,7 +133,7 @@ mod tests {
                     .for_each(|(_, value)| *value = 1e300);
             }
         });
-        let sentence = "Without a number in data.csv, or with one beyond ±10¹⁴⁰, and left out of the mean: sensing of cuda:0, lan 1 of 100 iterations.";
+        let sentence = "Left out of the mean, because data.csv has no number, or a number beyond ±10¹⁴⁰: sensing of cuda:0, lan: 1 of 100 iterations.";
         let text = Comparison::new(&runs).text();
         assert!(text.contains(sentence), "{text}");
     }
@@ -159,12 +160,12 @@ mod tests {
             "{text}"
         );
         assert!(!Comparison::new(&paper()).text().contains("Replayed"));
-        let marks = |runs: &[Loaded]| {
+        let replayed_cells = |runs: &[Loaded]| {
             let csv = Comparison::new(runs).csv();
             csv.lines().map(|line| line.rsplit(',').next().unwrap_or_default().to_owned()).collect::<Vec<_>>()
         };
-        assert_eq!(marks(&runs), ["replayed", "0", "1", "0"]);
-        assert_eq!(marks(&paper()), ["replayed", "0", "0", "0"]);
+        assert_eq!(replayed_cells(&runs), ["replayed", "0", "1", "0"]);
+        assert_eq!(replayed_cells(&paper()), ["replayed", "0", "0", "0"]);
     }
 
     #[test]
@@ -179,6 +180,6 @@ mod tests {
             "{text}"
         );
         assert!(!Comparison::new(&paper()).text().contains("skipped"));
-        assert!(needs_column("skipped-starts"), "else it is not read");
+        assert!(needs_column("skipped-starts"), "a comparison reads only the columns that it needs");
     }
 }

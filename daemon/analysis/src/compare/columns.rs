@@ -2,8 +2,8 @@
 
 use super::labels::{EMPTY_CELL, readable_name};
 
-/// Maximum number of values that a sentence lists of a fact that has no column. Also the maximum number of
-/// configurations listed for a value.
+/// Maximum number of values that a sentence lists for a fact without a column. Also the maximum number of configurations
+/// that the sentence lists for a value.
 const MAX_LISTED: usize = 4;
 /// A word of at least this many characters, all of them hexadecimal digits, counts as a hash.
 const MIN_HASH_DIGITS: usize = 32;
@@ -24,14 +24,14 @@ pub struct Column {
 pub struct ChosenColumns {
     /// Columns that distinguish the configurations.
     pub columns: Vec<Column>,
-    /// Columns that were not chosen, although their labels differ.
+    /// Candidates that were not chosen.
     pub rest: Vec<Column>,
 }
 
 /// Chooses a column in two cases: if it distinguishes configurations that the columns chosen before do not distinguish,
-/// or if it has a label for a configuration that has no label in the other chosen columns. Columns of hashes or paths
-/// are never chosen: if no other column distinguishes the runs, the names of their folders, which people gave, are
-/// easier to read.
+/// or if it has a label for a configuration that has no label in the other chosen columns. Columns of hashes, paths or
+/// long lists are never chosen: if no other column distinguishes the runs, the names of their folders, which people gave,
+/// are easier to read.
 pub fn choose_columns(candidates: Vec<Column>) -> ChosenColumns {
     choose_further_columns(Vec::new(), candidates)
 }
@@ -47,11 +47,12 @@ pub fn choose_further_columns(already_chosen: Vec<Column>, candidates: Vec<Colum
         already_chosen.iter().chain(newly_chosen.map(|(column, _)| column)).cloned().collect()
     };
     for index in 0..candidates.len() {
-        // The column is chosen for a trial, and stays chosen if there are then more different rows.
-        let rows_without = distinct_rows(&chosen_columns(&is_chosen), configurations);
+        // The column is chosen for a trial. It stays chosen if the columns have more different rows with it than without
+        // it.
+        let distinct_rows_without_column = distinct_rows(&chosen_columns(&is_chosen), configurations);
         is_chosen[index] = !candidates[index].is_opaque();
-        is_chosen[index] =
-            is_chosen[index] && distinct_rows(&chosen_columns(&is_chosen), configurations) > rows_without;
+        is_chosen[index] = is_chosen[index]
+            && distinct_rows(&chosen_columns(&is_chosen), configurations) > distinct_rows_without_column;
     }
     for configuration in 0..configurations {
         let has_label = |column: &Column| column.labels[configuration] != EMPTY_CELL;
@@ -105,20 +106,23 @@ fn configuration_name(columns: &[Column], index: usize) -> String {
 
 /// Returns sentences about the facts that differ but have no column.
 pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
-    // Texts of the facts whose values are listed, and names of the facts whose values are not.
-    let (mut listed, mut names): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
+    // Texts of the facts whose values are listed, and names of the facts whose values are not listed.
+    let (mut value_texts, mut names): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
     for column in rest {
         match column.values_with_configurations(columns) {
-            Some(text) if !column.is_opaque() => listed.push(text),
+            Some(text) if !column.is_opaque() => value_texts.push(text),
             _ => names.push(&column.axis),
         }
     }
     let mut sentences = Vec::new();
-    if !listed.is_empty() {
-        sentences.push(format!("They also differ in {}.", listed.join("; ")));
+    if !value_texts.is_empty() {
+        sentences.push(format!("The runs also differ in {}.", value_texts.join("; ")));
     }
     if !names.is_empty() {
-        sentences.push(format!("Further differences, recorded in their run.json: {}.", names.join(", ")));
+        sentences.push(format!(
+            "Further differences, recorded in the run.json of each run: {}.",
+            names.join(", ")
+        ));
     }
     sentences
 }
@@ -134,8 +138,8 @@ impl Column {
         is_opaque(self.labels.iter().map(String::as_str))
     }
 
-    /// Returns a text of each label, followed by the names of the configurations that have the label. `columns` gives
-    /// these names. `None` if the text would be long.
+    /// Returns a text that lists each label and, after the label, the names of the configurations that have it. The labels in
+    /// `columns` give these names. `None` if the text would be long.
     fn values_with_configurations(&self, columns: &[Column]) -> Option<String> {
         // Each value with the names of the configurations that have it.
         let mut values: Vec<(&str, Vec<String>)> = Vec::new();

@@ -61,8 +61,8 @@ impl Configurations {
             configurations.add(&axis, labels);
         }
         if configurations.has_unrelated_duplicates(runs) {
-            let groups = groups(runs);
-            let names = folders(runs, &groups);
+            let groups = group_by_configuration(runs);
+            let names = folder_names(runs, &groups);
             configurations.add("run", labels_by_run(runs.len(), &groups, &names));
         }
         configurations.add_names_if_unlabelled(runs);
@@ -70,7 +70,7 @@ impl Configurations {
     }
 
     fn from_records(runs: &[Loaded]) -> (Self, Vec<String>) {
-        let groups = groups(runs);
+        let groups = group_by_configuration(runs);
         let facts = runs.iter().map(|run| (run.record.experiment.as_ref(), facts_of(&run.record)));
         let pairs = distinguishing_pairs(&facts.collect::<Vec<_>>());
         let column = |Column { axis, labels: labels_of_runs }: Column| {
@@ -84,11 +84,12 @@ impl Configurations {
         let is_unlabelled = |group: usize| columns.iter().all(|column| column.labels[group] == EMPTY_CELL);
         let all_labelled = (0..groups.len()).all(|group| !is_unlabelled(group));
         let insert_folders = |index: usize, columns: &mut Vec<Column>| {
-            let column = Column { axis: "run".to_owned(), labels: folders(runs, &groups) };
+            let column = Column { axis: "run".to_owned(), labels: folder_names(runs, &groups) };
             columns.insert(index, column);
         };
         if groups.len() > 1 {
             if !all_labelled {
+                // Otherwise the row of a run without labels would begin with empty cells only.
                 insert_folders(0, &mut columns);
             } else if !columns::are_distinct(&columns, groups.len()) {
                 insert_folders(columns.len(), &mut columns);
@@ -103,15 +104,16 @@ impl Configurations {
         (configurations, sentences)
     }
 
+    /// Adds a column with the names of the pipelines if there is no other column.
     fn add_names_if_unlabelled(&mut self, runs: &[Loaded]) {
         if self.axes.is_empty() {
-            let groups = groups(runs);
+            let groups = group_by_configuration(runs);
             let names = groups.iter().map(|group| runs[group[0]].record.name.clone()).collect::<Vec<_>>();
             self.add("run", labels_by_run(runs.len(), &groups, &names));
         }
     }
 
-    /// Adds a column with a label for each run.
+    /// Adds a column. `labels` has a label for each run.
     fn add(&mut self, axis: &str, labels: Vec<String>) {
         self.axes.push(axis.to_owned());
         self.labels.iter_mut().zip(labels).for_each(|(labels_of_run, label)| labels_of_run.push(label));
@@ -135,8 +137,8 @@ impl Configurations {
     pub(super) fn separate_runs(&mut self, runs: &[Loaded], chosen: &[usize]) {
         let repeat = |run: usize| runs[run].record.experiment.as_ref().map(|position| position.repeat);
         let label = |run: usize| {
-            let siblings = chosen.iter().filter(|other| self.labels[**other] == self.labels[run]);
-            let mut repeats: Vec<Option<u32>> = siblings.map(|other| repeat(*other)).collect();
+            let chosen_with_labels = chosen.iter().filter(|other| self.labels[**other] == self.labels[run]);
+            let mut repeats: Vec<Option<u32>> = chosen_with_labels.map(|other| repeat(*other)).collect();
             repeats.sort();
             repeats.dedup();
             match (repeats.contains(&repeat(run)), repeats.as_slice()) {
@@ -188,7 +190,7 @@ fn facts_of(record: &RunRecord) -> RunFacts<'_> {
 
 /// Groups the runs by configuration. A group has the indexes of the runs of one configuration: all its repeats on all
 /// edges.
-fn groups(runs: &[Loaded]) -> Vec<Vec<usize>> {
+fn group_by_configuration(runs: &[Loaded]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (index, run) in runs.iter().enumerate() {
         let belongs_to = |group: &&mut Vec<usize>| {
@@ -203,8 +205,8 @@ fn groups(runs: &[Loaded]) -> Vec<Vec<usize>> {
 }
 
 /// Returns the label of each run, from the labels of the groups.
-fn labels_by_run(runs: usize, groups: &[Vec<usize>], group_labels: &[String]) -> Vec<String> {
-    let mut run_labels = vec![EMPTY_CELL.to_owned(); runs];
+fn labels_by_run(run_count: usize, groups: &[Vec<usize>], group_labels: &[String]) -> Vec<String> {
+    let mut run_labels = vec![EMPTY_CELL.to_owned(); run_count];
     for (group, label) in groups.iter().zip(group_labels) {
         group.iter().for_each(|run| run_labels[*run].clone_from(label));
     }
@@ -225,11 +227,12 @@ fn join_labels<'a>(labels: impl Iterator<Item = &'a String>) -> String {
     distinct.join(" + ")
 }
 
-/// Returns the names of the groups: the paths of their folders without the common prefix. A group whose file is outside of a result folder is
-/// named after the file.
-fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
+/// Returns the name of each group: the path of its folder, without the beginning that all paths have in common. A group whose file is
+/// outside of a result folder is named after the file.
+fn folder_names(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let path = |run: &Loaded| {
-        // A file of rows without a record is a run of its own: the file's name, and not the folder's, names the run.
+        // A file of rows without a record is a run by itself. Several such files can be in one folder, so the name of the
+        // file is used instead of the name of the folder.
         let is_single_file = run.record.format == 0 && !run.folder.ends_with(&run.record.name);
         if is_single_file { run.folder.join(&run.record.name) } else { run.folder.clone() }
     };
@@ -240,13 +243,14 @@ fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
         let paths: Vec<Vec<String>> = group.iter().map(parts).collect();
         let mut parts = paths[0][..common_prefix_len(&paths)].to_vec();
         if paths.len() > 1 {
+            // `runs` contains all runs of the experiment, so the word would distinguish nothing.
             parts.pop_if(|last| *last == "runs");
         }
         parts
     };
     let paths: Vec<Vec<String>> = groups.iter().map(group_path).collect();
     let shortest = paths.iter().map(Vec::len).min().unwrap_or_default();
-    // The last part of a path is always shown.
+    // The last part of a path is always shown, even if all paths are the same.
     let prefix_len = common_prefix_len(&paths).min(shortest.saturating_sub(1));
     paths.iter().map(|parts| parts[prefix_len..].iter().collect::<PathBuf>().display().to_string()).collect()
 }

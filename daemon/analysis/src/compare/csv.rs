@@ -23,6 +23,7 @@ impl Comparison {
     /// Returns CSV for programs: seconds, with all digits.
     pub fn csv(&self) -> String {
         let mut header: Vec<String> = self.axes.clone();
+        // The column of failed iterations keeps its old name, `unanswered`, for the programs that read it.
         header.extend(["runs", "count", "unanswered", "best", "tie"].map(str::to_owned));
         header.extend(LATENCIES.iter().flat_map(|name| [format!("{name}-mean"), format!("{name}-std")]));
         header.push("edges".to_owned());
@@ -64,7 +65,7 @@ impl Comparison {
                 });
                 numbers.map_or([None; 4], |numbers| numbers.map(Some)).map(number)
             }));
-            cells.extend(line.difference_to_best.map_or([None; 3], Difference::ends).map(number));
+            cells.extend(line.difference_to_best.map_or([None; 3], Difference::value_and_ends).map(number));
             cells.push(number(line.misses.and_then(Misses::rate)));
             let success = line.actuator.success.map(|SuccessRate { rate, interval: (lo, hi), episodes }| {
                 [rate, lo, hi, episodes as f64].map(Some)

@@ -6,10 +6,10 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::batches::{MAX_BATCHES, MIN_BATCH_VALUES, Series};
 
-/// Minimum number of values of each run for an interval.
+/// Minimum number of values that each run needs for an interval.
 pub const MIN_VALUES: usize = 30;
 
-/// Minimum number of batches on each side for an interval.
+/// Minimum number of batches that each of the two means needs for an interval.
 pub const MIN_BATCHES: usize = 5;
 
 /// Difference with its 95 % confidence interval.
@@ -29,7 +29,7 @@ impl Difference {
     /// little, because batches may differ in length.
     pub fn between_means(first: &MeanEstimate, second: &MeanEstimate) -> Self {
         let value = second.mean - first.mean;
-        let half_width = first.error().zip(second.error()).and_then(|(a, b)| half_width(&a, &b));
+        let half_width = first.variance().zip(second.variance()).and_then(|(a, b)| half_width(&a, &b));
         Self { value, interval: half_width.map(|half_width| (value - half_width, value + half_width)) }
     }
 
@@ -39,7 +39,7 @@ impl Difference {
     }
 
     /// Returns the value and the two ends of the interval.
-    pub(super) fn ends(self) -> [Option<f64>; 3] {
+    pub(super) fn value_and_ends(self) -> [Option<f64>; 3] {
         [Some(self.value), self.interval.map(|ends| ends.0), self.interval.map(|ends| ends.1)]
     }
 
@@ -71,11 +71,11 @@ impl MeanEstimate {
     }
 
     /// Returns the estimate of a mean over all values. Its precision is computed from the stored buckets of each run that has values, in order of
-    /// time. A bucket is the count and the mean of its values. The buckets may cover only a part of the values, because retention deletes them
-    /// before it deletes the mean. If all buckets of a run are deleted, the precision is unknown.
+    /// time. A bucket is the count and the mean of its values. The buckets may cover only a part of the values, because retention deletes
+    /// buckets before it deletes the mean. If all buckets of a run are deleted, the precision is unknown.
     pub fn from_buckets(mean: f64, runs: &[Vec<(u64, f64)>]) -> Self {
-        let is_deleted = runs.iter().any(|run| run.as_slice().total_count() == 0);
-        let estimate = Self::from_series(runs.iter().map(Vec::as_slice)).filter(|_| !is_deleted);
+        let is_run_deleted = runs.iter().any(|run| run.as_slice().total_count() == 0);
+        let estimate = Self::from_series(runs.iter().map(Vec::as_slice)).filter(|_| !is_run_deleted);
         Self { mean, batches: estimate.map_or_else(Vec::new, |estimate| estimate.batches) }
     }
 
@@ -98,17 +98,18 @@ impl MeanEstimate {
     }
 
     /// Returns the number of batches from which the interval of a difference is computed.
-    pub fn batches(&self) -> usize {
+    pub fn batch_count(&self) -> usize {
         self.batches.len()
     }
 
-    fn error(&self) -> Option<MeanError> {
+    /// Returns the variance of the mean, computed from the batch means; `None` if there are too few batches.
+    fn variance(&self) -> Option<MeanVariance> {
         let count = self.batches.len();
         (count >= MIN_BATCHES).then_some(())?;
         let (count, degrees_of_freedom) = (count as f64, count as f64 - 1.0);
         let mean = self.batches.iter().sum::<f64>() / count;
         let squares: f64 = self.batches.iter().map(|value| (value - mean).powi(2)).sum();
-        Some(MeanError { variance: squares / degrees_of_freedom / count, degrees_of_freedom })
+        Some(MeanVariance { variance: squares / degrees_of_freedom / count, degrees_of_freedom })
     }
 }
 
@@ -120,14 +121,15 @@ fn batch_means<S: Series + ?Sized>(run: &S) -> Vec<f64> {
 }
 
 /// Variance of a mean, with its degrees of freedom.
-struct MeanError {
+struct MeanVariance {
     variance: f64,
     degrees_of_freedom: f64,
 }
 
 /// Returns half the width of the 95 % interval of the difference of two means.
-fn half_width(a: &MeanError, b: &MeanError) -> Option<f64> {
+fn half_width(a: &MeanVariance, b: &MeanVariance) -> Option<f64> {
     let variance = a.variance + b.variance;
+    // Constant values have no variance. The formula below would divide zero by zero.
     if variance <= 0.0 {
         return Some(0.0);
     }
@@ -139,7 +141,7 @@ fn half_width(a: &MeanError, b: &MeanError) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::run;
+    use super::super::testing::autocorrelated_values;
     use super::*;
 
     fn mean_estimate(runs: &[Vec<f64>]) -> MeanEstimate {
@@ -166,31 +168,35 @@ mod tests {
     fn interval_contains_truth_as_often_as_it_says() {
         for (count, correlation) in [(30, 0.0), (300, 0.0), (300, 0.6), (4_000, 0.6)] {
             let contains = |seed: &u64| {
-                let [a, b] = [(10.0, 2 * seed), (10.5, 2 * seed + 1)]
-                    .map(|(mean, seed)| mean_estimate(&[run(correlation, count, mean, seed)]));
+                let [a, b] = [(10.0, 2 * seed), (10.5, 2 * seed + 1)].map(|(mean, seed)| {
+                    mean_estimate(&[autocorrelated_values(correlation, count, mean, seed)])
+                });
                 let (lo, hi) = Difference::between_means(&a, &b).interval.expect("enough values");
                 lo <= 0.5 && 0.5 <= hi
             };
-            let share = (0..400_u64).filter(contains).count() / 4;
-            assert!((89..=99).contains(&share), "{share} % of {count} values with correlation {correlation}");
+            let percent = (0..400_u64).filter(contains).count() / 4;
+            assert!(
+                (89..=99).contains(&percent),
+                "{percent} % of the intervals of {count} values with correlation {correlation} contain the truth"
+            );
         }
     }
 
     #[test]
     fn buckets_give_same_interval_as_values() {
-        let runs = [run(0.6, 3_000, 10.0, 1), run(0.6, 1_000, 10.1, 2)];
+        let runs = [autocorrelated_values(0.6, 3_000, 10.0, 1), autocorrelated_values(0.6, 1_000, 10.1, 2)];
         let buckets = runs.clone().map(|values| {
             let mean = |bucket: &[f64]| bucket.iter().sum::<f64>() / bucket.len() as f64;
             values.chunks(25).map(|bucket| (bucket.len() as u64, mean(bucket))).collect::<Vec<_>>()
         });
-        let of_buckets = |buckets: &Vec<(u64, f64)>| {
+        let estimate_from = |buckets: &Vec<(u64, f64)>| {
             let (count, sum) = buckets
                 .iter()
-                .fold((0, 0.0), |(count, sum), (of, mean)| (count + of, sum + *of as f64 * mean));
+                .fold((0, 0.0), |(count, sum), (values, mean)| (count + values, sum + *values as f64 * mean));
             MeanEstimate::from_buckets(sum / count as f64, std::slice::from_ref(buckets))
         };
         let exact = Difference::between_means(&mean_estimate(&runs[..1]), &mean_estimate(&runs[1..]));
-        let stored = Difference::between_means(&of_buckets(&buckets[0]), &of_buckets(&buckets[1]));
+        let stored = Difference::between_means(&estimate_from(&buckets[0]), &estimate_from(&buckets[1]));
         assert!((exact.value - stored.value).abs() < 1e-9);
         let [exact, stored] = [exact, stored].map(|found| found.margin().expect("enough values"));
         assert!((exact / stored - 1.0).abs() < 0.1, "{exact} {stored}");
@@ -198,7 +204,7 @@ mod tests {
 
     #[test]
     fn run_of_few_values_has_no_interval() {
-        let long = run(0.0, 300, 1.0, 1);
+        let long = autocorrelated_values(0.0, 300, 1.0, 1);
         for runs in [vec![vec![1.0; 29]], vec![long.clone(), vec![1.0; 29]]] {
             let found =
                 Difference::between_means(&mean_estimate(std::slice::from_ref(&long)), &mean_estimate(&runs));
@@ -208,11 +214,11 @@ mod tests {
         assert_eq!(
             with_empty,
             mean_estimate(std::slice::from_ref(&long)),
-            "a run without values says nothing"
+            "a run without values does not change the estimate"
         );
         assert_eq!(MeanEstimate::from_values(&[Vec::new()]), None);
         let few_buckets = MeanEstimate::from_buckets(1.0, &[vec![(100, 1.0); 4]]);
-        assert_eq!((few_buckets.batches(), few_buckets.mean()), (4, 1.0));
+        assert_eq!((few_buckets.batch_count(), few_buckets.mean()), (4, 1.0));
         assert_eq!(Difference::between_means(&few_buckets, &few_buckets).interval, None);
     }
 

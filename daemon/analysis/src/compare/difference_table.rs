@@ -6,8 +6,8 @@ use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, fixed_
 use super::{Difference, Differences, EMPTY_CELL, StageDifference};
 use crate::table::{CaptionedTable, Table, csv_text};
 
-/// Maximum number of decimals of a number of ms, which gives a microsecond: the clock of another host is never known
-/// more precisely.
+/// Maximum number of decimals of a number of ms: the last decimal is a microsecond. The clock of another host is never
+/// known more precisely.
 pub(super) const MAX_MS_DECIMALS: usize = 3;
 /// Explanation of the intervals of means and medians.
 const INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the runs were \
@@ -15,8 +15,9 @@ const INTERVAL_MEANING: &str = "The interval says how far the difference would v
 /// Explanation of an interval of means.
 pub(super) const MEAN_INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the runs were \
      repeated immediately, under the same conditions (Welch, from batch means).";
+/// Sentence on what no interval contains.
 pub(super) const INTERVAL_LIMITATION: &str =
-    "Changes from day to day are not part of it; only repeats on several days show them.";
+    "The interval does not contain changes from day to day; only repeats on several days show such changes.";
 
 impl Differences {
     /// Returns the table for people, with a caption.
@@ -24,7 +25,7 @@ impl Differences {
         CaptionedTable { heading: self.heading(), table: self.table(), notes: self.notes() }
     }
 
-    /// Returns CSV for programs: seconds, with all digits. It has one row for each pair of lines and stage.
+    /// Returns CSV for programs: seconds, with all digits. The table has a row for each stage of each pair of lines.
     pub fn csv(differences: &[Self]) -> String {
         let rows = differences.iter().flat_map(|pair| pair.stages.iter().map(|stage| pair.csv_row(stage)));
         csv_text(&Self::CSV_HEADER, &rows.collect::<Vec<_>>())
@@ -49,7 +50,7 @@ impl Differences {
 
     fn csv_row(&self, stage: &StageDifference) -> Vec<String> {
         let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
-        let difference_cells = |difference: Difference| difference.ends().map(number);
+        let difference_cells = |difference: Difference| difference.value_and_ends().map(number);
         let value_cells = |values: (f64, f64)| [values.0.to_string(), values.1.to_string()];
         let names = [self.baseline.clone(), self.other.clone(), stage.stage.clone()].into_iter();
         let means = value_cells(stage.means).into_iter().chain(difference_cells(stage.mean));

@@ -8,8 +8,8 @@ use std::thread::available_parallelism;
 use peernet_logger::{Name, stage};
 use serde::Serialize;
 
-use super::median_bootstrap::{Sample, median_difference};
-use super::{Comparison, Difference, MeanEstimate, values};
+use super::median_bootstrap::{PooledValues, median_difference};
+use super::{Comparison, Difference, MeanEstimate, accepted_values};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
 
@@ -21,10 +21,10 @@ pub(super) fn stage_names() -> impl Iterator<Item = &'static str> {
     ORDER.iter().map(Name::as_str)
 }
 
-/// Stages that two lines of a comparison may both have.
+/// Stages, totals and further times whose differences are computed if both lines of a comparison have them.
 pub(super) static STAGES: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
-    let others = ["stages-total", "unattributed", "total", "lateness"];
-    stage_names().chain(others).collect()
+    let further_times = ["stages-total", "unattributed", "total", "lateness"];
+    stage_names().chain(further_times).collect()
 });
 
 /// Differences between two lines of a comparison, stage by stage. Seconds.
@@ -52,8 +52,8 @@ pub struct StageDifference {
     /// Median of the other line minus the median of the baseline.
     pub median: Difference,
     /// Further error of the difference, because the clock offset is known only within bounds. The intervals of `mean`
-    /// and `median` do not include this error. It is the mean half width of the clock bounds in the baseline plus that
-    /// in the other line. `None` for stages that a single clock measured.
+    /// and `median` do not include this error. It is the sum of two means: the mean half width of the clock bounds in the
+    /// baseline, and the mean half width in the other line. `None` for stages that a single clock measured.
     pub clocks: Option<f64>,
 }
 
@@ -78,7 +78,8 @@ impl Differences {
 
     fn between_groups(baseline: (String, &[&Loaded]), other: (String, &[&Loaded]), seed: u64) -> Self {
         let (a, b) = (baseline.1, other.1);
-        // Each thread computes several stages one after the other, because a computation holds the values of its stage in memory.
+        // A computation holds all values of its stage in memory. Each thread therefore computes several stages one after
+        // the other, so that only as many stages are in memory as there are threads.
         let stages_per_thread = STAGES.len().div_ceil(available_parallelism().map_or(1, NonZero::get));
         let differences_of = |stages: &[&str]| {
             let differences = stages.iter().filter_map(|stage| StageDifference::new(stage, a, b, seed));
@@ -100,17 +101,18 @@ impl Differences {
 
 impl StageDifference {
     fn new(stage: &str, baseline: &[&Loaded], other: &[&Loaded], seed: u64) -> Option<Self> {
-        let values_of =
-            |runs: &[&Loaded]| -> Vec<Vec<f64>> { runs.iter().map(|run| values(&run.rows, stage)).collect() };
+        let values_of = |runs: &[&Loaded]| -> Vec<Vec<f64>> {
+            runs.iter().map(|run| accepted_values(&run.rows, stage)).collect()
+        };
         let (a, b) = (values_of(baseline), values_of(other));
         let means = (MeanEstimate::from_values(&a)?, MeanEstimate::from_values(&b)?);
-        let samples = (Sample::new(&a), Sample::new(&b));
+        let pooled = (PooledValues::new(&a), PooledValues::new(&b));
         Some(Self {
             stage: stage.to_owned(),
             means: (means.0.mean(), means.1.mean()),
             mean: Difference::between_means(&means.0, &means.1),
-            medians: (samples.0.median()?, samples.1.median()?),
-            median: median_difference(&samples.0, &samples.1, seed)?,
+            medians: (pooled.0.median()?, pooled.1.median()?),
+            median: median_difference(&pooled.0, &pooled.1, seed)?,
             clocks: half_width(baseline, stage).zip(half_width(other, stage)).map(|(a, b)| a + b),
         })
     }

@@ -33,8 +33,10 @@ pub fn readable_names<'a>(
     let rows: Vec<Vec<String>> = all.iter().map(labels_of).collect();
     let names: Vec<String> = rows.iter().map(|labels| readable_name(&axes, labels)).collect();
     let name = |(name, labels): (&String, &Vec<String>)| {
-        let has_namesake =
-            rows.iter().zip(&names).any(|(other, its_name)| its_name == name && other != labels);
+        let has_namesake = rows
+            .iter()
+            .zip(&names)
+            .any(|(other_labels, other_name)| other_name == name && other_labels != labels);
         if has_namesake { name_with_axes(&axes, labels) } else { name.clone() }
     };
     names.iter().zip(&rows).map(name).collect()
@@ -50,13 +52,13 @@ fn name_with_axes(axes: &[String], labels: &[String]) -> String {
 /// of its axis: `no resize` instead of `no`, `edges 4` instead of `4`. Missing labels are left out.
 pub(super) fn readable_name(axes: &[String], labels: &[String]) -> String {
     let present = axes.iter().zip(labels).filter(|(_, label)| *label != EMPTY_CELL);
-    let words = present.map(|(axis, label)| match label.as_str() {
+    let texts = present.map(|(axis, label)| match label.as_str() {
         "yes" | "true" | "on" => axis.clone(),
         "no" | "none" | "false" | "off" => format!("no {axis}"),
         number if number.parse::<f64>().is_ok() => format!("{axis} {number}"),
         name => name.to_owned(),
     });
-    words.collect::<Vec<_>>().join(", ")
+    texts.collect::<Vec<_>>().join(", ")
 }
 
 /// Facts about a run that distinguish it from other runs, besides the fields that an experiment declares.
@@ -81,9 +83,8 @@ pub struct RunFacts<'a> {
 }
 
 /// Returns everything that may distinguish runs: for each run, pairs of name and label. They are the fields that the
-/// run's experiment declares, the execution of the experiment, and the facts. The columns are chosen from these pairs
-/// ([`tabulate`],
-/// [`choose_columns`](super::choose_columns)).
+/// run's experiment declares, the execution of the experiment, and the facts. [`tabulate`] makes columns of these pairs, and
+/// [`choose_columns`](super::choose_columns) chooses among the columns.
 pub fn distinguishing_pairs(
     runs: &[(Option<&ExperimentPosition>, RunFacts<'_>)],
 ) -> Vec<Vec<(String, String)>> {
@@ -114,6 +115,7 @@ fn declared_labels(position: Option<&ExperimentPosition>) -> Vec<(String, String
     position.map(|position| position.configuration.clone()).unwrap_or_default()
 }
 
+/// Returns whether at least two labels differ.
 pub(super) fn differ(labels: &[String]) -> bool {
     labels.windows(2).any(|pair| pair[0] != pair[1])
 }

@@ -12,8 +12,8 @@ use crate::total_column::TotalColumn;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LatencyBar {
     /// Mean of each part per iteration, in the [order of all parts](part_order). The parts add up to the total, unless
-    /// the clocks show a stage as longer than it was. Unlike in [`StageSplit`], the late start is a separate part, not
-    /// a part of the unattributed time.
+    /// the clocks show a stage as longer than it was. The late start is a separate part. In [`StageSplit`], the late start
+    /// is a part of the unattributed time instead.
     pub parts: Vec<(Name, f64)>,
     /// Mean of the column by which configurations are compared. If the configuration has no values of this column, the
     /// sum of the parts.
@@ -105,7 +105,11 @@ mod tests {
         let parts = [("sensing", 2.0), ("upload + download", 4.0), ("inference", 3.0)];
         assert_eq!(bar(TotalColumn::SumOfStages, 10, &nodes), (owned(&parts), 9.0));
         let nodes = [("sensing", 2.0), ("inference", 3.0)];
-        assert_eq!(bar(TotalColumn::SumOfStages, 0, &nodes), (owned(&nodes), 5.0), "nobody summed them up");
+        assert_eq!(
+            bar(TotalColumn::SumOfStages, 0, &nodes),
+            (owned(&nodes), 5.0),
+            "a bar without `stages-total` adds its parts"
+        );
         assert_eq!(LatencyBar::new(TotalColumn::Measured, 0, [0; 2], |_| None), None);
     }
 }

@@ -17,14 +17,14 @@ const RESAMPLES: usize = 2000;
 const MAX_PIECES: usize = 2000;
 
 /// Values of pooled runs.
-pub(super) struct Sample<'a> {
+pub(super) struct PooledValues<'a> {
     /// Values of each run, in the order in which they were measured.
     runs: &'a [Vec<f64>],
     /// Values of all runs together.
     sorted: SortedValues,
 }
 
-impl<'a> Sample<'a> {
+impl<'a> PooledValues<'a> {
     /// Pools the values of several runs; `runs` has the values of each run.
     pub(super) fn new(runs: &'a [Vec<f64>]) -> Self {
         let sorted = runs.iter().flatten().copied().collect();
@@ -52,17 +52,17 @@ impl<'a> Sample<'a> {
 /// `excess` more such values than expected, its median is the quantile of all values at 0.5 + `excess` / n instead of
 /// at 0.5. The excess of a resample is the sum of the excesses of its blocks. The prefix sums of a run give the excess
 /// of a block without reading the block's values. The block length, too, is computed from the series of excesses.
-pub(super) fn median_difference(a: &Sample<'_>, b: &Sample<'_>, seed: u64) -> Option<Difference> {
+pub(super) fn median_difference(a: &PooledValues<'_>, b: &PooledValues<'_>, seed: u64) -> Option<Difference> {
     difference_from_resamples(a, b, seed, RESAMPLES)
 }
 
 fn difference_from_resamples(
-    a: &Sample<'_>,
-    b: &Sample<'_>,
+    a: &PooledValues<'_>,
+    b: &PooledValues<'_>,
     seed: u64,
     resamples: usize,
 ) -> Option<Difference> {
-    let (first, second) = (BootstrapSample::new(a)?, BootstrapSample::new(b)?);
+    let (first, second) = (Resampler::new(a)?, Resampler::new(b)?);
     let value = second.median - first.median;
     let interval = (a.has_enough_values() && b.has_enough_values()).then(|| {
         let mut random = StdRng::seed_from_u64(seed);
@@ -73,26 +73,26 @@ fn difference_from_resamples(
     Some(Difference { value, interval: interval.flatten() })
 }
 
-/// Sample in a form from which resamples are drawn quickly.
-struct BootstrapSample<'a> {
+/// Pooled values in a form from which resamples are drawn quickly.
+struct Resampler<'a> {
     sorted: &'a SortedValues,
     median: f64,
-    runs: Vec<Run>,
+    runs: Vec<RunExcesses>,
 }
 
-/// A run, stored as prefix sums of the excesses of its pieces. The excess of a piece is the number of its values above
-/// the median of all values, minus the expected number of such values.
-struct Run {
+/// Excesses of the pieces of a run, stored as prefix sums. The excess of a piece is the number of its values above the
+/// median of all values, minus the expected number of such values.
+struct RunExcesses {
     /// Sums of the excesses of the first 0, 1, 2, … pieces.
     sums: Vec<f64>,
     /// Mean length of a block, in pieces.
     mean_block_length: f64,
 }
 
-impl<'a> BootstrapSample<'a> {
-    fn new(sample: &'a Sample<'_>) -> Option<Self> {
-        let Sample { runs, sorted } = sample;
-        let median = sample.median()?;
+impl<'a> Resampler<'a> {
+    fn new(pooled: &'a PooledValues<'_>) -> Option<Self> {
+        let PooledValues { runs, sorted } = pooled;
+        let median = pooled.median()?;
         let above = sorted.len() - sorted.values().partition_point(|value| *value <= median);
         let expected_share = above as f64 / sorted.len() as f64;
         let excess = |value: &f64| f64::from(u8::from(*value > median)) - expected_share;
@@ -104,7 +104,7 @@ impl<'a> BootstrapSample<'a> {
                 *sum += piece;
                 Some(*sum)
             }));
-            Run { sums, mean_block_length: blocks::length(&pieces) }
+            RunExcesses { sums, mean_block_length: blocks::length(&pieces) }
         };
         let runs = runs.iter().filter(|values| !values.is_empty()).map(run).collect();
         Some(Self { sorted, median, runs })
@@ -120,16 +120,16 @@ impl<'a> BootstrapSample<'a> {
     }
 }
 
-impl Run {
+impl RunExcesses {
     /// Draws blocks at random positions until the blocks together have as many pieces as the run. Calls `take` with the
     /// beginning and the end of each block. The run is circular: a block that reaches beyond the end of the run
     /// continues at the run's beginning, as a second range.
     fn draw_blocks(&self, random: &mut StdRng, mut take: impl FnMut(usize, usize)) {
-        let count = self.sums.len() - 1;
+        let piece_count = self.sums.len() - 1;
         let minus_end_probability = -1.0 / self.mean_block_length;
-        let mut missing = count;
-        while missing > 0 {
-            let from = random.random_range(0..count);
+        let mut missing_pieces = piece_count;
+        while missing_pieces > 0 {
+            let from = random.random_range(0..piece_count);
             let length = if self.mean_block_length <= 1.0 {
                 1
             } else {
@@ -137,32 +137,33 @@ impl Run {
                 let uniform: f64 = random.random_range(f64::MIN_POSITIVE..1.0);
                 (uniform.ln() / minus_end_probability.ln_1p()) as usize + 1
             };
-            let length = length.min(missing);
-            let to = (from + length).min(count);
+            let length = length.min(missing_pieces);
+            let to = (from + length).min(piece_count);
             take(from, to);
             take(0, from + length - to);
-            missing -= length;
+            missing_pieces -= length;
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::run;
+    use super::super::testing::autocorrelated_values;
     use super::*;
 
     fn difference(a: &[Vec<f64>], b: &[Vec<f64>], seed: u64) -> Option<Difference> {
-        median_difference(&Sample::new(a), &Sample::new(b), seed)
+        median_difference(&PooledValues::new(a), &PooledValues::new(b), seed)
     }
 
-    /// Returns how many of 100 intervals of runs of `count` values contain the true difference of 0.5, in percent.
+    /// Returns how many of 100 intervals contain the true difference, which is 0.5. Each interval compares two runs of `count` values.
     fn coverage(count: usize, correlation: f64) -> usize {
         let contains = |seed: u64| {
             let [a, b] = [(10.0, 2 * seed), (10.5, 2 * seed + 1)]
-                .map(|(mean, seed)| [run(correlation, count, mean, seed)]);
+                .map(|(mean, seed)| [autocorrelated_values(correlation, count, mean, seed)]);
             let difference =
-                difference_from_resamples(&Sample::new(&a), &Sample::new(&b), seed, 300).expect("values");
-            let (lo, hi) = difference.interval.expect("enough");
+                difference_from_resamples(&PooledValues::new(&a), &PooledValues::new(&b), seed, 300)
+                    .expect("values");
+            let (lo, hi) = difference.interval.expect("enough values");
             lo <= 0.5 && 0.5 <= hi
         };
         (0..100).filter(|seed| contains(*seed)).count()
@@ -171,19 +172,20 @@ mod tests {
     #[test]
     fn interval_contains_truth_as_often_as_it_says() {
         let (independent, dependent) = (coverage(300, 0.0), coverage(300, 0.6));
-        assert!(independent >= 90, "{independent} % of independent values");
-        assert!(dependent >= 88, "{dependent} % of dependent values");
+        assert!(independent >= 90, "{independent} % of the intervals of independent values");
+        assert!(dependent >= 88, "{dependent} % of the intervals of dependent values");
         let in_pieces = coverage(2 * MAX_PIECES + 1, 0.6);
-        assert!(in_pieces >= 88, "{in_pieces} % of values in pieces");
+        assert!(in_pieces >= 88, "{in_pieces} % of the intervals of values that are joined to pieces");
     }
 
     /// The expected interval of independent values is 1.96 standard errors of 1 / (2 f √n); the density f of the sum of three uniform
     /// values is 3 / 8 in the middle.
     #[test]
     fn long_run_has_interval_of_textbook() {
-        let [a, b] = [(0.0, 1), (0.5, 2)].map(|(mean, seed)| [run(0.0, 50_000, mean, seed)]);
+        let [a, b] =
+            [(0.0, 1), (0.5, 2)].map(|(mean, seed)| [autocorrelated_values(0.0, 50_000, mean, seed)]);
         let found = difference(&a, &b, 3).expect("values");
-        let (lo, hi) = found.interval.expect("enough");
+        let (lo, hi) = found.interval.expect("enough values");
         let expected = 1.96 * (2.0_f64 / 50_000.0).sqrt() * 4.0 / 3.0;
         assert!(((hi - lo) / 2.0 / expected - 1.0).abs() < 0.1, "{lo} {hi}, not ±{expected}");
         assert!((lo + hi - 2.0 * found.value).abs() < 0.3 * expected, "{lo} {hi}");
@@ -192,19 +194,19 @@ mod tests {
     #[test]
     fn median_of_frequent_values_stays_among_them() {
         // One fifth of the values is two less than the median and one fifth is one less; the rest is the median itself.
-        let often = |add: f64| {
+        let frequent_values = |add: f64| {
             (0..400).map(|n: i32| add + f64::from((n % 5).min(2) - 1).max(-1.0)).collect::<Vec<_>>()
         };
-        let found = difference(&[often(0.0)], &[often(3.0)], 1).expect("values");
+        let found = difference(&[frequent_values(0.0)], &[frequent_values(3.0)], 1).expect("values");
         assert_eq!((found.value, found.interval), (3.0, Some((3.0, 3.0))));
-        // Samples of equal values have the same median in every resample, whether their count is even or odd.
+        // If all values are equal, every resample has the same median, whether the number of values is even or odd.
         let same = difference(&[vec![2.0; 40]], &[vec![3.5; 31]], 1).expect("values");
         assert_eq!((same.value, same.interval, same.is_distinct()), (1.5, Some((1.5, 1.5)), Some(true)));
     }
 
     #[test]
     fn same_seed_gives_same_interval() {
-        let (a, b) = ([run(0.3, 100, 1.0, 1)], [run(0.3, 120, 1.2, 2)]);
+        let (a, b) = ([autocorrelated_values(0.3, 100, 1.0, 1)], [autocorrelated_values(0.3, 120, 1.2, 2)]);
         assert_eq!(difference(&a, &b, 7), difference(&a, &b, 7));
         assert_ne!(difference(&a, &b, 7), difference(&a, &b, 8));
     }

@@ -54,13 +54,13 @@ use labels::EMPTY_CELL;
 /// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the measured total.
 pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", "stages-total", "total"];
 
-/// Scores of the answers that are not the share of right answers.
+/// Scores that are shown as means over the answers. [`ACCURACIES`] are shown as shares of right answers instead.
 pub const SCORES: [Quality; 2] = [Quality::Map50, Quality::MeanIou];
 
 /// Column of the time from the request to a language model until its first token.
 const FIRST_TOKEN: &str = "inference_time-to-first-token";
 
-/// Default seed of the bootstrap, so that the same runs give the same figures.
+/// Default seed of the bootstrap, so that the same runs give the same numbers.
 pub const SEED: u64 = 1;
 
 /// A note reports the share of the iterations for which a delay is known, if the share is below this value.
@@ -91,7 +91,7 @@ pub struct Comparison {
     pub lines: Vec<Line>,
     /// Index of the line with the smallest mean of [`total_column`](Self::total_column). `None` for a single line, or if no line has a mean.
     pub best: Option<usize>,
-    /// Indices of the lines that do not differ from the best with 95 % confidence.
+    /// Indices of the lines whose difference from the best may be chance: its 95 % confidence interval contains zero.
     pub ties: Vec<usize>,
     /// Indices of the lines that cannot be compared with the best, because they or the best have too few iterations.
     pub untested: Vec<usize>,
@@ -131,7 +131,7 @@ pub struct Line {
     /// Numbers of actual and of skipped starts of an open loop. The rates in this value are `None`, because each run
     /// has its own rate.
     pub starts: Starts,
-    /// Distribution that the latencies of the model are drawn from; `None` if all of them are measured.
+    /// Distribution that the latencies of the model are drawn from; `None` if all latencies are measured.
     pub replayed: Option<String>,
     /// Latencies in the order of [`LATENCIES`]; `None` if no iteration in the statistics has the latency.
     pub latencies: [Option<Latency>; LATENCIES.len()],
@@ -178,6 +178,8 @@ impl Comparison {
             Repeats::PooledExcept(chosen) => configurations.separate_runs(runs, chosen),
         }
         let Configurations { axes, labels } = configurations;
+        // All lines have the same column: a measured total is longer than the sum of its stages, so a total cannot be ranked
+        // against a sum.
         let total_column = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));
         let groups = group_by_labels(&labels);
         let names = readable_names(&axes, groups.iter().map(|group| labels[group[0]].as_slice()));
@@ -229,7 +231,8 @@ impl Line {
 
     /// Computes the statistics of the line from its runs.
     fn fill(&mut self, runs: &[Loaded], total_column: &str) {
-        // Number of each repeat in the experiment, and how many edges measured it. Each edge has its own results.
+        // For each repeat: its number in the experiment, and how many edges measured the repeat. Each edge has its own
+        // results.
         let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
             let counts = Counts::from_rows(rows, 0);
@@ -239,14 +242,16 @@ impl Line {
             self.starts.started += starts.started;
             self.starts.skipped += starts.skipped;
             let repeat = record.experiment.as_ref().map(|position| position.repeat);
-            let existing = repeats.iter().position(|(other, _)| *other == repeat);
-            let index = existing.unwrap_or_else(|| {
+            let known_index = repeats.iter().position(|(known, _)| *known == repeat);
+            let index = known_index.unwrap_or_else(|| {
                 repeats.push((repeat, 0));
                 self.repeat_moments.push(Moments::default());
                 repeats.len() - 1
             });
             repeats[index].1 += 1;
-            values(rows, total_column).iter().for_each(|value| self.repeat_moments[index].record(*value));
+            accepted_values(rows, total_column)
+                .iter()
+                .for_each(|value| self.repeat_moments[index].record(*value));
         }
         self.repeats = repeats.len();
         self.edges = repeats.iter().map(|(_, edges)| *edges).max().unwrap_or(1);
@@ -289,8 +294,9 @@ impl Line {
     }
 }
 
-/// Returns the numbers of a column that statistics accept, from the rows in the statistics, in order.
-fn values(rows: &Rows, column: &str) -> Vec<f64> {
+/// Returns the numbers of a column, in order, from the rows in the statistics. Numbers that [`Summary::accepts`] rejects
+/// are left out.
+fn accepted_values(rows: &Rows, column: &str) -> Vec<f64> {
     rows.values_in_statistics(column).filter(|value| Summary::accepts(*value)).collect()
 }
 

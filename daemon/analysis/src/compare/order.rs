@@ -53,11 +53,12 @@ pub fn compare_label(a: &str, b: &str) -> Ordering {
     }
 }
 
-/// Returns the numeric value of a label such as `30`, `-1.5`, `1,000`, `1e6`, `30 kB` or `50 Hz`. For `224x224` it is
-/// the first number. `None` if the label does not begin with a number.
+/// Returns the numeric value of a label such as `30`, `-1.5`, `1,000`, `1e6`, `30 kB` or `50 Hz`. The value of `224x224`
+/// is the first number. `None` if the label does not begin with a number.
 fn quantity(label: &str) -> Option<f64> {
     let text = label.trim().replace(',', "");
     let finite_number = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());
+    // The longest beginning that is a number: `1e6` is not 1.
     let ends = (1..=text.len()).rev().filter(|end| text.is_char_boundary(*end));
     let (value, rest) =
         ends.into_iter().find_map(|end| Some((finite_number(&text[..end])?, &text[end..])))?;
@@ -65,25 +66,27 @@ fn quantity(label: &str) -> Option<f64> {
     Some(value * UNITS.iter().find(|(name, _)| *name == unit).map_or(1.0, |(_, size)| *size))
 }
 
+/// Part of a label. Numbers come before words.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
-enum Piece {
+enum LabelPiece {
     Number(u128),
     Word(String),
 }
 
 /// Splits a label into words and whole numbers.
-fn split_numbers(label: &str) -> Vec<Piece> {
+fn split_numbers(label: &str) -> Vec<LabelPiece> {
+    // Each piece: whether it consists of digits, and its text.
     let mut pieces: Vec<(bool, String)> = Vec::new();
     for letter in label.to_lowercase().chars() {
         let is_digit = letter.is_ascii_digit();
-        match pieces.last_mut().filter(|(kind, _)| *kind == is_digit) {
+        match pieces.last_mut().filter(|(has_digits, _)| *has_digits == is_digit) {
             Some((_, text)) => text.push(letter),
             None => pieces.push((is_digit, letter.to_string())),
         }
     }
     let piece = |(is_digit, text): (bool, String)| match text.parse() {
-        Ok(number) if is_digit => Piece::Number(number),
-        _ => Piece::Word(text),
+        Ok(number) if is_digit => LabelPiece::Number(number),
+        _ => LabelPiece::Word(text),
     };
     pieces.into_iter().map(piece).collect()
 }
@@ -107,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn index_in_file_counts_before_labels() {
+    fn order_follows_index_in_file_before_labels() {
         let mut positions = [
             position(None, &["a"], 0),
             position(Some(1), &["m"], 1),
@@ -137,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn units_and_numbers_within_words_count() {
+    fn labels_are_sorted_by_unit_and_embedded_number() {
         let rows = sorted(&[&["2 MB"], &["30 kB"], &["800 B"], &["net-10"], &["1,000"], &["net-9"], &["—"]]);
         assert_eq!(rows.concat(), ["800 B", "1,000", "30 kB", "2 MB", "net-9", "net-10", "—"]);
         assert_eq!(sorted(&[&["no"], &["-1"], &["0.5"], &["inf"]]).concat(), ["-1", "0.5", "inf", "no"]);

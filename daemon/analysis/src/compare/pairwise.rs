@@ -2,7 +2,7 @@
 
 use peernet_statistics::Summary;
 
-/// Number of quantiles that approximate the distribution of a configuration.
+/// Number of quantiles that stand for the iterations of a configuration. A [`Summary`] does not hold single values.
 const QUANTILES: u32 = 100;
 
 /// Distribution of the difference between an iteration of one configuration and an iteration of another. Both
@@ -23,6 +23,7 @@ impl PairwiseDifference {
     /// has no values.
     pub fn between(first: &Summary, second: &Summary) -> Option<Self> {
         let quantiles = |values: &Summary| -> Option<Vec<f64>> {
+            // The middle of each of the equal parts of the distribution stands for this part.
             let quantile = |index| values.quantile((f64::from(index) + 0.5) / f64::from(QUANTILES));
             (0..QUANTILES).map(quantile).collect()
         };
@@ -40,7 +41,7 @@ impl PairwiseDifference {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::run;
+    use super::super::testing::autocorrelated_values;
     use super::*;
 
     fn summary(values: &[f64]) -> Summary {
@@ -51,7 +52,7 @@ mod tests {
 
     #[test]
     fn quantile_pairs_match_pairs_of_values() {
-        let (a, b) = (run(0.0, 2_000, 10.0, 1), run(0.0, 2_000, 9.5, 2));
+        let (a, b) = (autocorrelated_values(0.0, 2_000, 10.0, 1), autocorrelated_values(0.0, 2_000, 9.5, 2));
         let difference = PairwiseDifference::between(&summary(&a), &summary(&b)).expect("values");
         let mut pairs: Vec<f64> = a.iter().flat_map(|a| b.iter().map(move |b| b - a)).collect();
         pairs.sort_unstable_by(f64::total_cmp);
@@ -66,9 +67,9 @@ mod tests {
 
     #[test]
     fn equal_distributions_are_smaller_in_half_of_pairs() {
-        let one = summary(&run(0.0, 500, 10.0, 3));
-        let difference = PairwiseDifference::between(&one, &one).expect("values");
+        let summary_of_values = summary(&autocorrelated_values(0.0, 500, 10.0, 3));
+        let difference = PairwiseDifference::between(&summary_of_values, &summary_of_values).expect("values");
         assert!((difference.share_smaller - 0.5).abs() < 0.02, "{}", difference.share_smaller);
-        assert_eq!(PairwiseDifference::between(&one, &Summary::default()), None);
+        assert_eq!(PairwiseDifference::between(&summary_of_values, &Summary::default()), None);
     }
 }

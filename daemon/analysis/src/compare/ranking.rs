@@ -1,4 +1,4 @@
-//! Configuration with the smallest mean, and the differences of the others to it.
+//! Configuration with the smallest mean, and the differences between the other configurations and the smallest mean.
 
 use super::difference::{Difference, MeanEstimate};
 
@@ -42,7 +42,8 @@ impl Ranking {
         Some(Self { best, differences, unranked })
     }
 
-    /// Returns the indexes of the configurations whose means do not differ from the smallest with 95 % confidence.
+    /// Returns the indexes of the configurations whose difference from the smallest mean may be chance: the 95 % confidence
+    /// interval of the difference contains zero.
     pub fn ties(&self) -> Vec<usize> {
         self.indexes_by_verdict(Some(false))
     }
@@ -65,7 +66,7 @@ impl Ranking {
 }
 
 /// Returns whether the model of a run computes something, from the facts of the run. A model that only returns its input is not ranked with
-/// models that compute.
+/// models that compute, because its latency is small without any work.
 pub fn model_computes(facts: &[(String, String)]) -> bool {
     // The model kind `echo` describes itself by one of these facts.
     let is_echo = |fact: &str| fact == "echo" || fact.starts_with("echo, ");
@@ -87,14 +88,14 @@ mod tests {
     }
 
     #[test]
-    fn configurations_are_distinct_alike_or_untested() {
+    fn configurations_are_distinct_tied_or_untested() {
         let all = [total(5.0, 300), echo(0.5), total(1.01, 300), total(1.0, 300)];
         let few = [total(0.0, 0), total(3.0, 20)];
         let ranking = Ranking::new(&[&all[..], &few].concat()).expect("several have a mean");
         assert_eq!((ranking.best, ranking.ties(), ranking.untested()), (3, vec![2], vec![4, 5]));
-        assert_eq!(ranking.unranked, [1], "it computes nothing");
-        let (place, difference) = ranking.differences[0];
-        assert_eq!((place, difference.and_then(|difference| difference.is_distinct())), (0, Some(true)));
+        assert_eq!(ranking.unranked, [1], "its model computes nothing");
+        let (index, difference) = ranking.differences[0];
+        assert_eq!((index, difference.and_then(|difference| difference.is_distinct())), (0, Some(true)));
     }
 
     #[test]
@@ -106,7 +107,7 @@ mod tests {
 
     #[test]
     fn models_that_compute_nothing_are_ranked_among_themselves() {
-        let ranking = Ranking::new(&[echo(2.0), echo(1.0)]).expect("two");
+        let ranking = Ranking::new(&[echo(2.0), echo(1.0)]).expect("two configurations");
         assert_eq!((ranking.best, ranking.unranked.len()), (1, 0));
     }
 

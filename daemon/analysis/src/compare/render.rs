@@ -54,10 +54,10 @@ impl Comparison {
                 best_cell = self.best.map(|row| (row, columns.columns.len()));
             }
             let decimals = self.decimals(|line| line.latencies[index]);
-            columns.add(heading, |line| Some(cell(line.latencies[index]?, decimals)));
+            columns.add(heading, |line| Some(latency_cell(line.latencies[index]?, decimals)));
         }
         let decimals = self.decimals(|line| line.first_token);
-        columns.add_known("first token", |line| Some(cell(line.first_token?, decimals)));
+        columns.add_known("first token", |line| Some(latency_cell(line.first_token?, decimals)));
         for (index, heading) in ACCURACY_HEADINGS.into_iter().enumerate() {
             columns.add_known(heading, |line| {
                 let accuracy = line.accuracies[index]?;
@@ -114,7 +114,7 @@ impl Comparison {
             notes.push(format!("Stages without a column, means per iteration in ms: {}.", hidden.join("; ")));
         }
         if self.lines.iter().any(|line| line.failed > 0) {
-            let text = "Failed: iterations after the warm-up without an answer, or with one that the actuator failed to act on.";
+            let text = "Failed: iterations after the warm-up without an answer, or with an answer that the actuator failed to act on.";
             notes.push(text.to_owned());
         }
         if self.lines.iter().any(|line| line.first_token.is_some()) {
@@ -138,7 +138,7 @@ impl Comparison {
             notes.push(text.to_owned());
         }
         notes.extend(self.actuator_notes());
-        let unscored: Vec<String> = self.lines.iter().flat_map(Line::unscored).collect();
+        let unscored: Vec<String> = self.lines.iter().flat_map(Line::unscored_texts).collect();
         if !unscored.is_empty() {
             notes.push(format!(
                 "Iterations without a valid score, excluded from the accuracy: {}.",
@@ -149,8 +149,8 @@ impl Comparison {
             let text = "Missed: the share of iterations that took longer than their deadline or failed.";
             notes.push(text.to_owned());
         }
-        notes.extend(self.unknown_labels());
-        notes.extend(self.verdict());
+        notes.extend(self.unknown_label_notes());
+        notes.extend(self.ranking_sentence());
         notes.extend(self.other_differences.iter().cloned());
         let edges: Vec<String> = self
             .lines
@@ -160,16 +160,16 @@ impl Comparison {
             .collect();
         if !edges.is_empty() {
             notes.push(format!(
-                "Edges that measured at the same time are pooled, with all iterations after their warm-ups, also while not all \
-                 measured: {}.",
+                "Edges that measured at the same time are pooled, with all iterations after the warm-up of each edge, even those \
+                 during which another edge did not measure: {}.",
                 edges.join("; ")
             ));
         }
-        let repeat_range: Vec<String> = self.lines.iter().filter_map(Line::repeat_range).collect();
+        let repeat_range: Vec<String> = self.lines.iter().filter_map(Line::repeat_range_text).collect();
         if !repeat_range.is_empty() {
             notes.push(format!("Repeats are pooled; their mean totals: {} ms.", repeat_range.join("; ")));
         }
-        let known_shares: Vec<String> = self.lines.iter().flat_map(Line::known_shares).collect();
+        let known_shares: Vec<String> = self.lines.iter().flat_map(Line::known_share_texts).collect();
         if !known_shares.is_empty() {
             let shares = known_shares.join("; ");
             notes.push(format!("Delays are known for only a part of the iterations: {shares}."));
@@ -199,7 +199,7 @@ impl Comparison {
     }
 
     /// Returns the notes on samples whose label is not a class of the model. Lines with the same reason share a note.
-    fn unknown_labels(&self) -> Vec<String> {
+    fn unknown_label_notes(&self) -> Vec<String> {
         let mut reasons: Vec<(String, Vec<String>)> = Vec::new();
         for line in &self.lines {
             let Some(unknown) = &line.unknown_labels else { continue };
@@ -214,8 +214,9 @@ impl Comparison {
         reasons.into_iter().map(sentence).collect()
     }
 
-    /// Returns the sentence about the best line, and about the lines that do not differ from it or were not compared with it.
-    fn verdict(&self) -> Option<String> {
+    /// Returns the sentence about the best line, the lines that cannot be distinguished from it, and the lines that were not
+    /// compared with it.
+    fn ranking_sentence(&self) -> Option<String> {
         let best = &self.lines[self.best?];
         let names = |lines: &[usize]| {
             lines.iter().map(|line| self.lines[*line].name.as_str()).collect::<Vec<_>>().join("; ")
@@ -231,7 +232,7 @@ impl Comparison {
             clauses.push(format!("{subject} differs from it with 95 % confidence"));
         }
         if !self.untested.is_empty() {
-            // Each edge has its own results, so that each of them needs enough iterations.
+            // Each edge has its own results, so each edge needs enough iterations.
             let lines = self.untested.iter().map(|line| &self.lines[*line]).chain([best]);
             let each = if lines.into_iter().any(|line| line.edges > 1) { "edge in each run" } else { "run" };
             clauses.push(format!(
@@ -243,12 +244,12 @@ impl Comparison {
             clauses
                 .push(format!("not ranked, because the model computes nothing: {}", names(&self.unranked)));
         }
-        let verdicts = clauses.join("; ");
-        Some(format!("Smallest mean total ({}): {}; {verdicts}.", self.total(), best.name))
+        let clauses = clauses.join("; ");
+        Some(format!("Smallest mean total ({}): {}; {clauses}.", self.total_word(), best.name))
     }
 
     /// Returns the word for the column of totals that determines the best line: `measured` or `stages`.
-    pub(super) fn total(&self) -> &'static str {
+    pub(super) fn total_word(&self) -> &'static str {
         match self.total_column {
             TotalColumn::Measured => "measured",
             TotalColumn::SumOfStages => "stages",
@@ -274,7 +275,7 @@ impl Line {
     }
 
     /// Returns the text with the smallest and the largest mean of the repeats; `None` for a single repeat.
-    fn repeat_range(&self) -> Option<String> {
+    fn repeat_range_text(&self) -> Option<String> {
         (self.repeats > 1).then_some(())?;
         let means =
             self.repeat_moments.iter().filter(|moments| moments.count > 0).map(|moments| moments.mean);
@@ -284,8 +285,8 @@ impl Line {
     }
 
     /// Returns the texts on iterations without a score, one for each accuracy. Iterations whose label is not a class of
-    /// the model are not included: [`Comparison::unknown_labels`] returns the note on them.
-    fn unscored(&self) -> Vec<String> {
+    /// the model are not included: [`Comparison::unknown_label_notes`] returns the note on them.
+    fn unscored_texts(&self) -> Vec<String> {
         let with_unknown_label = self.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
         let unscored_text = |(name, accuracy): (&str, &Option<Accuracy>)| {
             let unscored = (*accuracy)?.unscored.saturating_sub(with_unknown_label);
@@ -296,7 +297,7 @@ impl Line {
     }
 
     /// Returns the texts on delays that are known for only a part of the iterations, one for each direction.
-    fn known_shares(&self) -> Vec<String> {
+    fn known_share_texts(&self) -> Vec<String> {
         let known_share = |name: &str| {
             let share = self.latency(name)?.count as f64 / self.count as f64;
             (share < MIN_KNOWN_SHARE).then(|| format!("{name} of {}: {} %", self.name, percent(share)))
@@ -312,7 +313,7 @@ pub(super) fn with_name(name: &str, text: &str) -> String {
 }
 
 /// Returns the cell of a latency: mean ± standard deviation in ms.
-fn cell(latency: Latency, decimals: usize) -> String {
+fn latency_cell(latency: Latency, decimals: usize) -> String {
     let ms = |seconds: f64| in_milliseconds(seconds, decimals);
     match latency.std {
         None => ms(latency.mean),

@@ -1,4 +1,4 @@
-//! Comparisons of made-up runs whose figures are known.
+//! Comparisons of made-up runs whose latencies are known.
 
 use std::path::PathBuf;
 
@@ -99,9 +99,9 @@ cuda:0  can        100       1  0.810 ± 0.001  98.280 ± 0.001   3.730 ± 0.001
 
 *: smallest mean total.
 Latencies: mean ± standard deviation in ms over all successful iterations after the warm-up. Total (stages) is the sum of all stages, including stages without a column; the paper calls it Total.
-Failed: iterations after the warm-up without an answer, or with one that the actuator failed to act on.
+Failed: iterations after the warm-up without an answer, or with an answer that the actuator failed to act on.
 Smallest mean total (measured): orin; every other line differs from it with 95 % confidence.
-They also differ in where: local (orin), cloud (cuda:0)."
+The runs also differ in where: local (orin), cloud (cuda:0)."
     );
 }
 
@@ -157,7 +157,7 @@ fn only_repeats_are_pooled() {
     assert_eq!(
         comparison.axes,
         ["resize", "network"],
-        "as declared, though one of them is the same everywhere"
+        "all declared axes, although all runs have the same network"
     );
     assert_eq!(
         comparison.lines.iter().map(|line| line.runs.clone()).collect::<Vec<_>>(),
@@ -168,17 +168,17 @@ fn only_repeats_are_pooled() {
     assert_eq!((comparison.best, comparison.ties.as_slice()), (Some(1), [].as_slice()));
     let text = comparison.text();
     assert!(text.contains("Repeats are pooled; their mean totals: no resize: 17.5 – 19.5 ms."), "{text}");
-    let apart = Comparison::with_repeats(&runs, Repeats::Separate);
-    assert_eq!(apart.axes, ["resize", "network", "repeat"]);
-    assert_eq!(apart.lines.len(), 3);
+    let separate = Comparison::with_repeats(&runs, Repeats::Separate);
+    assert_eq!(separate.axes, ["resize", "network", "repeat"]);
+    assert_eq!(separate.lines.len(), 3);
 }
 
 #[test]
 fn equal_configurations_are_distinguished_by_folder() {
-    let one = |folder: &str, total: f64| {
-        with_model("s", "cpu", None, run(folder, [Some(1.0), None, Some(total), None]))
+    let run_in = |folder: &str, inference: f64| {
+        with_model("s", "cpu", None, run(folder, [Some(1.0), None, Some(inference), None]))
     };
-    let comparison = Comparison::new(&[one("before/run-2", 7.0), one("after/run-2", 7.0)]);
+    let comparison = Comparison::new(&[run_in("before/run-2", 7.0), run_in("after/run-2", 7.0)]);
     assert_eq!(comparison.axes, ["run"]);
     assert_eq!(
         comparison.lines.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(),
@@ -187,10 +187,10 @@ fn equal_configurations_are_distinguished_by_folder() {
     assert_eq!(
         (comparison.best, comparison.ties.as_slice()),
         (Some(0), [1].as_slice()),
-        "the same twice is a tie"
+        "two equal runs are a tie"
     );
     assert!(comparison.text().contains("cannot be distinguished from after/run-2"), "{}", comparison.text());
-    let alone = Comparison::new(&[one("x", 7.0)]);
+    let alone = Comparison::new(&[run_in("x", 7.0)]);
     assert_eq!((alone.axes.as_slice(), alone.best), (["run".to_owned()].as_slice(), None));
 }
 
@@ -234,17 +234,21 @@ fn differences_are_computed_per_stage() {
     let upload = &differences.stages[1];
     assert!((upload.mean.value - 0.08075).abs() < 1e-9, "{upload:?}");
     assert_eq!((upload.mean.is_distinct(), upload.median.is_distinct()), (Some(true), Some(true)));
-    assert_eq!(differences.stages[2].mean.is_distinct(), Some(false), "inference is the same");
+    assert_eq!(
+        differences.stages[2].mean.is_distinct(),
+        Some(false),
+        "inference takes the same time in both runs"
+    );
     let text = differences.captioned().text();
     assert!(text.starts_with("A: cuda:0, lan. B: cuda:0, can.\n\nstage"), "{text}");
     assert!(text.contains("+80.750"), "{text}");
-    assert_eq!(differences, between(1, 2), "the same seed");
+    assert_eq!(differences, between(1, 2), "the same seed gives the same intervals");
     let csv = Differences::csv(&[differences]);
     let upload = "\"cuda:0, lan\",\"cuda:0, can\",upload,0.0175";
     assert!(csv.lines().nth(2).is_some_and(|line| line.starts_with(upload)), "{csv}");
     let local = between(1, 0);
     assert_eq!((local.baseline.as_str(), local.other.as_str()), ("cuda:0, lan", "orin"));
-    assert!(local.stages.iter().all(|stage| stage.stage != "upload"), "one of them has none");
+    assert!(local.stages.iter().all(|stage| stage.stage != "upload"), "a run on board has no upload");
 }
 
 #[test]
@@ -268,7 +272,7 @@ fn difference_columns_have_equal_decimals() {
         let [up, down] = [0, 1].map(|row| &table.rows[row][column]);
         assert_eq!(decimals(up), decimals(down), "{up} and {down}");
     }
-    assert_eq!(table.rows[0][8], "+12.300", "no interval without a width");
+    assert_eq!(table.rows[0][8], "+12.300", "an interval without width is one number");
 }
 
 #[test]
@@ -283,17 +287,17 @@ fn chosen_repeat_has_separate_line() {
     assert_eq!(lines, expected.map(|(name, runs)| (name.to_owned(), runs)));
     let edges = [edge("user-1", 0, "1/user-1"), edge("user-2", 0, "1/user-2"), edge("user-1", 1, "2/user-1")];
     let comparison = Comparison::with_repeats(&edges, Repeats::PooledExcept(&[0]));
-    assert_eq!(comparison.lines[0].runs, [0, 1], "measured at the same time");
+    assert_eq!(comparison.lines[0].runs, [0, 1], "edges that measured at the same time stay in one line");
 }
 
-/// Returns a run as a published `data.csv` describes it: by its name only.
+/// Returns a run as a published `data.csv` describes it: only the name of the file is known.
 fn published(file: &str, run: Loaded) -> Loaded {
     let record = RunRecord { name: file.to_owned(), title: file.to_owned(), ..RunRecord::default() };
     Loaded { folder: PathBuf::from("results"), record, ..run }
 }
 
 #[test]
-fn unknown_runs_are_named_after_files() {
+fn runs_without_record_are_named_after_files() {
     let stages = [Some(1.0), None, Some(2.0), None];
     let faster = [Some(1.0), None, Some(1.0), None];
     let runs = [with_model("s", "cpu", None, run("mine", stages)), published("theirs", run("x", faster))];
@@ -317,14 +321,14 @@ fn untested_line_is_reported() {
         text.contains(": orin; too few iterations to tell whether it differs from cuda:0, lan (30 of each run are needed)."),
         "{text}"
     );
-    assert!(!text.contains("cannot be distinguished") && !text.contains("other differs"), "{text}");
+    assert!(!text.contains("cannot be distinguished") && !text.contains("other line differs"), "{text}");
     let mut several = comparison.clone();
     several.lines[1].edges = 2;
     assert!(several.text().contains("(30 of each edge in each run are needed)"), "{}", several.text());
     assert!(comparison.csv().lines().nth(2).is_some_and(|line| line.starts_with("cuda:0,lan,1,24,1,0,,")));
 }
 
-/// Returns an edge of an experiment's run.
+/// Returns the results of one edge of a repeat.
 fn edge(name: &str, repeat: u32, folder: &str) -> Loaded {
     let run = placed(&[], repeat, run(folder, [Some(1.0), Some(2.0), Some(3.0), Some(1.0)]));
     let edge = HostRecord { name: name.to_owned(), ..HostRecord::default() };
@@ -334,13 +338,13 @@ fn edge(name: &str, repeat: u32, folder: &str) -> Loaded {
 #[test]
 fn edges_of_one_run_are_not_repeats() {
     let mut runs = vec![edge("user-1", 0, "e/runs/1/user-1"), edge("user-2", 0, "e/runs/1/user-2")];
-    let one = Comparison::new(&runs);
-    assert_eq!((one.lines.len(), one.lines[0].repeats, one.lines[0].edges), (1, 1, 2));
-    let text = one.text();
+    let pooled = Comparison::new(&runs);
+    assert_eq!((pooled.lines.len(), pooled.lines[0].repeats, pooled.lines[0].edges), (1, 1, 2));
+    let text = pooled.text();
     assert!(text.contains("edges") && !text.contains("Repeats are"), "{text}");
     assert!(text.contains("2 edges."), "{text}");
 
-    // The edges share one line, too, if other runs are compared with them.
+    // The edges also share one line if other runs are compared with the edges.
     runs.extend([edge("user-1", 1, "e/runs/2/user-1"), edge("user-2", 1, "e/runs/2/user-2")]);
     runs.push(with_model("s", "cpu", None, run("alone", [Some(1.0), None, Some(2.0), None])));
     let mixed = Comparison::new(&runs);
@@ -370,21 +374,21 @@ fn dissimilar_runs_have_fewest_distinguishing_columns() {
     assert_eq!(
         comparison.other_differences,
         [
-            "They also differ in device: cpu (s), cuda:0 (m; l); where: local (s), cloud (m; l); network: lan (m; l).",
-            "Further differences, recorded in their run.json: Model SHA-256, ONNX Runtime.",
+            "The runs also differ in device: cpu (s), cuda:0 (m; l); where: local (s), cloud (m; l); network: lan (m; l).",
+            "Further differences, recorded in the run.json of each run: Model SHA-256, ONNX Runtime.",
         ]
     );
     for text in [comparison.text(), comparison.markdown(), comparison.latex(), comparison.csv()] {
         assert!(!text.contains("aaaa") && !text.contains("/opt"), "{text}");
     }
-    // Only a hash and a long list distinguish these, so the folders' names are used.
-    let alike = ["a", "b"].map(|at| {
+    // Only a hash and a long list distinguish these runs, so the names of the folders are used.
+    let similar_runs = ["a", "b"].map(|at| {
         let list = ("Model libraries".to_owned(), format!("{}six 1.{at}", "numpy 1.24.2, ".repeat(9)));
         let run = with("s", "cpu", None, [hash(at), list]);
         let record = RunRecord { format: 1, ..run.record };
         Loaded { folder: PathBuf::from("results").join(at), record, ..run }
     });
-    let comparison = Comparison::new(&alike);
+    let comparison = Comparison::new(&similar_runs);
     assert_eq!(
         (comparison.axes.as_slice(), comparison.lines[1].name.as_str()),
         (["run".to_owned()].as_slice(), "b")

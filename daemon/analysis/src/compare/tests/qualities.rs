@@ -11,7 +11,7 @@ fn miss_rate_is_shown_beside_failed() {
     });
     let comparison = Comparison::new(&runs);
     let misses = comparison.lines[1].misses.expect("a deadline");
-    // The iterations are 6 to 106; the tenth was lost.
+    // Iterations 6 to 106 are not warm-up. Iteration 10 was lost.
     assert_eq!((misses.missed, misses.iterations, comparison.lines[0].misses), (10, 101, None));
     let text = comparison.text();
     assert!(
@@ -22,7 +22,7 @@ fn miss_rate_is_shown_beside_failed() {
     let rates = column(&csv, "miss-rate");
     assert_eq!(rates[0], "");
     assert!(rates[1].starts_with("0.0990"), "{csv}");
-    assert!(!Comparison::new(&paper()).text().contains("missed"), "there is no deadline");
+    assert!(!Comparison::new(&paper()).text().contains("missed"), "no run has a deadline");
 }
 
 /// Returns the cells of a column, without its header.
@@ -42,7 +42,7 @@ fn scores_of_detections_are_shown_beside_latency() {
     });
     let comparison = Comparison::new(&runs);
     let text = comparison.text();
-    // The mean overlap of the found objects is no score of a detection.
+    // In runs with `map-50`, `mean-iou` is the mean overlap of the found objects, which is not shown as a score.
     assert!(text.contains("mAP@0.5 (%)") && !text.contains("mean IoU (%)"), "{text}");
     assert!(
         text.contains("50.0 (") && text.contains("mAP@0.5 and mean IoU: mean over all pictures"),
@@ -90,11 +90,14 @@ fn success_and_return_are_shown_beside_latency() {
     ] {
         assert!(text.contains(part), "{part}: {text}");
     }
-    // The mark of the smallest mean total marks no success and no return.
+    // The mark stands at the smallest mean total, not at a success or a return.
     let marked = text.lines().find(|line| line.contains(" *")).expect("a marked line");
     assert!(marked.contains("20.260 ± 0.002 *") && marked.ends_with('—'), "{marked}");
     assert!(text.contains(&format!("  {episodes}  ")), "{text}");
-    assert!(!text.contains("Episodes: the number"), "both have the same number: {text}");
+    assert!(
+        !text.contains("Episodes: the number"),
+        "success and return are known for the same number of episodes: {text}"
+    );
     let csv = comparison.csv();
     assert_eq!(column(&csv, "return-mean"), ["", "2.5", ""]);
     assert_eq!(column(&csv, "success-episodes")[1], episodes.to_string());
@@ -102,7 +105,7 @@ fn success_and_return_are_shown_beside_latency() {
     let without = Comparison::new(&paper()).text();
     assert!(!without.contains("success (%)") && !without.contains("superseded"), "{without}");
     for name in ["superseded", "episode-success", "episode-return"] {
-        assert!(needs_column(name), "else {name} is not read");
+        assert!(needs_column(name), "a comparison must read {name}");
     }
 }
 
@@ -134,7 +137,7 @@ fn accuracy_is_shown_beside_latency() {
     );
     assert!(csv.lines().nth(2).is_some_and(|line| line.contains(",1,0.75,0.65")), "{csv}");
     assert!(!text.contains("valid score"), "{text}");
-    assert!(!Comparison::new(&paper()).text().contains("Top-1"), "nobody knew what is right");
+    assert!(!Comparison::new(&paper()).text().contains("Top-1"), "no sample has a label");
     let broken = |row: &mut Row| match row.iteration {
         20 => row.values.retain(|(name, _)| name != "top-1"),
         21 | 22 => row.values.iter_mut().filter(|(name, _)| name == "top-1").for_each(|(_, v)| *v = f64::NAN),
