@@ -280,14 +280,18 @@ async fn rates_of_users_are_equal_on_page_and_in_files() {
     }
     let of_files = Users::from_runs(&runs).expect("several edges");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
-    assert!(page.text().contains("Counted while all users of a repeat were measuring."), "{}", page.text());
+    assert!(
+        page.text().contains("Iterations are counted only while all edges of a repeat were measuring."),
+        "{}",
+        page.text()
+    );
     assert_eq!(of_files.lines.len(), 2);
     for line in &of_files.lines {
         let (least, most) = line.rate_range().expect("a common time");
         let cells = [
-            format!("data-h=\"users\">{}</td>", line.edges),
-            format!("data-h=\"answers, /s\">{}</td>", rate(line.rate.expect("a common time"))),
-            format!("data-h=\"per user, /s\">{} – {}</td>", rate(least), rate(most)),
+            format!("data-h=\"edges\">{}</td>", line.edges),
+            format!("data-h=\"iterations, /s\">{}</td>", rate(line.rate.expect("a common time"))),
+            format!("data-h=\"per edge, /s\">{} – {}</td>", rate(least), rate(most)),
             format!(
                 "data-h=\"fairness\">{}</td>",
                 fixed_or_less_than(line.fairness.expect("a common time"), 3)

@@ -2,7 +2,7 @@
 
 use peernet_stream::ExperimentPosition;
 
-use super::{EdgeMeasured, Repeat, common_time};
+use super::{EdgeMeasurements, Repeat, common_time};
 use crate::loaded::Loaded;
 use crate::order::SortedValues;
 use crate::rows::RowRef;
@@ -33,23 +33,27 @@ pub fn concurrent_groups<'a, R, E: PartialEq>(
 }
 
 /// Returns the complete groups: those with as many edges as the largest group of the same configuration.
+// Without one of the edges, the other edges would get more of the cloud than configured.
 pub fn complete_groups<'a, R>(
     groups: Vec<Vec<&'a R>>,
     position_of: impl Fn(&'a R) -> Option<&'a ExperimentPosition>,
 ) -> Vec<Vec<&'a R>> {
-    let configuration_of = |group: &[&'a R]| position_of(group[0]).map(|at| (&at.id, &at.configuration));
+    let configuration_of =
+        |group: &[&'a R]| position_of(group[0]).map(|position| (&position.id, &position.configuration));
     let configurations_and_edges: Vec<_> =
         groups.iter().map(|group| (configuration_of(group), group.len())).collect();
     let is_complete = |group: &Vec<&'a R>| {
-        let own = configuration_of(group);
-        let same = configurations_and_edges.iter().filter(|(other, _)| own.is_some() && *other == own);
-        same.map(|(_, edges)| *edges).max().is_none_or(|most| group.len() == most)
+        let configuration = configuration_of(group);
+        let repeats = configurations_and_edges
+            .iter()
+            .filter(|(other, _)| configuration.is_some() && *other == configuration);
+        repeats.map(|(_, edges)| *edges).max().is_none_or(|largest| group.len() == largest)
     };
     groups.into_iter().filter(is_complete).collect()
 }
 
 /// Returns what the edges of a repeat measured while all of them were measuring.
-pub(super) fn repeat(edges: &[&Loaded]) -> Repeat<SortedValues> {
+pub(super) fn repeat_from_edges(edges: &[&Loaded]) -> Repeat<SortedValues> {
     let rows: Vec<Vec<RowRef<'_>>> =
         edges.iter().map(|edge| edge.rows.iter().filter(RowRef::is_in_statistics).collect()).collect();
     let measured_time = |rows: &Vec<RowRef<'_>>| {
@@ -57,13 +61,15 @@ pub(super) fn repeat(edges: &[&Loaded]) -> Repeat<SortedValues> {
         Some((starts().reduce(f64::min)?, starts().reduce(f64::max)?))
     };
     let times: Vec<Option<(f64, f64)>> = rows.iter().map(measured_time).collect();
-    let Some((from, to)) = common_time(times) else { return Repeat { seconds: None, edges: Vec::new() } };
+    let Some((from, to)) = common_time(times) else {
+        return Repeat { common_seconds: None, edges: Vec::new() };
+    };
     let edge = |rows: &Vec<RowRef<'_>>| {
         let within = rows.iter().filter(|row| (from..to).contains(&row.at()));
-        EdgeMeasured {
+        EdgeMeasurements {
             starts: within.clone().count() as u64,
             totals: within.filter_map(|row| row.value(TotalColumn::Measured.name())).collect(),
         }
     };
-    Repeat { seconds: Some(to - from), edges: rows.iter().map(edge).collect() }
+    Repeat { common_seconds: Some(to - from), edges: rows.iter().map(edge).collect() }
 }

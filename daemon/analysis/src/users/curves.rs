@@ -48,7 +48,7 @@ impl<'a> Curve<'a> {
 /// Returns the index of the axis whose labels are the numbers of edges, such as `4`, or contain them, such as `4 robots`. `None` if no axis
 /// has such labels, or if all lines have the same number of edges.
 fn axis_of_edges(users: &Users) -> Option<usize> {
-    let all_labels = |axis: usize, matches: &dyn Fn(&str, usize) -> bool| {
+    let all_labels_match = |axis: usize, matches: &dyn Fn(&str, usize) -> bool| {
         users.lines.iter().all(|line| line.labels.get(axis).is_some_and(|label| matches(label, line.edges)))
     };
     let edges_vary = users.lines.windows(2).any(|pair| pair[0].edges != pair[1].edges);
@@ -57,6 +57,8 @@ fn axis_of_edges(users: &Users) -> Option<usize> {
         label.split(|char: char| !char.is_ascii_digit()).any(|number| number.parse() == Ok(edges))
     };
     let axes = || (0..users.axes.len()).filter(|_| edges_vary);
-    let axis_of_numbers = axes().find(|axis| all_labels(*axis, &is_number));
-    axis_of_numbers.or_else(|| axes().find(|axis| all_labels(*axis, &contains_number)))
+    // An axis whose labels are the numbers themselves comes first: labels of another axis, such as the model `v2`, may contain
+    // the same numbers by chance.
+    let axis_of_numbers = axes().find(|axis| all_labels_match(*axis, &is_number));
+    axis_of_numbers.or_else(|| axes().find(|axis| all_labels_match(*axis, &contains_number)))
 }

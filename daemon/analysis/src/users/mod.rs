@@ -24,14 +24,14 @@ use crate::trust::ReplayedLatencies;
 
 /// Returns Jain's index of fairness, (Σx)² / (n Σx²) (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and
 /// Discrimination for Resource Allocation in Shared Computer Systems*, DEC-TR-301). The index is 1/n if one of n users
-/// gets everything, and 1 if all users get the same. `None` if all shares are 0.
+/// gets everything, and 1 if all users get the same. `None` if all shares are 0, or if there is no share.
 pub fn jain_index(shares: &[f64]) -> Option<f64> {
     let (sum, squares) = shares.iter().fold((0.0, 0.0), |(sum, squares), x| (sum + x, squares + x * x));
     // Because of rounding, the index of equal shares can be a little more than 1.
     (squares > 0.0).then(|| (sum * sum / (shares.len() as f64 * squares)).min(1.0))
 }
 
-/// Results of configurations with one or many users: edges that use the cloud at the same time.
+/// Results of configurations in which one or several edges use the cloud at the same time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Users {
     /// Names of the columns that distinguish the lines.
@@ -40,20 +40,20 @@ pub struct Users {
     pub lines: Vec<UsersLine>,
 }
 
-/// Results of one configuration. Seconds, answers per second.
+/// Results of one configuration, in seconds and in answers per second.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UsersLine {
     /// Labels that distinguish the configuration: as many as there are axes.
     pub labels: Vec<String>,
-    /// Number of edges at the same time.
+    /// Number of edges that measured at the same time.
     pub edges: usize,
     /// Answers per second of all edges together, on average over the repeats; `None` if the edges never measured at the same time.
     pub rate: Option<f64>,
     /// [`jain_index`] of the edges' rates, on average over the repeats; `None` without rates.
     pub fairness: Option<f64>,
-    /// Share of each edge in each repeat.
-    pub shares: Vec<EdgeShare>,
-    /// The totals of all edges.
+    /// Performance of each edge in each repeat with a common time.
+    pub edge_performances: Vec<EdgePerformance>,
+    /// Summary of the totals of all edges together.
     pub totals: Totals,
     /// Distribution that the latencies of the model are drawn from; `None` if all latencies are measured.
     pub replayed: Option<String>,
@@ -63,15 +63,15 @@ pub struct UsersLine {
 /// edge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Repeat<T> {
-    /// Length of the [common time](common_time); `None` if the edges never measured at the same time.
-    pub seconds: Option<f64>,
-    /// The edges; empty without a common time.
-    pub edges: Vec<EdgeMeasured<T>>,
+    /// Length of the [common time](common_time), seconds; `None` if the edges never measured at the same time.
+    pub common_seconds: Option<f64>,
+    /// Measurements of each edge; empty without a common time.
+    pub edges: Vec<EdgeMeasurements<T>>,
 }
 
 /// Measurements of one edge within the common time.
 #[derive(Clone, Debug, PartialEq)]
-pub struct EdgeMeasured<T> {
+pub struct EdgeMeasurements<T> {
     /// Number of answered iterations that started in the common time.
     pub starts: u64,
     /// Totals of these iterations, seconds.
@@ -113,7 +113,7 @@ pub fn common_time<T: PartialOrd + Copy>(edges: impl IntoIterator<Item = Option<
 
 /// Rate and latency of one edge while all edges were measuring.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EdgeShare {
+pub struct EdgePerformance {
     /// Answers per second.
     pub rate: f64,
     /// Median of the edge's totals, seconds; `None` if no total was measured.
@@ -164,20 +164,20 @@ impl Users {
         let mut configurations: Vec<(Vec<String>, Vec<&[&Loaded]>)> = Vec::new();
         for edges in &concurrent_groups {
             let labels: Vec<String> = axes.iter().map(|axis| label(edges, axis)).collect();
-            let is_same = |(other, repeats): &&mut (Vec<String>, Vec<&[&Loaded]>)| {
+            let has_same_labels_and_edges = |(other, repeats): &&mut (Vec<String>, Vec<&[&Loaded]>)| {
                 *other == labels && repeats[0].len() == edges.len()
             };
-            match configurations.iter_mut().find(is_same) {
+            match configurations.iter_mut().find(has_same_labels_and_edges) {
                 Some((_, repeats)) => repeats.push(edges),
                 None => configurations.push((labels, vec![edges])),
             }
         }
         let line = |(labels, groups): (Vec<String>, Vec<&[&Loaded]>)| {
             let repeats: Vec<Repeat<SortedValues>> =
-                groups.iter().map(|edges| concurrent_edges::repeat(edges)).collect();
+                groups.iter().map(|edges| concurrent_edges::repeat_from_edges(edges)).collect();
             let totals: SortedValues = match groups.as_slice() {
-                // If each repeat has a single edge, all its totals are used, so that the table of all configurations
-                // shows the same numbers.
+                // If each repeat has a single edge, all totals of this edge are used, so that the numbers are those of the
+                // comparison of all configurations.
                 groups if groups[0].len() == 1 => {
                     groups.iter().flat_map(|edges| edges[0].rows.values_in_statistics("total")).collect()
                 }
@@ -198,40 +198,44 @@ impl Users {
 }
 
 impl UsersLine {
-    /// Returns the line of a configuration with `edges` edges, from its repeats. No latencies are replayed.
+    /// Returns the line of a configuration with `edges` edges, from its repeats. The field `replayed` is `None`: the repeats
+    /// do not tell which latencies are replayed.
     pub fn new<T: WithMedian>(
         labels: Vec<String>,
         edges: usize,
         repeats: &[Repeat<T>],
         totals: Totals,
     ) -> Self {
-        let shares_of = |repeat: &Repeat<T>| -> Vec<EdgeShare> {
-            let Some(seconds) = repeat.seconds else { return Vec::new() };
-            let share = |edge: &EdgeMeasured<T>| EdgeShare {
+        let performances_of = |repeat: &Repeat<T>| -> Vec<EdgePerformance> {
+            let Some(seconds) = repeat.common_seconds else { return Vec::new() };
+            let performance = |edge: &EdgeMeasurements<T>| EdgePerformance {
                 rate: edge.starts as f64 / seconds,
                 median: edge.totals.median(),
             };
-            repeat.edges.iter().map(share).collect()
+            repeat.edges.iter().map(performance).collect()
         };
-        let shares: Vec<Vec<EdgeShare>> =
-            repeats.iter().map(shares_of).filter(|shares| !shares.is_empty()).collect();
-        let rates = |shares: &Vec<EdgeShare>| shares.iter().map(|share| share.rate).collect::<Vec<f64>>();
-        let rates: Vec<Vec<f64>> = shares.iter().map(rates).collect();
+        // The performances of the edges of each repeat.
+        let performances: Vec<Vec<EdgePerformance>> =
+            repeats.iter().map(performances_of).filter(|edges| !edges.is_empty()).collect();
+        let rates_of =
+            |edges: &Vec<EdgePerformance>| edges.iter().map(|edge| edge.rate).collect::<Vec<f64>>();
+        let rates: Vec<Vec<f64>> = performances.iter().map(rates_of).collect();
         Self {
             labels,
             edges,
-            // Edges of one repeat share the cloud, so their rates are added up; repeats are averaged.
+            // The edges of one repeat share the cloud, so their rates are added up. Repeats were measured one after the
+            // other, so the sums are averaged.
             rate: mean(rates.iter().map(|rates| rates.iter().sum())),
             fairness: mean(rates.iter().filter_map(|rates| jain_index(rates))),
-            shares: shares.concat(),
+            edge_performances: performances.concat(),
             totals,
             replayed: None,
         }
     }
 
-    /// Returns the lowest and the highest rate of an edge over all repeats.
+    /// Returns the lowest and the highest rate of an edge over all repeats; `None` without rates.
     pub fn rate_range(&self) -> Option<(f64, f64)> {
-        let rates = self.shares.iter().map(|share| (share.rate, share.rate));
+        let rates = self.edge_performances.iter().map(|edge| (edge.rate, edge.rate));
         rates.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
     }
 }

@@ -1,4 +1,4 @@
-//! Tables of the statistics of many users.
+//! Tables of the statistics of edges that use one cloud at the same time.
 
 pub(super) use peernet_statistics::number::NONE as EMPTY_CELL;
 use peernet_statistics::number::{count, fixed_or_less_than, join_ends, milliseconds, rate};
@@ -8,11 +8,11 @@ use crate::compare::{readable_names, replayed_configurations};
 use crate::table::{Table, csv_text};
 
 /// Sentence on the time whose iterations are counted.
-pub const COUNTED_TIME: &str = "Counted while all edges of a repeat were measuring.";
+pub const COUNTED_TIME: &str = "Iterations are counted only while all edges of a repeat were measuring.";
 
-/// Sentence on the fairness.
-pub const FAIRNESS_MEANING: &str = "Fairness is Jain's index of the edges' rates: 1 when all are served alike, 1/n when one of n gets \
-                                    everything.";
+/// Sentence that explains the column of the fairness.
+pub const FAIRNESS_MEANING: &str = "Fairness is Jain's index of the edges' rates: 1 if all edges have the same rate, 1/n if one \
+                                    of n edges gets everything.";
 
 impl Users {
     /// Returns the text for a terminal.
@@ -66,15 +66,16 @@ impl Users {
         let row = |line: &UsersLine| {
             let quantiles = [line.totals.median, line.totals.p95, line.totals.p99];
             let quantiles = quantiles.map(|value| cell(value, milliseconds));
-            line.labels.iter().cloned().chain(line.texts()).chain(quantiles).collect()
+            line.labels.iter().cloned().chain(line.cell_texts()).chain(quantiles).collect()
         };
         Table { header, labels, rows: self.lines.iter().map(row).collect(), marked: None }
     }
 }
 
 impl UsersLine {
-    /// Returns the number of edges, the rate, the range of the edges' rates, the fairness, and the mean total in ms.
-    pub fn texts(&self) -> [String; 5] {
+    /// Returns the texts of five cells: the number of edges, the rate, the range of the edges' rates, the fairness, and the mean
+    /// total in ms.
+    pub fn cell_texts(&self) -> [String; 5] {
         let range = self.rate_range().map(|(least, most)| join_ends([least, most].map(rate)));
         [
             count(self.edges as u64),

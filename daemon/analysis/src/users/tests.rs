@@ -10,16 +10,16 @@ use crate::rows::{Outcome, Row};
 fn jain_index_ranges_from_one_nth_to_one() {
     assert_eq!(jain_index(&[5.0, 5.0, 5.0]), Some(1.0));
     assert_eq!(jain_index(&[0.0, 7.0, 0.0, 0.0]), Some(0.25));
-    // The paper's own example: 5, 3, 1, …: (1+1+1+1+0)² / (5 · 4).
+    // Four of five users get the same, the fifth gets nothing: (1 + 1 + 1 + 1 + 0)² / (5 · 4).
     assert_eq!(jain_index(&[1.0, 1.0, 1.0, 1.0, 0.0]), Some(0.8));
     assert_eq!((jain_index(&[]), jain_index(&[0.0])), (None, None));
 }
 
-/// Returns an edge that makes `count` requests from `from` on, one every `each` seconds.
-fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), each: f64, count: u32, total: f64) -> Loaded {
-    let row = |at: u32| Row {
-        iteration: u64::from(at) + 1,
-        at: from + f64::from(at) * each,
+/// Returns an edge that makes `count` requests from `from` on, one every `period` seconds. Each total is `total` seconds.
+fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), period: f64, count: u32, total: f64) -> Loaded {
+    let row = |index: u32| Row {
+        iteration: u64::from(index) + 1,
+        at: from + f64::from(index) * period,
         episode: 0,
         step: 0,
         warm_up: false,
@@ -43,25 +43,32 @@ fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), each: f64, count: u3
 }
 
 #[test]
-fn shares_cover_only_common_time() {
-    let one = edge(&[("N", "1")], ("a", 0.0), 0.5, 21, 0.25);
+fn rates_cover_only_common_time() {
+    let alone_run = edge(&[("N", "1")], ("a", 0.0), 0.5, 21, 0.25);
     // The second edge begins 2 s late and ends with the first; it gets half as many answers.
     let [first, second] =
         [edge(&[("N", "2")], ("a", 0.0), 0.5, 21, 0.5), edge(&[("N", "2")], ("b", 2.0), 1.0, 9, 1.0)];
-    let users = Users::from_runs(&[first.clone(), one.clone(), second]).expect("several edges");
+    let users = Users::from_runs(&[first.clone(), alone_run.clone(), second]).expect("several edges");
     assert_eq!((users.axes.as_slice(), users.lines.len()), (["N".to_owned()].as_slice(), 2));
     let [both, alone] = users.lines.as_slice() else { panic!("two lines") };
     assert_eq!((alone.edges, alone.rate, alone.fairness), (1, Some(2.0), Some(1.0)));
     assert_eq!((both.edges, both.rate, both.rate_range()), (2, Some(3.0), Some((1.0, 2.0))));
     assert_eq!(both.fairness, Some(0.9));
-    assert_eq!(alone.totals.count, 21, "an edge alone: all of them, as in the table");
+    assert_eq!(alone.totals.count, 21, "all totals of a single edge count, as in the comparison");
     // 16 answers of the first edge and 8 of the second.
     assert_eq!((both.totals.count, both.totals.median), (24, Some(0.5)));
-    assert_eq!(both.shares.iter().map(|share| share.median).collect::<Vec<_>>(), [Some(0.5), Some(1.0)]);
+    assert_eq!(
+        both.edge_performances.iter().map(|edge| edge.median).collect::<Vec<_>>(),
+        [Some(0.5), Some(1.0)]
+    );
     assert!(users.text().contains("0.900"), "{}", users.text());
     assert!(users.csv().starts_with("N,edges,rate,"), "{}", users.csv());
-    assert_eq!(Users::from_runs(std::slice::from_ref(&one)), None);
-    assert_eq!(Users::from_runs(&[first.clone(), first]), None, "a copy is no further edge");
+    assert_eq!(Users::from_runs(std::slice::from_ref(&alone_run)), None);
+    assert_eq!(
+        Users::from_runs(&[first.clone(), first]),
+        None,
+        "a copy of the results is not a further edge"
+    );
 }
 
 #[test]
@@ -75,8 +82,8 @@ fn users_at_different_times_have_no_rates() {
 #[test]
 fn repeats_are_averaged() {
     let repeat = |starts: [u64; 2]| {
-        let edge = |starts| EdgeMeasured { starts, totals: SortedValues::default() };
-        Repeat { seconds: Some(2.0), edges: starts.map(edge).to_vec() }
+        let edge = |starts| EdgeMeasurements { starts, totals: SortedValues::default() };
+        Repeat { common_seconds: Some(2.0), edges: starts.map(edge).to_vec() }
     };
     let line = UsersLine::new(Vec::new(), 2, &[repeat([2, 2]), repeat([8, 0])], Totals::default());
     assert_eq!((line.rate, line.fairness, line.rate_range()), (Some(3.0), Some(0.75), Some((0.0, 4.0))));
@@ -91,7 +98,7 @@ fn common_time_is_that_of_all_edges() {
 
 /// Returns the curves of configurations: name and numbers of edges.
 fn curves(axes: &[&str], lines: &[(&[&str], usize)]) -> Vec<(String, Vec<usize>)> {
-    let owned = |all: &[&str]| all.iter().map(|one| (*one).to_owned()).collect::<Vec<_>>();
+    let owned = |all: &[&str]| all.iter().map(|text| (*text).to_owned()).collect::<Vec<_>>();
     let line = |(labels, edges): &(&[&str], usize)| {
         UsersLine::new::<SortedValues>(owned(labels), *edges, &[], Totals::default())
     };
@@ -111,10 +118,10 @@ fn configurations_differing_in_edges_form_one_curve() {
     ];
     let found = curves(&["model", "device", "edges"], &lines);
     assert_eq!(found, [("s".to_owned(), vec![1, 2, 8]), ("m".to_owned(), vec![1, 8])]);
-    let worded: [(&[&str], usize); 2] = [(&["4 robots"], 4), (&["16 robots"], 16)];
-    assert_eq!(curves(&["load"], &worded), [(String::new(), vec![4, 16])]);
-    let undeclared: [(&[&str], usize); 2] = [(&[], 1), (&[], 2)];
-    assert_eq!(curves(&[], &undeclared), [(String::new(), vec![1, 2])]);
+    let number_in_text: [(&[&str], usize); 2] = [(&["4 robots"], 4), (&["16 robots"], 16)];
+    assert_eq!(curves(&["load"], &number_in_text), [(String::new(), vec![4, 16])]);
+    let without_labels: [(&[&str], usize); 2] = [(&[], 1), (&[], 2)];
+    assert_eq!(curves(&[], &without_labels), [(String::new(), vec![1, 2])]);
 }
 
 #[test]
@@ -122,8 +129,8 @@ fn different_models_are_separate_curves() {
     let lines: [(&[&str], usize); 2] = [(&["v2-s"], 1), (&["v2-m"], 2)];
     let found = curves(&["model"], &lines);
     assert_eq!(found, [("v2-s".to_owned(), vec![1]), ("v2-m".to_owned(), vec![2])]);
-    let batched: [(&[&str], usize); 3] = [(&["off"], 1), (&["on"], 2), (&["none"], 3)];
-    let names = curves(&["Batches"], &batched).into_iter().map(|(name, _)| name).collect::<Vec<_>>();
+    let batches: [(&[&str], usize); 3] = [(&["off"], 1), (&["on"], 2), (&["none"], 3)];
+    let names = curves(&["Batches"], &batches).into_iter().map(|(name, _)| name).collect::<Vec<_>>();
     assert_eq!(names, ["Batches off", "Batches", "Batches none"]);
 }
 
@@ -136,5 +143,5 @@ fn repeats_without_all_edges_are_excluded() {
     };
     let users = Users::from_runs(&[at(0, "a"), at(0, "b"), at(1, "a"), at(2, "a"), at(2, "b")]);
     let [line] = &users.expect("several edges").lines[..] else { panic!("one configuration") };
-    assert_eq!((line.edges, line.shares.len(), line.rate), (2, 4, Some(4.0)));
+    assert_eq!((line.edges, line.edge_performances.len(), line.rate), (2, 4, Some(4.0)));
 }

@@ -75,7 +75,7 @@ impl SharingCurve {
                 edges: line.edges,
                 median: drawable(line.totals.median)?,
                 p95: drawable(line.totals.p95),
-                each: line.shares.iter().filter_map(|share| drawable(share.median)).collect(),
+                each: line.edge_performances.iter().filter_map(|edge| drawable(edge.median)).collect(),
                 fairness: line.fairness,
             })
         };

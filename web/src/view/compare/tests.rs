@@ -1,4 +1,4 @@
-use peernet_analysis::users::{EdgeMeasured, Repeat};
+use peernet_analysis::users::{EdgeMeasurements, Repeat};
 use peernet_clock::{Span, Verdict};
 use peernet_logger::{HostId, Name, RunId, stage};
 use peernet_store::{DelayAccuracy, Episodes, MeanBucket, Series, SeriesPoint, StageMeans, StageSeries};
@@ -167,14 +167,14 @@ pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
 pub(crate) fn measured_users(comparison: &Comparison) -> users::MeasuredUsers {
     let edge = |configuration: &Configuration| {
         let totals = configuration.summary(&stage::TOTAL).cloned().unwrap_or_default();
-        EdgeMeasured { starts: 300, totals }
+        EdgeMeasurements { starts: 300, totals }
     };
     let repeats = |configuration: &Configuration| {
         let edges = configuration
             .runs
             .iter()
             .filter(|run| run.experiment.as_ref().is_none_or(|position| position.repeat == 0));
-        vec![Repeat { seconds: Some(59.0), edges: edges.map(|_| edge(configuration)).collect() }]
+        vec![Repeat { common_seconds: Some(59.0), edges: edges.map(|_| edge(configuration)).collect() }]
     };
     let repeats = comparison.configurations.iter().map(repeats).collect();
     users::MeasuredUsers { repeats, resolution_s: 0 }

@@ -2,7 +2,7 @@
 
 use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::users::{
-    COUNTED_TIME, Curve, EdgeMeasured, FAIRNESS_MEANING, Repeat, Totals, Users, UsersLine, common_time,
+    COUNTED_TIME, Curve, EdgeMeasurements, FAIRNESS_MEANING, Repeat, Totals, Users, UsersLine, common_time,
     complete_groups,
 };
 use peernet_clock::WallTime;
@@ -103,15 +103,15 @@ async fn measured_repeat(store: &Store, users: &[RunSummary]) -> Result<(Repeat<
         (-(-first).div_euclid(width_ns) * width_ns, last.div_euclid(width_ns) * width_ns)
     };
     let Some((from, to)) = common_time(times.into_iter().map(|time| time.map(rounded))) else {
-        return Ok((Repeat { seconds: None, edges: Vec::new() }, resolution_s));
+        return Ok((Repeat { common_seconds: None, edges: Vec::new() }, resolution_s));
     };
     let (from, to) = (WallTime::from_unix_nanos(from), WallTime::from_unix_nanos(to));
     let mut edges = Vec::with_capacity(users.len());
     for run in users {
         let within = store.measured_within(run.number, from, to).await?;
-        edges.push(EdgeMeasured { starts: within.count, totals: within.totals });
+        edges.push(EdgeMeasurements { starts: within.count, totals: within.totals });
     }
-    Ok((Repeat { seconds: Some((to - from).seconds()), edges }, resolution_s))
+    Ok((Repeat { common_seconds: Some((to - from).seconds()), edges }, resolution_s))
 }
 
 /// Returns the plot and its numbers. `None` unless an experiment is compared and its configurations have different numbers of users.
@@ -188,7 +188,7 @@ fn users_of(line: &UsersLine) -> String {
 }
 
 fn row(line: &UsersLine, configuration: &Configuration) -> UsersRow {
-    let [users, rate, each, fairness, total] = line.texts();
+    let [users, rate, each, fairness, total] = line.cell_texts();
     UsersRow { name: configuration.name.clone(), users, rate, each, fairness, total }
 }
 
