@@ -5,7 +5,7 @@ use peernet_statistics::{Moments, Summary};
 
 use crate::accuracy::detection::DETECTION_SCORES;
 use crate::accuracy::segmentation::SEGMENTATION_SCORE;
-use crate::accuracy::{ACCURACIES, Accuracy, MeanScore, score};
+use crate::accuracy::{ACCURACIES, Accuracy, MeanScore, was_right};
 use crate::actuator_results::{ActuatorResults, EPISODE_RETURN, EPISODE_SUCCESS, return_decimals};
 use crate::rows::RowRef;
 
@@ -135,7 +135,7 @@ fn value(row: RowRef<'_>, name: &str) -> Option<f64> {
     match name {
         EPISODE_SUCCESS | EPISODE_RETURN => row.value(name).filter(|value| Summary::accepts(*value)),
         _ if !row.is_in_statistics() => None,
-        _ if ACCURACIES.contains(&name) => score(row, name).map(|is_right| f64::from(u8::from(is_right))),
+        _ if ACCURACIES.contains(&name) => was_right(row, name).map(|is_right| f64::from(u8::from(is_right))),
         _ => row.value(name).filter(|score| (0.0..=1.0).contains(score)),
     }
 }

@@ -36,7 +36,7 @@ pub struct PictureObjects {
     pub found: Vec<(ObjectBox, f64)>,
 }
 
-/// The keys that are read from a detector's answer; other keys are ignored.
+/// Keys that are read from a detector's answer. All other keys are ignored.
 #[derive(Deserialize)]
 struct Answer {
     detections: Vec<FoundObject>,
@@ -44,6 +44,7 @@ struct Answer {
     height: f64,
 }
 
+/// Object in a detector's answer. The edges of its box are in the unit of the answer's `width` and `height`.
 #[derive(Deserialize)]
 struct FoundObject {
     label: String,
@@ -54,9 +55,9 @@ struct FoundObject {
 
 impl PictureObjects {
     /// Reads the objects from a sample's label and from the answer to the sample, which is JSON with the key
-    /// `detections`. Boxes are returned as fractions of the picture, because the labelled picture may have been resized
-    /// before it reached the model. The names of classes are normalised, so that they can be compared. Returns `None`
-    /// if the label does not describe objects or the answer is something else.
+    /// `detections`. Boxes are returned as fractions of the picture, because a transform may have resized the labelled
+    /// picture before it reached the model. The names of classes are normalised, so that they can be compared. Returns
+    /// `None` if the label does not describe objects or the answer is something else.
     pub fn read(label: &str, answer: &[u8]) -> Option<Self> {
         let label = ObjectsLabel::parse(label)?;
         let answer: Answer = serde_json::from_slice(answer).ok()?;
@@ -118,25 +119,27 @@ impl DetectionScores {
 fn average_precision(pictures: &[PictureObjects], class: &str, overlaps: &mut Vec<f64>) -> f64 {
     let labelled = pictures.iter().flat_map(|picture| &picture.labelled);
     let labelled = labelled.filter(|object| object.class == class).count();
-    // Picture, box and score of each found object, best first; a stable sort.
+    // Picture, box and score of each found object, best score first. The sort is stable: objects with equal scores keep
+    // the order of the answers.
     let mut found_boxes: Vec<(usize, &ObjectBox, f64)> = Vec::new();
     for (index, picture) in pictures.iter().enumerate() {
         let of_class = picture.found.iter().filter(|(object, _)| object.class == class);
         found_boxes.extend(of_class.map(|(object, score)| (index, object, *score)));
     }
     found_boxes.sort_by(|(.., a), (.., b)| b.total_cmp(a));
-    // Indexes of the matched labelled objects of each picture. Each is found once; a second box at its place is wrong.
+    // Indexes of the matched labelled objects of each picture. Each labelled object can be found once. A second box at
+    // the place of the object is wrong.
     let mut matched: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
     let mut are_right = Vec::with_capacity(found_boxes.len());
     for (picture, object, _) in found_boxes {
         let matched = matched.entry(picture).or_default();
         let candidates = pictures[picture].labelled.iter().enumerate();
-        let candidates = candidates.filter(|(at, other)| other.class == class && !matched.contains(at));
-        let overlap = candidates.map(|(at, other)| (at, iou(other.edges, object.edges)));
+        let candidates = candidates.filter(|(index, other)| other.class == class && !matched.contains(index));
+        let overlap = candidates.map(|(index, other)| (index, iou(other.edges, object.edges)));
         let best = overlap.max_by(|(_, a), (_, b)| a.total_cmp(b)).filter(|(_, iou)| *iou >= MATCHING_IOU);
         are_right.push(best.is_some());
-        if let Some((at, overlap)) = best {
-            matched.insert(at);
+        if let Some((index, overlap)) = best {
+            matched.insert(index);
             overlaps.push(overlap);
         }
     }
@@ -207,8 +210,8 @@ mod tests {
 
     #[test]
     fn exact_boxes_have_full_precision() {
-        let all = picture(&[("a", 0.0), ("b", 50.0)], &[("b", 50.0, 0.4), ("a", 0.0, 0.9)]);
-        let scores = DetectionScores::of(&[all]);
+        let exact = picture(&[("a", 0.0), ("b", 50.0)], &[("b", 50.0, 0.4), ("a", 0.0, 0.9)]);
+        let scores = DetectionScores::of(&[exact]);
         assert_eq!(scores, DetectionScores { map_50: 1.0, mean_iou: Some(1.0), labelled: 2, matched: 2 });
     }
 
@@ -220,8 +223,9 @@ mod tests {
     }
 
     #[test]
-    fn order_of_scores_is_over_all_pictures() {
-        // The wrong box of the second picture has the higher score: precision 1/2 at the only right one.
+    fn boxes_of_all_pictures_are_ranked_together() {
+        // The wrong box of the second picture has the higher score. The precision at the only right box is therefore
+        // 1/2.
         let first = picture(&[("a", 0.0)], &[("a", 0.0, 0.5)]);
         let second = picture(&[], &[("a", 0.0, 0.9)]);
         assert_eq!(DetectionScores::of(&[first.clone(), second]).map_50, 0.5);
@@ -240,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn place_or_class_that_is_wrong_is_not_found() {
+    fn box_of_wrong_place_or_class_is_not_matched() {
         for (found, iou) in [(("a", 20.0, 0.9), None), (("b", 0.0, 0.9), None), (("a", 4.0, 0.9), None)] {
             let scores = DetectionScores::of(&[picture(&[("a", 0.0)], &[found])]);
             assert_eq!((scores.map_50, scores.mean_iou, scores.matched), (0.0, iou, 0), "{found:?}");
@@ -250,14 +254,14 @@ mod tests {
     }
 
     #[test]
-    fn empty_picture_without_boxes_is_right() {
+    fn empty_picture_without_found_boxes_scores_one() {
         assert_eq!(DetectionScores::of(&[PictureObjects::default()]).map_50, 1.0);
         assert_eq!(DetectionScores::of(&[picture(&[], &[("a", 0.0, 0.3)])]).map_50, 0.0);
     }
 
     proptest! {
         #[test]
-        fn scores_are_shares(labelled in proptest::collection::vec((0u8..2, 0u8..40), 0..8),
+        fn scores_are_between_zero_and_one(labelled in proptest::collection::vec((0u8..2, 0u8..40), 0..8),
                              found in proptest::collection::vec((0u8..2, 0u8..40, 0u8..9), 0..12)) {
             let name = |class: u8| if class == 0 { "a" } else { "b" };
             let labelled: Vec<_> = labelled.iter().map(|(class, left)| (name(*class), f64::from(*left))).collect();

@@ -1,4 +1,5 @@
-//! Mean of scores that are shares, such as the mean average precision of a picture, or of returns of episodes.
+//! Mean of scores with its confidence interval. The scores are shares, such as the mean average precision of a picture,
+//! or they are returns of episodes.
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -52,11 +53,11 @@ mod tests {
 
     #[test]
     fn interval_stays_within_range() {
-        let interval = |mean, std| share(2, mean, Some(std)).expect("two").interval;
+        let interval = |mean, std| share(2, mean, Some(std)).expect("has two scores").interval;
         assert_eq!(interval(0.5, 0.5_f64.sqrt()), Some((0.0, 1.0)));
         assert_eq!(interval(1.0, 0.0), Some((1.0, 1.0)));
-        let one = MeanScore { mean: 0.25, interval: None, count: 1 };
-        assert_eq!((share(1, 0.25, None), share(0, 0.0, None)), (Some(one), None));
-        assert_eq!(share(9, 7.0, None), None, "no mean of shares is 7");
+        let single = MeanScore { mean: 0.25, interval: None, count: 1 };
+        assert_eq!((share(1, 0.25, None), share(0, 0.0, None)), (Some(single), None));
+        assert_eq!(share(9, 7.0, None), None, "7 is not a mean of shares");
     }
 }

@@ -31,18 +31,18 @@ pub struct Accuracy {
     /// Number of scored iterations.
     pub count: u64,
     /// Number of unscored iterations: they have an answer and are not warm-up, but have no score of 0 or 1. The reason
-    /// is one of these: no label is known, the label is [not a class of the model](UnknownLabels), the answer names no
-    /// class, or the score is not valid.
+    /// is one of these: the sample has no label, the label is [not a class of the model](UnknownLabels), the answer
+    /// names no class, or the score is not valid.
     pub unscored: u64,
 }
 
 impl Accuracy {
-    /// Returns the accuracy from a column of [`ACCURACIES`] over the rows in the statistics; `None` if none
-    /// of them has a score.
+    /// Returns the accuracy from a column of [`ACCURACIES`] over the rows in the statistics; `None` if no row has a
+    /// score.
     pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>, column: &str) -> Option<Self> {
         let (mut right, mut count, mut unscored) = (0, 0, 0);
         for row in rows.into_iter().filter(|row| row.is_in_statistics()) {
-            match score(row, column) {
+            match was_right(row, column) {
                 Some(is_right) => (right, count) = (right + u64::from(is_right), count + 1),
                 None => unscored += 1,
             }
@@ -82,7 +82,7 @@ impl fmt::Display for Accuracy {
 }
 
 /// Returns whether the answer was right, from the score in a column of [`ACCURACIES`]; `None` without a valid score.
-pub fn score(row: RowRef<'_>, column: &str) -> Option<bool> {
+pub fn was_right(row: RowRef<'_>, column: &str) -> Option<bool> {
     match row.value(column)? {
         1.0 => Some(true),
         0.0 => Some(false),
@@ -149,7 +149,7 @@ mod tests {
     fn mean_of_scores_gives_same_accuracy_as_scores() {
         let found = Accuracy::from_mean(81.0 / 263.0, 263, 300).expect("a share");
         assert_eq!(Some(found), Accuracy::from_counts(81, 263, 37));
-        assert_eq!(Accuracy::from_mean(7.0, 263, 263), None, "no score is 7");
+        assert_eq!(Accuracy::from_mean(7.0, 263, 263), None, "7 is not the mean of scores that are 0 or 1");
     }
 
     #[test]
@@ -162,6 +162,6 @@ mod tests {
         let found = Accuracy::by_column(&rows);
         let top = found["top-1"];
         assert_eq!((top.share, top.count, top.unscored, found.len()), (0.5, 2, 5, 1));
-        assert_eq!(Accuracy::from_rows(rows.iter().skip(2), "top-1"), None, "no label is known");
+        assert_eq!(Accuracy::from_rows(rows.iter().skip(2), "top-1"), None, "no sample has a label");
     }
 }

@@ -32,7 +32,7 @@ impl<'a> ClassMap<'a> {
         })
     }
 
-    /// Reads the answer of a segmentation: JSON, and grey pixels. Returns `None` if it is something else.
+    /// Reads the answer of a segmentation: JSON, and grey pixels. Returns `None` if the answer has another form.
     pub fn from_answer(answer: &'a Sample) -> Option<Self> {
         let [json, pixels] = &answer.parts[..] else { return None };
         let is_segmentation = json.description.media == MediaType::Json
@@ -51,7 +51,7 @@ struct ClassPixels {
     both: u64,
 }
 
-/// Pixels of each class, over one or several pictures.
+/// Numbers of pixels of each class, over one or several pictures.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SegmentedPixels([ClassPixels; CLASSES]);
 
@@ -66,15 +66,20 @@ impl SegmentedPixels {
     /// For each pixel of the mask, its class is compared with the class of the answer's pixel in which the centre of
     /// the mask's pixel lies.
     pub fn add(&mut self, mask: ClassMap<'_>, answer: ClassMap<'_>) {
-        let index = |at: usize, from: usize, to: usize| (2 * at + 1) * to / (2 * from);
-        let columns: Vec<usize> = (0..mask.width).map(|x| index(x, mask.width, answer.width)).collect();
+        // Index of the answer's pixel, of `answer_size`, that contains the centre of the mask's pixel `index`, of
+        // `mask_size`. The calculation uses whole numbers, so that rounding cannot choose a neighbouring pixel.
+        let answer_index = |index: usize, mask_size: usize, answer_size: usize| {
+            (2 * index + 1) * answer_size / (2 * mask_size)
+        };
+        let columns: Vec<usize> =
+            (0..mask.width).map(|x| answer_index(x, mask.width, answer.width)).collect();
         for (y, labels) in mask.classes.chunks_exact(mask.width).enumerate() {
-            let row = index(y, mask.height, answer.height) * answer.width;
+            let row_start = answer_index(y, mask.height, answer.height) * answer.width;
             for (label, column) in labels.iter().zip(&columns) {
                 if *label == IGNORED_CLASS {
                     continue;
                 }
-                let answered = answer.classes[row + column];
+                let answered = answer.classes[row_start + column];
                 self.0[usize::from(*label)].labelled += 1;
                 self.0[usize::from(answered)].answered += 1;
                 self.0[usize::from(*label)].both += u64::from(*label == answered);
@@ -96,6 +101,7 @@ impl SegmentedPixels {
 }
 
 impl ClassPixels {
+    /// Returns the ratio of intersection to union; `None` if neither the mask nor the answer has the class.
     fn iou(&self) -> Option<f64> {
         let union = self.labelled + self.answered - self.both;
         (union > 0).then(|| self.both as f64 / union as f64)
@@ -107,7 +113,7 @@ mod tests {
     use super::*;
 
     fn map(width: u32, classes: &[u8]) -> ClassMap<'_> {
-        ClassMap::new(width, classes.len() as u32 / width, classes).expect("has the size")
+        ClassMap::new(width, classes.len() as u32 / width, classes).expect("one class for each pixel")
     }
 
     fn scored(mask: ClassMap<'_>, answer: ClassMap<'_>) -> SegmentedPixels {

@@ -11,12 +11,13 @@ const LABELS_FACT: &str = "Labels";
 /// Name of the fact of a run that gives the number of classes and examples of them: `4: good, scratched, …`.
 const CLASSES_FACT: &str = "Classes";
 
-/// Number of iterations whose label is not a class of the model, with examples of labels and classes.
+/// Number of iterations whose label is not a class of the model, with examples of the labels and of the model's
+/// classes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnknownLabels {
-    /// Number of these iterations, without warm-up and failed iterations; at least one.
+    /// Number of iterations in the statistics whose label is not a class of the model; at least one.
     pub count: u64,
-    /// Text ` (labels: …; classes: …)` with only the part that is known; empty if neither part is known.
+    /// Text ` (labels: …; classes: …)`, or the half of it that is known; empty if neither half is known.
     examples: String,
 }
 
@@ -41,7 +42,7 @@ impl UnknownLabels {
         Self::new(count, facts)
     }
 
-    /// Adds the count of another run. The examples of this run are kept.
+    /// Adds the count of another run. The examples stay those of this run.
     #[must_use]
     pub fn merged_with(self, other: &Self) -> Self {
         Self { count: self.count + other.count, ..self }
@@ -71,7 +72,7 @@ mod tests {
     fn sentence(facts: &[(&str, &str)]) -> String {
         let facts: Vec<_> =
             facts.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
-        UnknownLabels::new(2, &facts).expect("two").sentence(1_000)
+        UnknownLabels::new(2, &facts).expect("two iterations").sentence(1_000)
     }
 
     #[test]
