@@ -7,7 +7,7 @@ use peernet_statistics::{Sketch, Summary};
 use serde::Serialize;
 
 use crate::delays::{ClockedSummaries, IntervalMethod, median_bounds};
-use crate::fit::{Fit, Point, Weighted, least_squares};
+use crate::fit::{Fit, Point, WeightedPoint, least_squares};
 use crate::order::{SortedValues, Z95, ranks_around_median};
 
 /// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
@@ -163,8 +163,10 @@ pub fn line_through_medians(sizes: &[SizeSummary]) -> Option<Fit> {
     let errors: Option<Vec<f64>> = sizes.iter().map(|size| size.median_error).collect();
     let weight =
         |index: usize| errors.as_ref().map_or(1.0, |errors| errors[index].max(CLOCK_RESOLUTION_S).powi(-2));
-    let weighted =
-        sizes.iter().enumerate().map(|(index, size)| Weighted { point: size.point(), weight: weight(index) });
+    let weighted = sizes
+        .iter()
+        .enumerate()
+        .map(|(index, size)| WeightedPoint { point: size.point(), weight: weight(index) });
     least_squares(&weighted.collect::<Vec<_>>())
 }
 

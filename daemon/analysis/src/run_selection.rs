@@ -1,6 +1,6 @@
-//! Choice of the runs that count, which means that comparisons and studies use them. A run can count if it was measured
-//! to its end or if a user names it. If several runs measured the same repeat of a configuration, only the newest of
-//! them counts, and those that a user names.
+//! Choice of the runs that count. Comparisons and studies use only runs that count. A run can count if it was measured
+//! to its end, or if the command names it. If several runs measured the same repeat of a configuration, the newest of
+//! them counts. An older run counts only if the command names it.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -37,12 +37,14 @@ impl RunState {
         }
     }
 
-    /// Returns whether the run was measured to its end. Other runs count only if a user names them.
+    /// Returns whether the run was measured to its end. A run that was not measured to its end counts only if the
+    /// command names it.
     pub const fn is_finished(&self) -> bool {
         matches!(self, Self::Finished)
     }
 
-    /// Returns the name of the state. It does not say whether an open run is still in progress, because that is not recorded.
+    /// Returns the name of the state. The name does not say whether an open run is still in progress, because this is
+    /// not recorded.
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Pending => "to do",
@@ -69,11 +71,12 @@ impl fmt::Display for RunState {
 pub enum Exclusion {
     /// The run was not measured to its end.
     Unfinished(RunState),
-    /// The run with this index was not measured to its end, and is that of another edge that measured the same repeat at the same time.
+    /// The run with this index was not measured to its end. It is the run of another edge, which measured the same
+    /// repeat at the same time.
     OtherEdgeUnfinished(usize),
-    /// The run with this index measured the same repeat later.
+    /// The run with this index measured the same repeat again later.
     MeasuredAgain(usize),
-    /// The results are a copy of the results with this index. Both are results of the same run.
+    /// The results are a copy of the results with this index, which belong to the same run.
     CopyOf(usize),
 }
 
@@ -100,11 +103,12 @@ pub struct Candidate {
     pub state: Option<RunState>,
     /// Repeat that the run measured; `None` outside of experiments.
     pub repeat: Option<Repeat>,
-    /// Start and end on the edge's wall clock, or the last known time before the end; `None` if they are not recorded.
+    /// Start and end on the edge's wall clock; `None` if the start is not recorded. If the end is not recorded, the
+    /// last known time stands for the end.
     pub times: Option<(WallTime, WallTime)>,
     /// Position in time: a later run has a larger number, such as the start in nanoseconds since the Unix epoch.
     pub sequence: i64,
-    /// True if a user names the run, so its progress does not matter.
+    /// True if the command names the run. Such a run counts in any state.
     pub is_named: bool,
     /// Rank of the results. If there are several results of one run, the results with the lowest rank are used.
     pub rank: u8,
@@ -127,7 +131,8 @@ impl Repeat {
         Self { experiment: id, configuration, number: repeat, edge, pipeline: pipeline.to_owned() }
     }
 
-    /// Returns what is the same for all edges that measure the repeat.
+    /// Returns the experiment, the configuration and the number of the repeat. All edges that measure the repeat have
+    /// these in common.
     fn position(&self) -> (&str, &[(String, String)], u32) {
         (&self.experiment, &self.configuration, self.number)
     }
@@ -156,7 +161,7 @@ impl Candidate {
         }
     }
 
-    /// Returns whether two runs are those of two edges that measured the same repeat at the same time.
+    /// Returns whether two runs measured the same repeat at the same time, on two edges or with two pipelines.
     fn is_together_with(&self, other: &Self) -> bool {
         let repeats = self.repeat.as_ref().zip(other.repeat.as_ref());
         let is_same_repeat =
@@ -173,7 +178,8 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
         Some(Exclusion::Unfinished(state.clone()))
     };
     let mut exclusions: Vec<Option<Exclusion>> = runs.iter().map(unfinished).collect();
-    // Edges at the same time are one run. The others had less competition than configured after one of them ended early.
+    // After one of several edges ended early, the other edges had less competition than configured, so they do not
+    // count either.
     let unfinished_runs: Vec<usize> = (0..runs.len()).filter(|index| exclusions[*index].is_some()).collect();
     exclude(runs, &mut exclusions, |run| {
         (!run.is_named).then_some(())?;
@@ -198,8 +204,8 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
     exclusions
 }
 
-/// Returns for each key, such as an id or a repeat, the index of its run with the smallest `order`. Excluded runs are
-/// left out.
+/// Returns for each key, such as an id or a repeat, the index of the run that has this key and the smallest `order`.
+/// Excluded runs are left out.
 fn best_runs<'a, K: Eq + std::hash::Hash, O: Ord>(
     runs: &'a [Candidate],
     exclusions: &[Option<Exclusion>],
@@ -217,16 +223,17 @@ fn best_runs<'a, K: Eq + std::hash::Hash, O: Ord>(
     best_by_key
 }
 
-/// Excludes runs for the reason that `reason` returns. It may return that a run is excluded in favour of itself; such a run still counts.
+/// Excludes runs for the reason that `reason` returns. If `reason` names the run itself as the run that replaces it,
+/// the run still counts.
 fn exclude(
     runs: &[Candidate],
     exclusions: &mut [Option<Exclusion>],
     reason: impl Fn(&Candidate) -> Option<Exclusion>,
 ) {
     for (index, (run, exclusion)) in runs.iter().zip(exclusions).enumerate() {
-        let is_in_favour_of_itself = |reason: &Exclusion| matches!(reason, Exclusion::CopyOf(other) | Exclusion::MeasuredAgain(other) if *other == index);
+        let names_run_itself = |reason: &Exclusion| matches!(reason, Exclusion::CopyOf(other) | Exclusion::MeasuredAgain(other) if *other == index);
         if exclusion.is_none() {
-            *exclusion = reason(run).filter(|reason| !is_in_favour_of_itself(reason));
+            *exclusion = reason(run).filter(|reason| !names_run_itself(reason));
         }
     }
 }

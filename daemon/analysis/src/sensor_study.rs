@@ -158,7 +158,7 @@ impl SensorStudy {
         ];
         Table {
             header: ["quantity", "value", "unit"].map(str::to_owned).into(),
-            labels: 1,
+            label_columns: 1,
             rows: rows.map(|(name, value, unit)| vec![name.to_owned(), value, unit.to_owned()]).into(),
             marked: None,
         }

@@ -7,7 +7,7 @@ use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_SUCCESS, SUPERS
 use peernet_analysis::compare::replayed_configurations;
 use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::outcomes::failed_texts;
-use peernet_analysis::record::ClockCounts;
+use peernet_analysis::record::DelayQuality;
 use peernet_analysis::rows::{SKIPPED_STARTS, Units};
 use peernet_analysis::summary::{Quantity, Scale, Summary};
 use peernet_analysis::table::{Table, csv_text, decimals_of};
@@ -90,7 +90,7 @@ fn table(summary: &Summary) -> Table {
     let header = ["metric", "unit", "count", "mean ± std", "median", "clock bounds", "p95", "p99", "max"];
     Table {
         header: header.map(str::to_owned).to_vec(),
-        labels: 2,
+        label_columns: 2,
         rows: paper_metrics
             .chain(rest)
             .map(|(quantity, name)| cells(quantity, name, &summary.units, digits))
@@ -219,12 +219,12 @@ fn starts(starts: &Starts) -> String {
 }
 
 /// Returns the sentence about the clock verdicts of the delays; empty if there are no delays.
-fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
+fn clocks(up: &DelayQuality, down: &DelayQuality) -> String {
     let list = |counts: &BTreeMap<String, u64>| {
         let items = counts.iter().map(|(name, count)| format!("{} {name}", number::count(*count)));
         items.collect::<Vec<_>>().join(", ")
     };
-    let direction = |name: &str, counts: &ClockCounts| {
+    let direction = |name: &str, counts: &DelayQuality| {
         let sources: Vec<&str> = counts.sources.keys().map(String::as_str).collect();
         let width = counts.median_width.map(|width| bound_ms(width / 2.0));
         let width = width.map(|width| if width == number::EXACT { width } else { format!("{width} ms") });

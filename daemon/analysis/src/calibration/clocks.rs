@@ -10,9 +10,10 @@ use super::sample::Sample;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Clocks {
     /// Number of samples of the clock relation.
-    pub seconds: u64,
-    /// Number of events after which the clocks had to be related anew: a clock was stepped, drifted faster than
-    /// allowed, or was a different clock after the peer had been away.
+    #[serde(rename = "seconds")]
+    pub clock_samples: u64,
+    /// Number of occurrences after which the clocks had to be related again: a clock was stepped, a clock drifted
+    /// faster than allowed, or the peer read a different clock after it had been away.
     pub steps: u64,
     /// Kind of the two clocks that were related at the end of the study; `None` without samples.
     pub clocks: Option<RelatedClocks>,
@@ -30,45 +31,47 @@ pub struct Clocks {
 }
 
 impl Clocks {
-    /// Summarises the samples of the clock relation (one per second) and the iterations of the study. Both are in order of time.
-    pub(super) fn new(seconds: &[ClockSample], samples: &[Sample]) -> Self {
-        let round_trips = seconds.iter().filter_map(|second| second.round_trip);
-        let offset = |sample: &Sample| {
-            let up = sample.up.as_ref().filter(|up| up.delay.known_seconds().is_some())?;
+    /// Summarises the samples of the clock relation, one per second, and the iterations of the study. Clock samples and
+    /// iterations are in order of time.
+    pub(super) fn new(clock_samples: &[ClockSample], iterations: &[Sample]) -> Self {
+        let round_trips = clock_samples.iter().filter_map(|sample| sample.round_trip);
+        let offset = |iteration: &Sample| {
+            let up = iteration.up.as_ref().filter(|up| up.delay.known_seconds().is_some())?;
             Some((up.delay.raw - up.delay.value?).seconds())
         };
-        // Each clock relation counts its own restarts, and when the peer comes back, a new relation starts at zero. So
-        // only increases are added up.
-        let restarts = seconds.iter().map(|second| u64::from(second.exchanges.restarts));
+        // Each clock relation counts its own restarts. When the peer comes back, a new relation starts to count at
+        // zero. Therefore only increases are added up.
+        let restarts = clock_samples.iter().map(|sample| u64::from(sample.exchanges.restarts));
         let previous = std::iter::once(0).chain(restarts.clone());
         let reported_steps: u64 =
             restarts.zip(previous).map(|(current, previous)| current.saturating_sub(previous)).sum();
         let with_offset: Vec<&ClockSample> =
-            seconds.iter().filter(|second| second.offset.is_some()).collect();
+            clock_samples.iter().filter(|sample| sample.offset.is_some()).collect();
         let contradictions =
             with_offset.windows(2).filter(|pair| is_contradicted(pair[0], pair[1])).count() as u64;
         Self {
-            seconds: seconds.len() as u64,
+            clock_samples: clock_samples.len() as u64,
             steps: reported_steps + contradictions,
-            clocks: seconds.last().map(ClockSample::clocks),
-            max_drift_ppm: seconds.last().map(|second| second.max_drift_ppm),
-            max_drift_change_ppm_per_s: seconds
+            clocks: clock_samples.last().map(ClockSample::clocks),
+            max_drift_ppm: clock_samples.last().map(|sample| sample.max_drift_ppm),
+            max_drift_change_ppm_per_s: clock_samples
                 .last()
-                .and_then(|second| second.basis?.max_drift_change_ppm_per_s),
-            skew_ppm: seconds.iter().rev().find_map(|second| second.offset.as_ref()?.skew_ppm),
-            offset: samples.iter().rev().find_map(offset),
+                .and_then(|sample| sample.basis?.max_drift_change_ppm_per_s),
+            skew_ppm: clock_samples.iter().rev().find_map(|sample| sample.offset.as_ref()?.skew_ppm),
+            offset: iterations.iter().rev().find_map(offset),
             round_trip: round_trips.map(|trip| trip.min.seconds()).reduce(f64::min),
         }
     }
 }
 
-/// Returns whether a new relation of the two clocks and the previous one cannot both be true. If so, a clock was set
-/// between the two samples, or the peer that came back reads a different clock.
+/// Returns whether the two samples are of two relations of the same clocks that cannot both be true. In this case, a
+/// clock was set between the two samples, or the peer that came back reads a different clock.
 fn is_contradicted(before: &ClockSample, after: &ClockSample) -> bool {
-    let is_new = before.window != after.window
+    // A restart is counted as a step already. Offsets between clocks of other kinds cannot be compared.
+    let is_new_relation = before.window != after.window
         && after.exchanges.restarts <= before.exchanges.restarts
         && before.clocks() == after.clocks();
-    let offsets = before.offset.as_ref().zip(after.offset.as_ref()).filter(|_| is_new);
+    let offsets = before.offset.as_ref().zip(after.offset.as_ref()).filter(|_| is_new_relation);
     let Some((offset_before, offset_after)) = offsets else { return false };
     let ppm = before.max_drift_ppm.max(after.max_drift_ppm);
     let max_drift = Span::from_seconds_f64((after.at - before.at).abs().seconds() * ppm * 1e-6);

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::passage::Passage;
 use super::sample::Sample;
-use crate::fit::{Estimate, Fit, Point, SlopeRate, Weighted, least_squares, rate_range, theil_sen};
+use crate::fit::{Estimate, Fit, Point, SlopeRate, WeightedPoint, least_squares, rate_range, theil_sen};
 use crate::message_sizes::{Message, SizeSummary, line_through_medians};
 use crate::order::Z95;
 
@@ -22,10 +22,11 @@ pub struct DirectionStudy {
     pub fits: Option<Fits>,
     /// Bounds that the clock relation gives for the smallest payload; `None` if not every delay of this payload has
     /// bounds.
-    pub claimed: Option<Claim>,
+    #[serde(rename = "claimed")]
+    pub allowed: Option<AllowedDelays>,
     /// Throughput that follows from the slope of the main fit; `None` without fits, or if delays do not grow with size.
     pub throughput: Option<Throughput>,
-    /// Number of delays by verdict.
+    /// Number of delays for each verdict that occurs.
     pub verdicts: BTreeMap<&'static str, u64>,
     /// True if both hosts read the same clock, so that the delays have no clock error.
     pub same_clock: bool,
@@ -52,9 +53,10 @@ pub struct FitPair {
     pub theil_sen: Fit,
 }
 
-/// Bounds that the clock relation gives for the smallest payload, and the bounds that follow from them for an empty message.
+/// Bounds that the clock relation gives for the delay of the smallest payload, and the bounds for an empty message that
+/// follow from these bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Claim {
+pub struct AllowedDelays {
     /// Smallest payload, bytes.
     pub payload_bytes: u64,
     /// Bounds of the delay of the smallest payload, seconds: median of the lower bounds and median of the upper bounds.
@@ -73,8 +75,9 @@ pub struct Throughput {
     /// Reciprocals of the ends of the slope's confidence interval. The upper end is `None` if the confidence interval reaches zero.
     pub interval: Option<(f64, Option<f64>)>,
     /// Range of the throughput if the delays can lie anywhere within their clock bounds. The range is computed from the
-    /// flattest and the steepest line between the smallest and the largest size. It is wider than necessary: it treats
-    /// the clock errors of both sizes as independent, but a constant error of the clocks does not change the slope.
+    /// flattest and the steepest line between the smallest and the largest size. The range is wider than necessary: it
+    /// treats the clock errors of both sizes as independent, but a constant error of the clocks does not change the
+    /// slope.
     /// `None` if the bounds are not known.
     pub bounds: Option<(f64, Option<f64>)>,
 }
@@ -96,7 +99,7 @@ impl DirectionStudy {
             && passages.iter().all(|(_, passage)| passage.delay.source == DelaySource::SameClock);
         Self {
             direction,
-            claimed: sizes.first().and_then(|smallest| Claim::new(smallest, main_fit.as_ref())),
+            allowed: sizes.first().and_then(|smallest| AllowedDelays::new(smallest, main_fit.as_ref())),
             throughput: main_fit.and_then(|fit| Throughput::with_bounds(fit.slope, &sizes)),
             sizes,
             fits,
@@ -110,7 +113,7 @@ impl DirectionStudy {
         self.fits.as_ref().map(|fits| &fits.medians.least_squares)
     }
 
-    /// Returns the name of the direction's stage.
+    /// Returns the name of the stage that the messages of this direction belong to.
     pub fn name(&self) -> &'static str {
         match self.direction {
             Direction::Up => "upload",
@@ -125,7 +128,7 @@ impl DirectionStudy {
 }
 
 /// Returns the median delay of the messages with this payload in the statistics, seconds, computed as in the study.
-/// `None` if none of these delays is known.
+/// `None` if no delay of these messages is known.
 pub fn median_delay(direction: Direction, samples: &[Sample], payload_bytes: u64) -> Option<f64> {
     size_summary(payload_bytes, &passages_in_statistics(direction, samples)).map(|size| size.median)
 }
@@ -137,7 +140,7 @@ fn passages_in_statistics(direction: Direction, samples: &[Sample]) -> Vec<(u64,
     in_statistics.filter_map(|sample| Some((sample.payload_bytes, sample.passage(direction)?))).collect()
 }
 
-/// Returns the summary of all messages with this payload; `None` if none of these delays is known.
+/// Returns the summary of all messages with this payload; `None` if no delay of these messages is known.
 fn size_summary(payload_bytes: u64, passages: &[(u64, &Passage)]) -> Option<SizeSummary> {
     let message = |passage: &Passage| {
         let delay = passage.delay.known_seconds()?;
@@ -156,8 +159,9 @@ impl Fits {
                 |passage: &Passage| Some(Point { x: passage.wire_bytes() as f64, y: delay(passage)? });
             passages.iter().filter_map(|(_, passage)| point(passage)).collect()
         };
-        let unweighted =
-            |points: &[Point]| least_squares(&points.iter().copied().map(Weighted::from).collect::<Vec<_>>());
+        let unweighted = |points: &[Point]| {
+            least_squares(&points.iter().copied().map(WeightedPoint::from).collect::<Vec<_>>())
+        };
         let samples = points(&|passage| passage.delay.known_seconds());
         Some(Self {
             medians: FitPair { least_squares: line_through_medians(sizes)?, theil_sen: theil_sen(&medians)? },
@@ -167,7 +171,7 @@ impl Fits {
     }
 }
 
-impl Claim {
+impl AllowedDelays {
     fn new(smallest: &SizeSummary, fit: Option<&Fit>) -> Option<Self> {
         let (lo, hi) = smallest.bounds?;
         // A negative slope is noise. It must not raise the bounds of an empty message above those of the payload.
@@ -184,6 +188,8 @@ impl Throughput {
         SlopeRate::new(slope).map(|SlopeRate { value, interval }| Self { value, interval, bounds: None })
     }
 
+    /// Returns the throughput of a slope, with its range within the clock bounds. `sizes` begins with the smallest
+    /// size.
     fn with_bounds(slope: Estimate, sizes: &[SizeSummary]) -> Option<Self> {
         let (first, last) = (sizes.first()?, sizes.last()?);
         let bytes = last.wire_bytes - first.wire_bytes;

@@ -9,12 +9,12 @@ use serde::Serialize;
 use super::sample::Sample;
 use crate::rows::Outcome;
 
-/// Number of payloads that were not answered and have the same outcome, without the warm-up.
+/// Unanswered payloads with the same outcome. Payloads of the warm-up are left out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Failures {
     /// `failed`, `lost` or `timeout`.
     pub outcome: &'static str,
-    /// Number of iterations.
+    /// Number of these payloads.
     pub count: u64,
     /// Most frequent reason; `None` when no reason was given.
     pub commonest_reason: Option<String>,
@@ -40,6 +40,7 @@ impl Failures {
         failures
     }
 
+    /// Returns the number, the outcome in words, and the reason: `4 failed (most often: too large)`.
     fn description(&self) -> String {
         let outcome = Outcome::from_name(self.outcome).map_or(self.outcome, Outcome::words);
         let reason = match &self.commonest_reason {
@@ -58,6 +59,11 @@ pub(super) fn sentence(failures: &[Failures], sent: u64) -> String {
         return String::new();
     }
     let unanswered: u64 = failures.iter().map(|failures| failures.count).sum();
-    let parts: Vec<String> = failures.iter().map(Failures::description).collect();
-    format!("{} of {} payloads were not answered: {}", count(unanswered), count(sent), parts.join(", "))
+    let descriptions: Vec<String> = failures.iter().map(Failures::description).collect();
+    format!(
+        "{} of {} payloads were not answered: {}",
+        count(unanswered),
+        count(sent),
+        descriptions.join(", ")
+    )
 }

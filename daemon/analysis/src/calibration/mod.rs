@@ -4,7 +4,7 @@
 //! differences of the two hosts' stamps. The study took the intercept of the line, −2.01 ms, as the error of every
 //! delay. This module fits a line to corrected delays and compares its intercept with the bounds that the clock
 //! relation allows. If the clocks are right, the intercept is the real delay of an empty message. It is then not
-//! negative and lies within the bounds that follow from those of the smallest payload.
+//! negative and lies within the bounds that follow from the bounds of the smallest payload.
 
 mod clocks;
 mod direction;
@@ -15,11 +15,11 @@ mod tables;
 mod verdict;
 
 pub use clocks::Clocks;
-pub use direction::{Claim, DirectionStudy, FitPair, Fits, Throughput, median_delay};
+pub use direction::{AllowedDelays, DirectionStudy, FitPair, Fits, Throughput, median_delay};
 pub use failures::Failures;
 pub use passage::Passage;
 pub use sample::Sample;
-pub use verdict::{Kind, Verdict};
+pub use verdict::{Verdict, VerdictKind};
 
 use std::path::{Path, PathBuf};
 
@@ -52,7 +52,8 @@ pub struct Setting {
     pub interrupted: bool,
     /// Reason for an early end, as text; `None` if the study was complete or the user ended it.
     pub ended: Option<String>,
-    /// Number of times that the peer went away and came back while its clock remained the same. The clocks were related again each time.
+    /// Number of times that the peer went away and came back with the same clock. The clocks were related again each
+    /// time.
     pub reconnections: u64,
     /// True if the clock of one of the hosts was made wrong on purpose.
     #[serde(rename = "rehearsed")]
@@ -93,8 +94,8 @@ pub struct Study {
 }
 
 impl Study {
-    /// Makes a study of all iterations of a payload sweep and of the samples of the clock relation during the sweep,
-    /// one per second.
+    /// Makes a study from all iterations, which sent payloads of several sizes, and from the samples of the clock
+    /// relation during these iterations, one per second.
     pub fn new(setting: Setting, samples: Vec<Sample>, clocks: &[ClockSample]) -> Self {
         let count = |condition: &dyn Fn(&Sample) -> bool| {
             samples.iter().filter(|sample| condition(sample)).count() as u64
@@ -119,8 +120,8 @@ impl Study {
     pub fn write(&self, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
         let files =
             vec![folder.join("samples.csv"), folder.join("summary.csv"), folder.join("calibration.json")];
-        tables::samples(&self.samples, &files[0])?;
-        tables::summary(self, &files[1])?;
+        tables::write_samples(&self.samples, &files[0])?;
+        tables::write_summary(self, &files[1])?;
         let json = serde_json::to_vec_pretty(self).map_err(WriteError::at(&files[2]))?;
         write_file(&files[2], &json)?;
         Ok(files)
@@ -128,12 +129,12 @@ impl Study {
 
     /// Returns the text for a terminal: a table of sizes, a table of fits, reasons for payloads without an answer, and the verdict.
     pub fn text(&self) -> String {
-        let faults = "clock fault injection: the clock of one of the hosts was made wrong on purpose";
-        let faults = if self.setting.has_clock_fault { faults } else { "" };
+        let fault_note = "clock fault injection: the clock of one of the hosts was made wrong on purpose";
+        let fault_note = if self.setting.has_clock_fault { fault_note } else { "" };
         let failures = failures::sentence(&self.failures, self.counts.measured + self.counts.failed);
         let (sizes, fits) = (tables::sizes_text(self), tables::fits_text(self));
-        let parts = [&sizes, &fits, &failures, faults, &self.verdict.sentence];
-        parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n\n")
+        let paragraphs = [&sizes, &fits, &failures, fault_note, &self.verdict.sentence];
+        paragraphs.into_iter().filter(|text| !text.is_empty()).collect::<Vec<_>>().join("\n\n")
     }
 
     /// Returns both directions, edge to cloud first.

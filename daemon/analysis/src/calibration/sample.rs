@@ -1,4 +1,4 @@
-//! Measurements of one iteration of the sweep.
+//! Measurements of one iteration of a calibration.
 
 use peernet_clock::Direction;
 use peernet_logger::stage;
@@ -6,7 +6,7 @@ use peernet_stream::{Iteration, Outcome};
 
 use super::passage::Passage;
 
-/// Measurements of one iteration of the sweep.
+/// Measurements of one iteration of a calibration, which sent one payload.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
     /// Number of the iteration in the run, from 1.

@@ -13,7 +13,7 @@ use super::passage::Passage;
 use super::sample::Sample;
 use crate::WriteError;
 use crate::message_sizes::SizeSummary;
-use crate::table::{csv, decimals_of, text};
+use crate::table::{decimals_of, text, write_csv};
 
 /// Maximum number of decimals of a number of ms: a tenth of a microsecond.
 const MAX_MS_DECIMALS: usize = 4;
@@ -21,8 +21,8 @@ const MAX_MS_DECIMALS: usize = 4;
 /// suffix: `upload`.
 const PASSAGE_COLUMNS: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];
 
-/// Writes one row per iteration: seconds, bytes.
-pub(super) fn samples(samples: &[Sample], path: &Path) -> Result<(), WriteError> {
+/// Writes `samples.csv`, which has a row for each iteration: seconds, bytes.
+pub(super) fn write_samples(samples: &[Sample], path: &Path) -> Result<(), WriteError> {
     let columns = |stage: &str| {
         PASSAGE_COLUMNS
             .map(|column| if column.is_empty() { stage.to_owned() } else { format!("{stage}-{column}") })
@@ -33,7 +33,7 @@ pub(super) fn samples(samples: &[Sample], path: &Path) -> Result<(), WriteError>
     header.extend(columns("download"));
     header.push("reason".to_owned());
     let header: Vec<&str> = header.iter().map(String::as_str).collect();
-    csv(path, &header, samples.iter().map(sample_row))
+    write_csv(path, &header, samples.iter().map(sample_row))
 }
 
 fn sample_row(sample: &Sample) -> Vec<String> {
@@ -71,8 +71,8 @@ fn passage_cells(passage: &Passage) -> Vec<String> {
     ]
 }
 
-/// Writes one row per size and direction: seconds, bytes, bits per second.
-pub(super) fn summary(study: &Study, path: &Path) -> Result<(), WriteError> {
+/// Writes `summary.csv`, which has a row for each size in each direction: seconds, bytes, bits per second.
+pub(super) fn write_summary(study: &Study, path: &Path) -> Result<(), WriteError> {
     let header = [
         "stage",
         "payload-bytes",
@@ -92,7 +92,7 @@ pub(super) fn summary(study: &Study, path: &Path) -> Result<(), WriteError> {
         .directions()
         .into_iter()
         .flat_map(|direction| direction.sizes.iter().map(|size| summary_row(direction.name(), size)));
-    csv(path, &header, rows)
+    write_csv(path, &header, rows)
 }
 
 fn summary_row(stage: &str, size: &SizeSummary) -> Vec<String> {
@@ -147,14 +147,14 @@ pub(super) fn sizes_text(study: &Study) -> String {
 /// Returns the cells of one direction, a row for each payload; all numbers of a column have the same number of decimals.
 fn size_columns(direction: &DirectionStudy, payloads: &[u64]) -> Vec<Vec<String>> {
     let sizes = &direction.sizes;
-    let in_ms = decimals_of(sizes.iter().map(|size| size.median * 1e3));
-    let in_mb = decimals_of(sizes.iter().filter_map(|size| size.throughput).map(|rate| rate / 8e6));
-    let range = |(lo, hi): (f64, f64)| join_ends([lo, hi].map(|end| fixed(end * 1e3, in_ms)));
+    let ms_decimals = decimals_of(sizes.iter().map(|size| size.median * 1e3));
+    let mb_decimals = decimals_of(sizes.iter().filter_map(|size| size.throughput).map(|rate| rate / 8e6));
+    let range = |(lo, hi): (f64, f64)| join_ends([lo, hi].map(|end| fixed(end * 1e3, ms_decimals)));
     let cells = |size: &SizeSummary| {
         let bounds = if direction.same_clock { Some(EXACT.to_owned()) } else { size.bounds.map(range) };
-        let rate = size.throughput.map(|rate| fixed_or_less_than(rate / 8e6, in_mb));
+        let rate = size.throughput.map(|rate| fixed_or_less_than(rate / 8e6, mb_decimals));
         vec![
-            fixed(size.median * 1e3, in_ms),
+            fixed(size.median * 1e3, ms_decimals),
             or_unknown(size.tails.map(range)),
             or_unknown(bounds),
             or_unknown(rate),
@@ -186,14 +186,16 @@ fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
     ];
     let rates = methods.map(|(_, fit)| Throughput::from_slope(fit.slope));
     let margins = methods.iter().filter_map(|(_, fit)| fit.intercept.margin());
-    let digits = |seconds: f64| decimals(seconds * 1e3, 2).min(MAX_MS_DECIMALS);
-    let in_ms =
-        margins.map(digits).max().unwrap_or_else(|| digits(fits.medians.least_squares.intercept.value));
-    let in_mb = decimals_of(rates.iter().flatten().map(|rate| rate.value / 8e6));
-    let ms = |seconds: f64| fixed(seconds * 1e3, in_ms);
-    let mb = |rate: f64| fixed_or_less_than(rate / 8e6, in_mb);
-    let delays = |(lo, hi): (f64, f64)| join_ends([ms(lo), ms(hi)]);
-    let speeds = |(lo, hi): (f64, Option<f64>)| match hi.filter(|hi| hi.is_finite()) {
+    let decimals_for = |seconds: f64| decimals(seconds * 1e3, 2).min(MAX_MS_DECIMALS);
+    let ms_decimals = margins
+        .map(decimals_for)
+        .max()
+        .unwrap_or_else(|| decimals_for(fits.medians.least_squares.intercept.value));
+    let mb_decimals = decimals_of(rates.iter().flatten().map(|rate| rate.value / 8e6));
+    let ms = |seconds: f64| fixed(seconds * 1e3, ms_decimals);
+    let mb = |rate: f64| fixed_or_less_than(rate / 8e6, mb_decimals);
+    let delay_range = |(lo, hi): (f64, f64)| join_ends([ms(lo), ms(hi)]);
+    let throughput_range = |(lo, hi): (f64, Option<f64>)| match hi.filter(|hi| hi.is_finite()) {
         None => format!("≥ {}", mb(lo)),
         Some(hi) => join_ends([mb(lo), mb(hi)]),
     };
@@ -206,21 +208,21 @@ fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
             vec![
                 format!("{}: {method}", direction.name()),
                 format!("{}{margin}", ms(fit.intercept.value)),
-                or_unknown(fit.intercept.interval.map(delays)),
+                or_unknown(fit.intercept.interval.map(delay_range)),
                 or_unknown(rate.map(|rate| mb(rate.value))),
-                or_unknown(rate.and_then(|rate| rate.interval).map(speeds)),
+                or_unknown(rate.and_then(|rate| rate.interval).map(throughput_range)),
             ]
         })
         .collect();
-    let allowed = if direction.same_clock {
+    let allowed_cells = if direction.same_clock {
         [Some(EXACT.to_owned()), Some(EXACT.to_owned())]
     } else {
         let bounds = direction.throughput.and_then(|throughput| throughput.bounds);
-        [direction.claimed.map(|claim| delays(claim.at_zero)), bounds.map(speeds)]
+        [direction.allowed.map(|allowed| delay_range(allowed.at_zero)), bounds.map(throughput_range)]
     };
-    let [delay, speed] = allowed.map(or_unknown);
+    let [delay, throughput] = allowed_cells.map(or_unknown);
     let name = format!("{}: what the clock bounds allow", direction.name());
-    rows.push(vec![name, String::new(), delay, String::new(), speed]);
+    rows.push(vec![name, String::new(), delay, String::new(), throughput]);
     rows
 }
 

@@ -6,19 +6,20 @@ use super::*;
 
 const SIZES: [u64; 8] = [100, 1_000, 10_000, 50_000, 100_000, 400_000, 1_000_000, 4_000_000];
 const REPEATS: u64 = 100;
-/// Seconds that an empty message takes, and seconds per byte: 60 µs, 1 GB/s.
-const FIXED: f64 = 60e-6;
-const PER_BYTE: f64 = 1e-9;
-/// Half the width of the clock bounds.
-const HALF: f64 = 50e-6;
+/// Seconds that an empty message takes: 60 µs.
+const EMPTY_MESSAGE_S: f64 = 60e-6;
+/// Seconds that each byte takes: 1 GB/s.
+const PER_BYTE_S: f64 = 1e-9;
+/// Half the width of the clock bounds, seconds.
+const HALF_WIDTH_S: f64 = 50e-6;
 
 /// Parameters in which a simulated link differs from a good one.
 #[derive(Clone, Copy)]
 struct Link {
-    /// Error of the estimate within its bounds or beyond them: added to upload, subtracted from download.
+    /// Error of the estimated delay: added to upload, subtracted from download. The bounds do not follow the error.
     estimate_error: f64,
-    /// Offset of the raw stamps.
-    raw: f64,
+    /// Offset of the clocks in the raw stamps.
+    raw_offset: f64,
     /// Seconds per byte squared.
     curvature: f64,
     verdict: Delay,
@@ -27,7 +28,7 @@ struct Link {
 
 const GOOD: Link = Link {
     estimate_error: 0.0,
-    raw: 1.0,
+    raw_offset: 1.0,
     curvature: 0.0,
     verdict: Delay::Limited,
     source: DelaySource::InBand,
@@ -35,7 +36,7 @@ const GOOD: Link = Link {
 
 /// Returns the queueing time of message `number`, in seconds: exponentially distributed with a mean of 5 µs, and every
 /// tenth message is late by up to 300 µs more.
-fn waiting(number: u64) -> f64 {
+fn queueing_time(number: u64) -> f64 {
     let random = (number.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 11) as f64 / (1_u64 << 53) as f64;
     let late = if number % 10 == 3 { 300e-6 } else { 0.0 };
     -5e-6 * (1.0 - random).ln() + late * random
@@ -44,15 +45,17 @@ fn waiting(number: u64) -> f64 {
 fn passage(link: Link, payload: u64, number: u64, sign: f64) -> Passage {
     let wire = payload + 120;
     let bytes = wire as f64;
-    let true_delay = FIXED + PER_BYTE * bytes + link.curvature * bytes * bytes + waiting(number);
+    let true_delay =
+        EMPTY_MESSAGE_S + PER_BYTE_S * bytes + link.curvature * bytes * bytes + queueing_time(number);
     let value = true_delay + sign * link.estimate_error;
     let span = |seconds: f64| Span::from_seconds_f64(seconds);
-    let known = matches!(link.verdict, Delay::Ok | Delay::Limited);
-    let bounds = Interval { lo: span((true_delay - HALF).max(0.0)), hi: span(true_delay + HALF) };
+    let is_known = matches!(link.verdict, Delay::Ok | Delay::Limited);
+    let bounds =
+        Interval { lo: span((true_delay - HALF_WIDTH_S).max(0.0)), hi: span(true_delay + HALF_WIDTH_S) };
     let delay = OneWayDelay {
-        raw: span(true_delay + sign * link.raw),
-        value: known.then(|| span(value)),
-        bounds: known.then_some(bounds),
+        raw: span(true_delay + sign * link.raw_offset),
+        value: is_known.then(|| span(value)),
+        bounds: is_known.then_some(bounds),
         source: link.source,
         verdict: link.verdict,
     };
@@ -91,16 +94,16 @@ fn study(samples: Vec<Sample>) -> Study {
 }
 
 #[test]
-fn progress_and_study_have_equal_medians() {
+fn median_delay_equals_median_of_study() {
     let mut samples = sweep(GOOD);
     // Slow messages that neither median may count: those of the warm-up, and those of requests that timed out.
     let slow = passage(Link { curvature: 1e-6, ..GOOD }, SIZES[0], 3, 1.0);
     for sample in samples.iter_mut().filter(|sample| sample.warm_up) {
         sample.up = Some(slow);
     }
-    let late =
+    let answered =
         samples.iter().find(|sample| sample.is_in_statistics()).cloned().expect("a sample in the statistics");
-    samples.extend((0..200).map(|_| Sample { outcome: "timeout", up: Some(slow), ..late.clone() }));
+    samples.extend((0..200).map(|_| Sample { outcome: "timeout", up: Some(slow), ..answered.clone() }));
     let study = study(samples.clone());
     let [up, _] = study.directions();
     for size in &up.sizes {
@@ -113,14 +116,14 @@ fn progress_and_study_have_equal_medians() {
 fn good_link_is_trusted_and_line_is_fitted() {
     let study = study(sweep(GOOD));
     assert_eq!(study.counts, Counts { measured: 792, warm_up: 8, failed: 0 });
-    assert_eq!(study.verdict.kind, Kind::Trusted, "{}", study.verdict.sentence);
-    // Rounded up from 50 µs by as much as the median waits.
-    assert!((study.verdict.within.expect("trusted") - HALF).abs() < 10e-6);
+    assert_eq!(study.verdict.kind, VerdictKind::Trusted, "{}", study.verdict.sentence);
+    // Each estimate lies in the middle of its bounds.
+    assert!((study.verdict.max_error.expect("trusted") - HALF_WIDTH_S).abs() < 10e-6);
     for direction in study.directions() {
         let fits = direction.fits.expect("eight sizes");
         for fit in [fits.medians.least_squares, fits.medians.theil_sen, fits.samples.theil_sen] {
-            assert!((fit.intercept.value - FIXED - 3.5e-6).abs() < 4e-6, "{fit:?}");
-            assert!((fit.slope.value / PER_BYTE - 1.0).abs() < 0.01, "{fit:?}");
+            assert!((fit.intercept.value - EMPTY_MESSAGE_S - 3.5e-6).abs() < 4e-6, "{fit:?}");
+            assert!((fit.slope.value / PER_BYTE_S - 1.0).abs() < 0.01, "{fit:?}");
         }
         let throughput = direction.throughput.expect("delays grow with size");
         assert!((throughput.value / 8e9 - 1.0).abs() < 0.01, "{throughput:?}");
@@ -131,7 +134,8 @@ fn good_link_is_trusted_and_line_is_fitted() {
         );
     }
     assert!((study.clocks.offset.expect("delays are corrected by it") - 1.0).abs() < 1e-6);
-    // The raw differences, as in the paper's study, contain the offset of the clocks with either sign.
+    // The raw differences, as in the paper's study, contain the offset of the clocks: added to upload, subtracted from
+    // download.
     let raw = study.directions().map(|direction| direction.fits.expect("eight sizes").raw.intercept.value);
     assert!((raw[0] - 1.0).abs() < 1e-3 && (raw[1] + 1.0).abs() < 1e-3, "{raw:?}");
 }
@@ -139,27 +143,27 @@ fn good_link_is_trusted_and_line_is_fitted() {
 #[test]
 fn wrong_clock_relation_is_distinguished_from_bent_line() {
     let wrong = study(sweep(Link { estimate_error: 130e-6, ..GOOD }));
-    assert_eq!(wrong.verdict.kind, Kind::Contradicted, "{}", wrong.verdict.sentence);
+    assert_eq!(wrong.verdict.kind, VerdictKind::Contradicted, "{}", wrong.verdict.sentence);
     assert!(wrong.verdict.sentence.contains("the clocks are at fault"), "{}", wrong.verdict.sentence);
     // The fitted delay of an empty message is negative, which is impossible.
     assert!(wrong.down.main_fit().expect("a line").intercept.value < 0.0);
 
     let bent = study(sweep(Link { curvature: 4e-15, ..GOOD }));
-    assert_eq!(bent.verdict.kind, Kind::Inconclusive, "{}", bent.verdict.sentence);
+    assert_eq!(bent.verdict.kind, VerdictKind::Inconclusive, "{}", bent.verdict.sentence);
     assert!(bent.verdict.sentence.contains("straight line"), "{}", bent.verdict.sentence);
 }
 
 #[test]
 fn unsuitable_sweeps_have_no_trusted_verdict() {
     let kind = |link: Link| study(sweep(link)).verdict.kind;
-    assert_eq!(kind(Link { verdict: Delay::Stepped, ..GOOD }), Kind::Stepped);
-    assert_eq!(kind(Link { verdict: Delay::Inconsistent, ..GOOD }), Kind::Inconsistent);
-    assert_eq!(kind(Link { verdict: Delay::Unsynchronised, ..GOOD }), Kind::Unsynchronised);
-    assert_eq!(kind(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }), Kind::Exact);
-    assert_eq!(study(Vec::new()).verdict.kind, Kind::Insufficient);
-    let mut two = sweep(GOOD);
-    two.retain(|sample| sample.payload_bytes < 5_000);
-    assert_eq!(study(two).verdict.kind, Kind::Insufficient);
+    assert_eq!(kind(Link { verdict: Delay::Stepped, ..GOOD }), VerdictKind::Stepped);
+    assert_eq!(kind(Link { verdict: Delay::Inconsistent, ..GOOD }), VerdictKind::Inconsistent);
+    assert_eq!(kind(Link { verdict: Delay::Unsynchronised, ..GOOD }), VerdictKind::Unsynchronised);
+    assert_eq!(kind(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }), VerdictKind::Exact);
+    assert_eq!(study(Vec::new()).verdict.kind, VerdictKind::Insufficient);
+    let mut two_sizes = sweep(GOOD);
+    two_sizes.retain(|sample| sample.payload_bytes < 5_000);
+    assert_eq!(study(two_sizes).verdict.kind, VerdictKind::Insufficient);
 }
 
 #[test]
@@ -209,7 +213,7 @@ fn same_clock_study_prints_exact_instead_of_bounds() {
     let study = study(sweep(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }));
     let text = study.text();
     let rows: Vec<&str> = text.lines().filter(|line| line.contains("exact")).collect();
-    // The table has a row per size, the clock bounds of either direction, and the verdict.
+    // Lines with `exact`: a row for each size, the row of the clock bounds of each direction, and the verdict.
     assert_eq!(rows.len(), SIZES.len() + 3, "{text}");
 }
 
@@ -249,18 +253,23 @@ fn clock_sample(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
 
 #[test]
 fn returned_peer_is_trusted_only_with_same_clock() {
-    let study = |seconds: &[ClockSample]| {
-        Study::new(Setting { reconnections: 1, ..Setting::default() }, sweep(GOOD), seconds)
+    let study = |clock_samples: &[ClockSample]| {
+        Study::new(Setting { reconnections: 1, ..Setting::default() }, sweep(GOOD), clock_samples)
     };
     let same = study(&[clock_sample(1, 7, 1_000), clock_sample(2, 7, 1_000), clock_sample(9, 8, 1_000)]);
-    assert_eq!((same.verdict.kind, same.clocks.steps), (Kind::Trusted, 0), "{}", same.verdict.sentence);
+    assert_eq!(
+        (same.verdict.kind, same.clocks.steps),
+        (VerdictKind::Trusted, 0),
+        "{}",
+        same.verdict.sentence
+    );
     assert!(same.verdict.sentence.contains("the peer went away once"), "{}", same.verdict.sentence);
     assert!(same.verdict.sentence.contains("related again"), "{}", same.verdict.sentence);
     // Ten minutes of drift by 50 ppm are 30 ms.
     let drifted = study(&[clock_sample(1, 7, 1_000), clock_sample(601, 8, 1_029)]);
     assert_eq!(drifted.clocks.steps, 0);
     let another = study(&[clock_sample(1, 7, 1_000), clock_sample(9, 8, 1_001)]);
-    assert_eq!((another.verdict.kind, another.clocks.steps), (Kind::Stepped, 1));
+    assert_eq!((another.verdict.kind, another.clocks.steps), (VerdictKind::Stepped, 1));
 }
 
 #[test]

@@ -5,20 +5,21 @@ use peernet_statistics::number::{counted, error_ms, mean_std, range_ms};
 use serde::Serialize;
 
 use super::clocks::Clocks;
-use super::direction::{Claim, DirectionStudy};
+use super::direction::{AllowedDelays, DirectionStudy};
 use crate::fit::{Estimate, Fit};
 
-/// Kind of verdict.
+/// Kind of the verdict on the delays of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Kind {
+pub enum VerdictKind {
     /// The intercepts lie within the clock bounds.
     Trusted,
     /// Both ends read one clock, so the delays have no clock error.
     Exact,
     /// An intercept lies outside of the clock bounds.
     Contradicted,
-    /// The margin of an intercept is larger than the width of the clock bounds, so that a comparison says nothing.
+    /// The margin of an intercept is larger than the width of the clock bounds, so a comparison with the bounds says
+    /// nothing.
     Inconclusive,
     /// A clock was stepped during the study.
     Stepped,
@@ -30,7 +31,7 @@ pub enum Kind {
     Insufficient,
 }
 
-impl Kind {
+impl VerdictKind {
     /// Returns whether the study has a result. Without related clocks, or without a line, there is nothing to compare.
     pub const fn is_result(self) -> bool {
         !matches!(self, Self::Unsynchronised | Self::Insufficient)
@@ -41,9 +42,10 @@ impl Kind {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Verdict {
     /// Kind of the verdict.
-    pub kind: Kind,
+    pub kind: VerdictKind,
     /// Maximum error of the delay of a small message over this link, seconds; `None` if the delays cannot be trusted.
-    pub within: Option<f64>,
+    #[serde(rename = "within")]
+    pub max_error: Option<f64>,
     /// Verdict as a sentence.
     pub sentence: String,
 }
@@ -52,44 +54,49 @@ pub struct Verdict {
 struct InterceptCheck {
     name: &'static str,
     intercept: Estimate,
-    claim: Claim,
+    allowed: AllowedDelays,
     /// Distance from the median delay of the smallest payload to the farther of its two bounds, seconds.
     max_error: f64,
 }
 
 impl Verdict {
+    /// Returns the verdict. A reason why no line or no bound can be used comes before the comparison of lines with
+    /// bounds.
     pub(super) fn new(up: &DirectionStudy, down: &DirectionStudy, clocks: &Clocks) -> Self {
         let count = |verdict| up.count_verdicts(&[verdict]) + down.count_verdicts(&[verdict]);
-        let without_bound = |kind, sentence: String| Self { kind, within: None, sentence };
+        let without_max_error = |kind, sentence: String| Self { kind, max_error: None, sentence };
         if clocks.steps > 0 || count(Delay::Stepped) > 0 {
-            let unusable = match count(Delay::Stepped) {
+            let unusable_text = match count(Delay::Stepped) {
                 0 => String::new(),
                 stepped => format!(" ({} cannot be used)", counted(stepped, "delay")),
             };
-            return without_bound(
-                Kind::Stepped,
+            return without_max_error(
+                VerdictKind::Stepped,
                 format!(
-                    "a clock was stepped or replaced during the study{unusable}; calibrate again when the clocks are stable"
+                    "a clock was stepped or replaced during the study{unusable_text}; calibrate again when the clocks are stable"
                 ),
             );
         }
         if count(Delay::Inconsistent) > 0 {
-            let sentence = "the hosts' time daemons and the messages between the hosts exclude each other: one clock is wrong by more than its daemon claims, or they drift apart faster than max_drift_ppm";
-            return without_bound(Kind::Inconsistent, sentence.to_owned());
+            let sentence = "the hosts' time daemons and the messages between the hosts exclude each other: one clock is wrong by more than its daemon claims, or the clocks drift apart faster than max_drift_ppm";
+            return without_max_error(VerdictKind::Inconsistent, sentence.to_owned());
         }
         if up.sizes.is_empty() && down.sizes.is_empty() {
             return match count(Delay::Unsynchronised) {
-                0 => without_bound(Kind::Insufficient, "nothing was measured: no payload was answered".to_owned()),
-                _ => without_bound(
-                    Kind::Unsynchronised,
+                0 => without_max_error(
+                    VerdictKind::Insufficient,
+                    "nothing was measured: no payload was answered".to_owned(),
+                ),
+                _ => without_max_error(
+                    VerdictKind::Unsynchronised,
                     "the offset of the two clocks is unknown: no exchange related them, so no delay has a value"
                         .to_owned(),
                 ),
             };
         }
         let (Some(up_fit), Some(down_fit)) = (up.main_fit(), down.main_fit()) else {
-            return without_bound(
-                Kind::Insufficient,
+            return without_max_error(
+                VerdictKind::Insufficient,
                 "fewer than three sizes were answered: a line needs three".to_owned(),
             );
         };
@@ -98,12 +105,12 @@ impl Verdict {
             let sentence = format!(
                 "both ends read one clock: delays are exact, and the intercepts, {intercepts}, are the delays of the link itself"
             );
-            return Self { kind: Kind::Exact, within: Some(0.0), sentence };
+            return Self { kind: VerdictKind::Exact, max_error: Some(0.0), sentence };
         }
         match (InterceptCheck::new(up, up_fit), InterceptCheck::new(down, down_fit)) {
             (Some(up), Some(down)) => Self::compare(&up, &down, &intercepts, clocks),
-            _ => without_bound(
-                Kind::Unsynchronised,
+            _ => without_max_error(
+                VerdictKind::Unsynchronised,
                 format!(
                     "the delays have no bounds: nothing says how far the intercepts, {intercepts}, can be trusted"
                 ),
@@ -111,8 +118,8 @@ impl Verdict {
         }
     }
 
-    /// Adds to the sentence how often the peer was away, and what follows for the clocks. Nothing is added if the peer
-    /// was never away.
+    /// Adds to the sentence how often the peer went away, and that the clocks were related again. Nothing is added if
+    /// the peer never went away.
     pub(super) fn with_reconnections(mut self, times: u64) -> Self {
         let times = match times {
             0 => return self,
@@ -120,7 +127,7 @@ impl Verdict {
             times => format!("{times} times"),
         };
         let clocks = match self.kind {
-            Kind::Exact | Kind::Unsynchronised | Kind::Insufficient => "",
+            VerdictKind::Exact | VerdictKind::Unsynchronised | VerdictKind::Insufficient => "",
             _ => ", and the clocks were related again: each delay uses the relation at its time",
         };
         self.sentence.push_str(&format!(
@@ -129,14 +136,15 @@ impl Verdict {
         self
     }
 
+    /// Compares the intercepts of both directions with the clock bounds.
     fn compare(up: &InterceptCheck, down: &InterceptCheck, intercepts: &str, clocks: &Clocks) -> Self {
         let allowed =
-            format!("{} ms up, {} ms down", range_ms(up.claim.at_zero), range_ms(down.claim.at_zero));
+            format!("{} ms up, {} ms down", range_ms(up.allowed.at_zero), range_ms(down.allowed.at_zero));
         if up.is_imprecise() || down.is_imprecise() {
             let sentence = format!(
                 "the intercepts, {intercepts}, are less certain than the clock bounds that they are compared with ({allowed}): the delay does not grow in a straight line with size over this link (see latency.png), or it needs more repeats; the bounds do not depend on this line"
             );
-            return Self { kind: Kind::Inconclusive, within: None, sentence };
+            return Self { kind: VerdictKind::Inconclusive, max_error: None, sentence };
         }
         let (up_distance, down_distance) = (up.distance_outside(), down.distance_outside());
         if up_distance == 0.0 && down_distance == 0.0 {
@@ -145,12 +153,12 @@ impl Verdict {
                 "the intercepts, {intercepts}, lie within what the clock bounds allow ({allowed}): one-way delays over this link can be trusted to ± {} ms",
                 error_ms(max_error)
             );
-            return Self { kind: Kind::Trusted, within: Some(max_error), sentence };
+            return Self { kind: VerdictKind::Trusted, max_error: Some(max_error), sentence };
         }
-        let subject = match (up_distance != 0.0, down_distance != 0.0) {
-            (true, true) => "both".to_owned(),
-            (true, false) => format!("the intercept of the {}", up.name),
-            _ => format!("the intercept of the {}", down.name),
+        let subject_and_verb = match (up_distance != 0.0, down_distance != 0.0) {
+            (true, true) => "both lie".to_owned(),
+            (true, false) => format!("the intercept of the {} lies", up.name),
+            _ => format!("the intercept of the {} lies", down.name),
         };
         // A wrong offset lengthens one direction and shortens the other by the same amount, so the two distances have
         // different signs.
@@ -163,34 +171,36 @@ impl Verdict {
             "errors of the clocks alone cannot cause this: the delay does not grow in a straight line with size over this link (see latency.png); try sizes closer together".to_owned()
         };
         let sentence = format!(
-            "of the intercepts, {intercepts}, {subject} lies outside what the clock bounds allow ({allowed}); {reason}"
+            "of the intercepts, {intercepts}, {subject_and_verb} outside what the clock bounds allow ({allowed}); {reason}"
         );
-        Self { kind: Kind::Contradicted, within: None, sentence }
+        Self { kind: VerdictKind::Contradicted, max_error: None, sentence }
     }
 }
 
 impl InterceptCheck {
     fn new(direction: &DirectionStudy, fit: &Fit) -> Option<Self> {
-        let claim = direction.claimed?;
+        let allowed = direction.allowed?;
         let median = direction.sizes.first()?.median;
-        let max_error = (median - claim.bounds.0).max(claim.bounds.1 - median);
-        Some(Self { name: direction.name(), intercept: fit.intercept, claim, max_error })
+        let max_error = (median - allowed.bounds.0).max(allowed.bounds.1 - median);
+        Some(Self { name: direction.name(), intercept: fit.intercept, allowed, max_error })
     }
 
     /// Returns whether the margin of the intercept is wider than the bounds that the intercept is compared with.
     fn is_imprecise(&self) -> bool {
-        let (lowest, highest) = self.claim.at_zero;
+        let (lowest, highest) = self.allowed.at_zero;
         self.intercept.margin().is_none_or(|margin| margin > highest - lowest)
     }
 
-    /// Returns the distance of the intercept's interval from the allowed bounds. The distance is positive if the interval lies above the bounds,
-    /// negative if it lies below them, and 0 if both overlap.
+    /// Returns the distance of the intercept's interval from the bounds that the clocks allow. The distance is positive
+    /// if the interval lies above the bounds, negative if the interval lies below the bounds, and 0 if the interval and
+    /// the bounds overlap.
     fn distance_outside(&self) -> f64 {
-        let ((lo, hi), (lowest, highest)) = (self.intercept.span(), self.claim.at_zero);
+        let ((lo, hi), (lowest, highest)) = (self.intercept.span(), self.allowed.at_zero);
         (lo - highest).max(0.0) + (hi - lowest).min(0.0)
     }
 }
 
+/// Returns the intercept with its margin, in ms.
 fn with_margin(fit: &Fit) -> String {
     format!("{} ms", mean_std(fit.intercept.value, fit.intercept.margin()))
 }

@@ -63,7 +63,7 @@ fn differences_table(comparison: &Comparison) -> Table {
         let interval = interval.unwrap_or_else(|| EMPTY_CELL.to_owned());
         line.labels.iter().cloned().chain([mean, difference, interval]).collect()
     });
-    Table { header, labels: axes.len(), rows: rows.collect(), marked: None }
+    Table { header, label_columns: axes.len(), rows: rows.collect(), marked: None }
 }
 
 #[cfg(test)]

@@ -74,8 +74,8 @@ pub fn skipped_starts(configurations: impl IntoIterator<Item = (String, Starts)>
 }
 
 /// Returns a sentence about the configurations whose latencies are drawn from a distribution. Each configuration is given by its name and its
-/// [description](crate::trust::ReplayedLatencies::describe_all). The name may be empty if there is a single configuration. `None` if no
-/// latency is drawn.
+/// [description](crate::trust::ReplayedLatencies::describe_all). The name may be empty if there is a single
+/// configuration. `None` if no latency is drawn.
 pub fn replayed_configurations<'a>(
     configurations: impl IntoIterator<Item = (String, Option<&'a str>)>,
 ) -> Option<String> {

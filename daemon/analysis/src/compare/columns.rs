@@ -2,8 +2,8 @@
 
 use super::labels::{EMPTY_CELL, readable_name};
 
-/// Maximum number of values that a sentence lists for a fact without a column. Also the maximum number of configurations
-/// that the sentence lists for a value.
+/// Maximum number of values that a sentence lists for a fact without a column. Also the maximum number of
+/// configurations that the sentence lists for a value.
 const MAX_LISTED: usize = 4;
 /// A word of at least this many characters, all of them hexadecimal digits, counts as a hash.
 const MIN_HASH_DIGITS: usize = 32;
@@ -30,8 +30,8 @@ pub struct ChosenColumns {
 
 /// Chooses a column in two cases: if it distinguishes configurations that the columns chosen before do not distinguish,
 /// or if it has a label for a configuration that has no label in the other chosen columns. Columns of hashes, paths or
-/// long lists are never chosen: if no other column distinguishes the runs, the names of their folders, which people gave,
-/// are easier to read.
+/// long lists are never chosen: if no other column distinguishes the runs, the names of their folders, which people
+/// gave, are easier to read.
 pub fn choose_columns(candidates: Vec<Column>) -> ChosenColumns {
     choose_further_columns(Vec::new(), candidates)
 }
@@ -47,8 +47,8 @@ pub fn choose_further_columns(already_chosen: Vec<Column>, candidates: Vec<Colum
         already_chosen.iter().chain(newly_chosen.map(|(column, _)| column)).cloned().collect()
     };
     for index in 0..candidates.len() {
-        // The column is chosen for a trial. It stays chosen if the columns have more different rows with it than without
-        // it.
+        // The column is chosen for a trial. It stays chosen if the columns have more different rows with it than
+        // without it.
         let distinct_rows_without_column = distinct_rows(&chosen_columns(&is_chosen), configurations);
         is_chosen[index] = !candidates[index].is_opaque();
         is_chosen[index] = is_chosen[index]
@@ -138,8 +138,8 @@ impl Column {
         is_opaque(self.labels.iter().map(String::as_str))
     }
 
-    /// Returns a text that lists each label and, after the label, the names of the configurations that have it. The labels in
-    /// `columns` give these names. `None` if the text would be long.
+    /// Returns a text that lists each label and, after the label, the names of the configurations that have it. The
+    /// labels in `columns` give these names. `None` if the text would be long.
     fn values_with_configurations(&self, columns: &[Column]) -> Option<String> {
         // Each value with the names of the configurations that have it.
         let mut values: Vec<(&str, Vec<String>)> = Vec::new();

@@ -227,12 +227,12 @@ fn join_labels<'a>(labels: impl Iterator<Item = &'a String>) -> String {
     distinct.join(" + ")
 }
 
-/// Returns the name of each group: the path of its folder, without the beginning that all paths have in common. A group whose file is
-/// outside of a result folder is named after the file.
+/// Returns the name of each group: the path of its folder, without the beginning that all paths have in common. A group
+/// whose file is outside of a result folder is named after the file.
 fn folder_names(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let path = |run: &Loaded| {
-        // A file of rows without a record is a run by itself. Several such files can be in one folder, so the name of the
-        // file is used instead of the name of the folder.
+        // A file of rows without a record is a run by itself. Several such files can be in one folder, so the name of
+        // the file is used instead of the name of the folder.
         let is_single_file = run.record.format == 0 && !run.folder.ends_with(&run.record.name);
         if is_single_file { run.folder.join(&run.record.name) } else { run.folder.clone() }
     };

@@ -71,8 +71,9 @@ impl MeanEstimate {
     }
 
     /// Returns the estimate of a mean over all values. Its precision is computed from the stored buckets of each run that has values, in order of
-    /// time. A bucket is the count and the mean of its values. The buckets may cover only a part of the values, because retention deletes
-    /// buckets before it deletes the mean. If all buckets of a run are deleted, the precision is unknown.
+    /// time. A bucket is the count and the mean of its values. The buckets may cover only a part of the values, because
+    /// retention deletes buckets before it deletes the mean. If all buckets of a run are deleted, the precision is
+    /// unknown.
     pub fn from_buckets(mean: f64, runs: &[Vec<(u64, f64)>]) -> Self {
         let is_run_deleted = runs.iter().any(|run| run.as_slice().total_count() == 0);
         let estimate = Self::from_series(runs.iter().map(Vec::as_slice)).filter(|_| !is_run_deleted);

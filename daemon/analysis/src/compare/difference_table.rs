@@ -75,7 +75,12 @@ impl Differences {
             "95 % confidence",
             "clocks",
         ];
-        Table { header: header.map(str::to_owned).to_vec(), labels: 1, rows: self.rows(), marked: None }
+        Table {
+            header: header.map(str::to_owned).to_vec(),
+            label_columns: 1,
+            rows: self.rows(),
+            marked: None,
+        }
     }
 
     /// Returns a row for each stage. All numbers of a column have the same number of decimals.

@@ -52,8 +52,8 @@ pub struct StageDifference {
     /// Median of the other line minus the median of the baseline.
     pub median: Difference,
     /// Further error of the difference, because the clock offset is known only within bounds. The intervals of `mean`
-    /// and `median` do not include this error. It is the sum of two means: the mean half width of the clock bounds in the
-    /// baseline, and the mean half width in the other line. `None` for stages that a single clock measured.
+    /// and `median` do not include this error. It is the sum of two means: the mean half width of the clock bounds in
+    /// the baseline, and the mean half width in the other line. `None` for stages that a single clock measured.
     pub clocks: Option<f64>,
 }
 
@@ -78,8 +78,8 @@ impl Differences {
 
     fn between_groups(baseline: (String, &[&Loaded]), other: (String, &[&Loaded]), seed: u64) -> Self {
         let (a, b) = (baseline.1, other.1);
-        // A computation holds all values of its stage in memory. Each thread therefore computes several stages one after
-        // the other, so that only as many stages are in memory as there are threads.
+        // A computation holds all values of its stage in memory. Each thread therefore computes several stages one
+        // after the other, so that only as many stages are in memory as there are threads.
         let stages_per_thread = STAGES.len().div_ceil(available_parallelism().map_or(1, NonZero::get));
         let differences_of = |stages: &[&str]| {
             let differences = stages.iter().filter_map(|stage| StageDifference::new(stage, a, b, seed));

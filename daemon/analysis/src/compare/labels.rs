@@ -83,8 +83,8 @@ pub struct RunFacts<'a> {
 }
 
 /// Returns everything that may distinguish runs: for each run, pairs of name and label. They are the fields that the
-/// run's experiment declares, the execution of the experiment, and the facts. [`tabulate`] makes columns of these pairs, and
-/// [`choose_columns`](super::choose_columns) chooses among the columns.
+/// run's experiment declares, the execution of the experiment, and the facts. [`tabulate`] makes columns of these
+/// pairs, and [`choose_columns`](super::choose_columns) chooses among the columns.
 pub fn distinguishing_pairs(
     runs: &[(Option<&ExperimentPosition>, RunFacts<'_>)],
 ) -> Vec<Vec<(String, String)>> {

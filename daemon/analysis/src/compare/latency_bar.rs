@@ -12,8 +12,8 @@ use crate::total_column::TotalColumn;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LatencyBar {
     /// Mean of each part per iteration, in the [order of all parts](part_order). The parts add up to the total, unless
-    /// the clocks show a stage as longer than it was. The late start is a separate part. In [`StageSplit`], the late start
-    /// is a part of the unattributed time instead.
+    /// the clocks show a stage as longer than it was. The late start is a separate part. In [`StageSplit`], the late
+    /// start is a part of the unattributed time instead.
     pub parts: Vec<(Name, f64)>,
     /// Mean of the column by which configurations are compared. If the configuration has no values of this column, the
     /// sum of the parts.

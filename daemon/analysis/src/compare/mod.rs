@@ -178,8 +178,8 @@ impl Comparison {
             Repeats::PooledExcept(chosen) => configurations.separate_runs(runs, chosen),
         }
         let Configurations { axes, labels } = configurations;
-        // All lines have the same column: a measured total is longer than the sum of its stages, so a total cannot be ranked
-        // against a sum.
+        // All lines have the same column: a measured total is longer than the sum of its stages, so a total cannot be
+        // ranked against a sum.
         let total_column = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));
         let groups = group_by_labels(&labels);
         let names = readable_names(&axes, groups.iter().map(|group| labels[group[0]].as_slice()));
@@ -294,8 +294,8 @@ impl Line {
     }
 }
 
-/// Returns the numbers of a column, in order, from the rows in the statistics. Numbers that [`Summary::accepts`] rejects
-/// are left out.
+/// Returns the numbers of a column, in order, from the rows in the statistics. Numbers that [`Summary::accepts`]
+/// rejects are left out.
 fn accepted_values(rows: &Rows, column: &str) -> Vec<f64> {
     rows.values_in_statistics(column).filter(|value| Summary::accepts(*value)).collect()
 }

@@ -53,8 +53,8 @@ pub fn compare_label(a: &str, b: &str) -> Ordering {
     }
 }
 
-/// Returns the numeric value of a label such as `30`, `-1.5`, `1,000`, `1e6`, `30 kB` or `50 Hz`. The value of `224x224`
-/// is the first number. `None` if the label does not begin with a number.
+/// Returns the numeric value of a label such as `30`, `-1.5`, `1,000`, `1e6`, `30 kB` or `50 Hz`. The value of
+/// `224x224` is the first number. `None` if the label does not begin with a number.
 fn quantity(label: &str) -> Option<f64> {
     let text = label.trim().replace(',', "");
     let finite_number = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());

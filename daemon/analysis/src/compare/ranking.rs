@@ -42,8 +42,8 @@ impl Ranking {
         Some(Self { best, differences, unranked })
     }
 
-    /// Returns the indexes of the configurations whose difference from the smallest mean may be chance: the 95 % confidence
-    /// interval of the difference contains zero.
+    /// Returns the indexes of the configurations whose difference from the smallest mean may be chance: the 95 %
+    /// confidence interval of the difference contains zero.
     pub fn ties(&self) -> Vec<usize> {
         self.indexes_by_verdict(Some(false))
     }

@@ -89,7 +89,7 @@ impl Comparison {
         let (header, cells): (Vec<String>, Vec<Vec<String>>) = columns.columns.into_iter().unzip();
         let row = |index: usize| cells.iter().map(|column| column[index].clone()).collect();
         let rows = (0..self.lines.len()).map(row).collect();
-        Table { header, labels: self.axes.len(), rows, marked: best_cell }
+        Table { header, label_columns: self.axes.len(), rows, marked: best_cell }
     }
 
     /// Returns the number of decimals of a column of latencies. It is the same for all rows, so that the numbers are
@@ -214,8 +214,8 @@ impl Comparison {
         reasons.into_iter().map(sentence).collect()
     }
 
-    /// Returns the sentence about the best line, the lines that cannot be distinguished from it, and the lines that were not
-    /// compared with it.
+    /// Returns the sentence about the best line, the lines that cannot be distinguished from it, and the lines that
+    /// were not compared with it.
     fn ranking_sentence(&self) -> Option<String> {
         let best = &self.lines[self.best?];
         let names = |lines: &[usize]| {

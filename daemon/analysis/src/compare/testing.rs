@@ -3,7 +3,8 @@
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 
-/// Returns values of a run. The deviation of each value from the mean is `correlation` times the previous deviation, plus noise.
+/// Returns values of a run. The deviation of each value from the mean is `correlation` times the previous deviation,
+/// plus noise.
 pub(super) fn autocorrelated_values(correlation: f64, count: usize, mean: f64, seed: u64) -> Vec<f64> {
     let mut random = StdRng::seed_from_u64(seed);
     let mut last = 0.0;

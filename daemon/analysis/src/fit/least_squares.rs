@@ -4,16 +4,16 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{CONFIDENCE, Estimate, Fit, Point, can_be_fitted};
 
-/// Point with its weight: the reciprocal of the variance of `y`, in any unit.
+/// Point with its weight. Weights are proportional to the reciprocal of the variance of `y`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Weighted {
+pub struct WeightedPoint {
     /// The point.
     pub point: Point,
     /// Weight, above 0.
     pub weight: f64,
 }
 
-impl From<Point> for Weighted {
+impl From<Point> for WeightedPoint {
     fn from(point: Point) -> Self {
         Self { point, weight: 1.0 }
     }
@@ -23,13 +23,14 @@ impl From<Point> for Weighted {
 /// n − 2 degrees of freedom; the scale of the errors is estimated from the residuals (Draper and Smith, Applied
 /// Regression Analysis, chapters 1 and 9). `None` if there are fewer than three points, if all points have the same x,
 /// or if a coordinate or a weight is not valid.
-pub fn least_squares(points: &[Weighted]) -> Option<Fit> {
+pub fn least_squares(points: &[WeightedPoint]) -> Option<Fit> {
     let are_weights_valid = points.iter().all(|point| point.weight.is_finite() && point.weight > 0.0);
     if !are_weights_valid || !can_be_fitted(points.iter().map(|point| point.point)) {
         return None;
     }
-    let sum =
-        |term: &dyn Fn(&Weighted) -> f64| points.iter().map(|point| point.weight * term(point)).sum::<f64>();
+    let sum = |term: &dyn Fn(&WeightedPoint) -> f64| {
+        points.iter().map(|point| point.weight * term(point)).sum::<f64>()
+    };
     let total_weight = sum(&|_| 1.0);
     let (mean_x, mean_y) = (sum(&|w| w.point.x) / total_weight, sum(&|w| w.point.y) / total_weight);
     // The sums are taken over deviations from the means: differences of sums of squares would lose digits.

@@ -14,19 +14,19 @@
 mod least_squares;
 mod theil_sen;
 
-pub use least_squares::{Weighted, least_squares};
+pub use least_squares::{WeightedPoint, least_squares};
 use serde::Serialize;
 pub use theil_sen::theil_sen;
 
 /// Confidence of every interval.
 pub const CONFIDENCE: f64 = 0.95;
 
-/// Point to fit: x, such as a size, and the value y that was measured at this x, such as a delay.
+/// Point that a line is fitted to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// Value that was set, such as the size of a message.
+    /// Value that was chosen, such as the size of a message.
     pub x: f64,
-    /// Value that was measured.
+    /// Value that was measured at this x, such as the delay of the message.
     pub y: f64,
 }
 

@@ -55,31 +55,31 @@ fn norris() -> Vec<Point> {
 }
 
 fn unweighted(points: &[Point]) -> Option<Fit> {
-    least_squares(&points.iter().copied().map(Weighted::from).collect::<Vec<_>>())
+    least_squares(&points.iter().copied().map(WeightedPoint::from).collect::<Vec<_>>())
 }
 
 #[track_caller]
-fn near(value: f64, expected: f64) {
+fn assert_near(value: f64, expected: f64) {
     assert!((value - expected).abs() <= 1e-9 * expected.abs().max(1e-3), "{value} is not {expected}");
 }
 
 #[track_caller]
-fn interval(estimate: Estimate, expected: (f64, f64)) {
+fn assert_interval(estimate: Estimate, expected: (f64, f64)) {
     let (lo, hi) = estimate.interval.expect("enough points");
-    near(lo, expected.0);
-    near(hi, expected.1);
+    assert_near(lo, expected.0);
+    assert_near(hi, expected.1);
 }
 
 #[test]
 fn least_squares_gives_certified_values() {
     let fit = unweighted(&norris()).expect("a line");
-    near(fit.intercept.value, -0.262323073774029);
-    near(fit.intercept.standard_error.expect("given"), 0.232818234301152);
-    near(fit.slope.value, 1.00211681802045);
-    near(fit.slope.standard_error.expect("given"), 0.429796848199937E-03);
+    assert_near(fit.intercept.value, -0.262323073774029);
+    assert_near(fit.intercept.standard_error.expect("given"), 0.232818234301152);
+    assert_near(fit.slope.value, 1.00211681802045);
+    assert_near(fit.slope.standard_error.expect("given"), 0.429796848199937E-03);
     // Student's t, 34 degrees of freedom: 2.0322445093.
     let margin = 2.0322445093177186 * 0.429796848199937E-03;
-    interval(fit.slope, (1.00211681802045 - margin, 1.00211681802045 + margin));
+    assert_interval(fit.slope, (1.00211681802045 - margin, 1.00211681802045 + margin));
 }
 
 #[test]
@@ -87,8 +87,8 @@ fn weighted_fit_matches_textbook() {
     let y = [1.1, 1.9, 3.2, 3.9, 5.3];
     let weights = [4.0, 1.0, 9.0, 1.0, 0.25];
     let points = points(&[1., 2., 3., 4., 5.], &y);
-    let weighted: Vec<Weighted> =
-        points.iter().zip(weights).map(|(&point, weight)| Weighted { point, weight }).collect();
+    let weighted: Vec<WeightedPoint> =
+        points.iter().zip(weights).map(|(&point, weight)| WeightedPoint { point, weight }).collect();
     let fit = least_squares(&weighted).expect("a line");
     assert!((fit.intercept.value - 0.07537473).abs() < 1e-8 && (fit.slope.value - 1.024197).abs() < 1e-6);
     let errors = [fit.intercept, fit.slope].map(|estimate| estimate.standard_error.expect("given"));
@@ -99,39 +99,41 @@ fn weighted_fit_matches_textbook() {
 #[test]
 fn theil_sen_matches_reference_implementation() {
     let fit = theil_sen(&norris()).expect("a line");
-    near(fit.slope.value, 1.0021968365553604);
-    interval(fit.slope, (1.0011153245594469, 1.0030534351145037));
+    assert_near(fit.slope.value, 1.0021968365553604);
+    assert_interval(fit.slope, (1.0011153245594469, 1.0030534351145037));
 
     let fit = theil_sen(&points(&ANSCOMBE_X, &ANSCOMBE_THIRD)).expect("a line");
-    near(fit.slope.value, 0.3455555555555555);
-    near(fit.intercept.value, 4.004444444444445);
-    interval(fit.slope, (0.345, 0.3475));
+    assert_near(fit.slope.value, 0.3455555555555555);
+    assert_near(fit.intercept.value, 4.004444444444445);
+    assert_interval(fit.slope, (0.345, 0.3475));
 
     // The example of Sen 1968.
     let fit = theil_sen(&points(&[1., 2., 3., 4., 10., 12., 18.], &[9., 15., 19., 20., 45., 55., 78.]));
     let fit = fit.expect("a line");
-    near(fit.slope.value, 4.0);
-    near(fit.intercept.value, 6.0);
-    interval(fit.slope, (3.7142857142857144, 4.375));
+    assert_near(fit.slope.value, 4.0);
+    assert_near(fit.intercept.value, 6.0);
+    assert_interval(fit.slope, (3.7142857142857144, 4.375));
 
     // Several points at each x.
     let x = [1., 1., 1., 2., 2., 2., 3., 3., 3., 5., 5., 5.];
     let y = [1.0, 1.4, 0.7, 2.1, 2.6, 1.8, 3.3, 2.9, 3.6, 5.2, 4.7, 9.0];
     let fit = theil_sen(&points(&x, &y)).expect("a line");
-    near(fit.slope.value, 1.1);
-    near(fit.intercept.value, -0.1);
-    interval(fit.slope, (0.8666666666666667, 1.5));
+    assert_near(fit.slope.value, 1.1);
+    assert_near(fit.intercept.value, -0.1);
+    assert_interval(fit.slope, (0.8666666666666667, 1.5));
 }
 
 #[test]
 fn outlier_moves_least_squares_only() {
     let points = points(&ANSCOMBE_X, &ANSCOMBE_THIRD);
-    let (pulled, steady) = (unweighted(&points).expect("a line"), theil_sen(&points).expect("a line"));
-    assert!((pulled.slope.value - 0.4997).abs() < 1e-4 && (steady.slope.value - 0.3456).abs() < 1e-4);
+    let (least_squares_fit, theil_sen_fit) =
+        (unweighted(&points).expect("a line"), theil_sen(&points).expect("a line"));
+    assert!((least_squares_fit.slope.value - 0.4997).abs() < 1e-4);
+    assert!((theil_sen_fit.slope.value - 0.3456).abs() < 1e-4);
 }
 
 #[test]
-fn few_points_give_no_line_or_interval() {
+fn too_few_points_have_no_line_or_interval() {
     let two = points(&[1., 2.], &[1., 2.]);
     let one_x = points(&[1., 1., 1., 1.], &[1., 2., 3., 4.]);
     let not_a_number = points(&[1., 2., 3.], &[1., f64::NAN, 3.]);
@@ -153,9 +155,9 @@ proptest! {
         }
     }
 
-    /// Compares with the definition: all slopes listed and sorted.
+    /// Compares the bisection with the definition: the median of the sorted slopes of all pairs.
     #[test]
-    fn median_slope_equals_median_of_sorted_list(ys in prop::collection::vec((0_u8..6, -1e2..1e2_f64), 4..40)) {
+    fn slope_equals_median_of_sorted_slopes(ys in prop::collection::vec((0_u8..6, -1e2..1e2_f64), 4..40)) {
         let points: Vec<Point> = ys.iter().map(|&(x, y)| Point { x: f64::from(x), y }).collect();
         let pair = |a: &Point, b: &Point| (a.x != b.x).then(|| (b.y - a.y) / (b.x - a.x));
         let slopes = points.iter().enumerate().flat_map(|(i, a)| points[i + 1..].iter().filter_map(move |b| pair(a, b)));
@@ -169,7 +171,7 @@ proptest! {
 
     /// A quarter of the points are late by an arbitrary time.
     #[test]
-    fn late_quarter_of_points_moves_no_theil_sen(late in 1.0..1e6_f64) {
+    fn late_quarter_of_points_does_not_move_theil_sen(late in 1.0..1e6_f64) {
         let y = |k: usize| 5.0 + 2.0 * k as f64 + if k % 4 == 1 { late * (k as f64).sqrt() } else { 0.0 };
         let points: Vec<Point> = (0..40).map(|k| Point { x: k as f64, y: y(k) }).collect();
         let fit = theil_sen(&points).expect("a line");
@@ -181,7 +183,7 @@ proptest! {
 fn rate_is_given_if_interval_is_narrow() {
     let slope = |value: f64, interval| Estimate { value, standard_error: None, interval };
     // 10 ns per byte are 800 Mbit/s.
-    let (value, margin) = rate(slope(1e-8, Some((0.8e-8, 1.2e-8)))).expect("known well enough");
+    let (value, margin) = rate(slope(1e-8, Some((0.8e-8, 1.2e-8)))).expect("a narrow interval");
     assert!((value - 8e8).abs() < 1.0 && (margin - 2e8).abs() < 1.0, "{value} {margin}");
     for interval in [None, Some((0.0, 2e-8)), Some((-1e-9, 2.1e-8)), Some((0.7e-8, 1.3e-8))] {
         assert_eq!(rate(slope(1e-8, interval)), None, "{interval:?}");

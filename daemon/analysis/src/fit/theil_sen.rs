@@ -14,9 +14,10 @@ const MAX_BISECTIONS: usize = 80;
 /// all points have the same x.
 ///
 /// The interval of the slope is Sen's (1968), with his correction for equal x. Its ends are the slopes of two pairs.
-/// The ranks of these slopes follow from Kendall's statistic. The interval of the intercept combines two uncertainties,
-/// that of the slope and that of the median (sign test). Each gets half the risk (Bonferroni). The intervals are valid
-/// for any distribution of the deviations from the line, if the distribution is the same for all points.
+/// The ranks of these slopes follow from Kendall's statistic. The interval of the intercept combines two uncertainties:
+/// the uncertainty of the slope, and the uncertainty of the median (sign test). Each gets half the risk (Bonferroni).
+/// The intervals are valid for any distribution of the deviations from the line, if the distribution is the same for
+/// all points.
 ///
 /// Counting the pairs takes O(n log n) time, and the pairs are not stored, so that 100,000 samples are possible.
 pub fn theil_sen(points: &[Point]) -> Option<Fit> {
@@ -31,7 +32,7 @@ pub fn theil_sen(points: &[Point]) -> Option<Fit> {
     let intercept = residuals(slope).median()?;
 
     let confidence_at_half_risk = f64::midpoint(1.0, CONFIDENCE);
-    // The interval of the slope, and the ranks of the two residuals that bound their median.
+    // The interval of the slope, and the ranks of the two residuals between which the median of all residuals lies.
     let slopes_and_ranks =
         pairs.interval(confidence_at_half_risk).zip(median_ranks(points.len(), confidence_at_half_risk));
     let intercept_interval = slopes_and_ranks.map(|((low_slope, high_slope), (low_rank, high_rank))| {
@@ -117,8 +118,9 @@ impl Pairs {
         count
     }
 
-    /// Returns the interval of the median slope. Its ends are the slopes with two ranks, whose distance from the middle
-    /// rank follows from Kendall's statistic. `None` if there are so few pairs that no pair has such a rank.
+    /// Returns the interval of the median slope. Its ends are the slopes with two ranks. The distance of these ranks
+    /// from the middle rank follows from Kendall's statistic. `None` if there are so few pairs that no pair has such a
+    /// rank.
     fn interval(&self, confidence: f64) -> Option<(f64, f64)> {
         // Term of the variance of Kendall's statistic for n points. Groups of equal x reduce the variance.
         let variance_term = |n: f64| n * (n - 1.0) * (2.0 * n + 5.0);
@@ -135,8 +137,8 @@ impl Pairs {
     }
 }
 
-/// Merges two sorted runs. Adds to `count` the number of pairs of an element of `left` and an element of `right` that
-/// is not larger.
+/// Merges two sorted runs. Adds to `count` the number of pairs whose element of `right` is not larger than the element
+/// of `left`.
 fn merge(left: &[f64], right: &[f64], count: &mut u64) -> Vec<f64> {
     let mut merged = Vec::with_capacity(left.len() + right.len());
     // Number of elements of `left` that are merged.
@@ -152,9 +154,9 @@ fn merge(left: &[f64], right: &[f64], count: &mut u64) -> Vec<f64> {
     merged
 }
 
-/// Returns two ranks, counted from 0: the median lies with this confidence between those of `n` sorted values that have
-/// these ranks (sign test). `None` if `n` is so small that the confidence is less even for the smallest and the largest
-/// value.
+/// Returns the ranks, counted from 0, of two of `n` sorted values. The median lies between these two values with the
+/// given confidence (sign test). `None` if `n` is so small that even the smallest and the largest value give less
+/// confidence.
 fn median_ranks(n: usize, confidence: f64) -> Option<(usize, usize)> {
     let values_below_median = Binomial::new(0.5, n as u64).ok()?;
     let risk = (1.0 - confidence) / 2.0;

@@ -13,33 +13,33 @@ use crate::rows::Rows;
 #[serde(default)]
 pub struct Clocks {
     /// Delays from edge to cloud.
-    pub upload: ClockCounts,
+    pub upload: DelayQuality,
     /// Delays from cloud to edge.
-    pub download: ClockCounts,
+    pub download: DelayQuality,
 }
 
 /// Quality of the delays in one direction.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct ClockCounts {
-    /// Number of delays by verdict.
+pub struct DelayQuality {
+    /// Number of delays for each verdict that occurs.
     pub verdicts: BTreeMap<String, u64>,
-    /// Number of delays by the source of the clock relation that corrected them.
+    /// Number of delays for each source of the clock relation that corrected the delays.
     pub sources: BTreeMap<String, u64>,
     /// Median width of the bounds, seconds; `None` without bounds.
     pub median_width: Option<f64>,
     /// Offset of the receiver's wall clock, minus that of the sender, at the first message with a known offset; seconds.
-    pub first_offset: Option<Bounded>,
-    /// Offset at the last message with a known offset.
-    pub last_offset: Option<Bounded>,
-    /// Average growth of the offset between the first and the last of these messages, seconds per second.
-    pub skew: Option<Bounded>,
+    pub first_offset: Option<BoundedEstimate>,
+    /// Offset at the last message with a known offset, seconds.
+    pub last_offset: Option<BoundedEstimate>,
+    /// Average growth of the offset from the first to the last message with a known offset, seconds per second.
+    pub skew: Option<BoundedEstimate>,
 }
 
 /// Estimate with bounds that contain the true value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Bounded {
+pub struct BoundedEstimate {
     /// Estimate.
     pub value: f64,
     /// Lower bound.
@@ -53,17 +53,17 @@ impl Clocks {
     pub fn from_rows(rows: &Rows) -> Self {
         let in_statistics = || rows.iter().filter(|row| row.is_in_statistics());
         Self {
-            upload: ClockCounts::from_delays(
+            upload: DelayQuality::from_delays(
                 in_statistics().filter_map(|row| Some((row.at(), row.upload()?))),
             ),
-            download: ClockCounts::from_delays(
+            download: DelayQuality::from_delays(
                 in_statistics().filter_map(|row| Some((row.at(), row.download()?))),
             ),
         }
     }
 }
 
-impl ClockCounts {
+impl DelayQuality {
     fn from_delays(delays: impl Iterator<Item = (f64, OneWayDelay)>) -> Self {
         let (mut verdicts, mut sources) = (BTreeMap::new(), BTreeMap::new());
         let mut bounds: Vec<(f64, f64)> = Vec::new();
@@ -73,7 +73,7 @@ impl ClockCounts {
                 first.get_or_insert((at, offset));
                 last = Some((at, offset));
             }
-            // Delays without a value count, too: they are what the reader must know about.
+            // Delays without a value are counted, too: readers must know how many delays are unknown.
             *verdicts.entry(delay.verdict.name()).or_default() += 1;
             *sources.entry(delay.source.name()).or_default() += 1;
             bounds.extend(delay.known_bounds());
@@ -92,20 +92,29 @@ impl ClockCounts {
     }
 }
 
-/// Returns the clock offset that was subtracted from the difference of the stamps to give the delay, in seconds. The
-/// longer the delay, the smaller the offset, so the upper bound of the delay gives the lower bound of the offset.
-fn offset(delay: &OneWayDelay) -> Option<Bounded> {
+/// Returns the clock offset that was subtracted from the difference of the stamps to give the delay, in seconds. `None`
+/// if the delay is not known. A longer delay means a smaller offset, so the upper bound of the delay gives the lower
+/// bound of the offset.
+fn offset(delay: &OneWayDelay) -> Option<BoundedEstimate> {
     delay.known_seconds()?;
     let offset_for = |true_delay| (delay.raw - true_delay).seconds();
     let bounds = delay.bounds?;
-    Some(Bounded { value: offset_for(delay.value?), lo: offset_for(bounds.hi), hi: offset_for(bounds.lo) })
+    Some(BoundedEstimate {
+        value: offset_for(delay.value?),
+        lo: offset_for(bounds.hi),
+        hi: offset_for(bounds.lo),
+    })
 }
 
-/// Returns the average growth of the offset between two times.
-fn skew((from, first): (f64, Bounded), (to, last): (f64, Bounded)) -> Option<Bounded> {
+/// Returns the average growth of the offset between two times, which are in seconds. `None` if a time was not recorded.
+// The lower bound belongs to the highest possible offset at the first time and the lowest at the last time.
+fn skew(
+    (from, first): (f64, BoundedEstimate),
+    (to, last): (f64, BoundedEstimate),
+) -> Option<BoundedEstimate> {
     let seconds = to - from;
     // A time is 0 if it was not recorded.
-    (from > 0.0 && seconds > 0.0).then(|| Bounded {
+    (from > 0.0 && seconds > 0.0).then(|| BoundedEstimate {
         value: (last.value - first.value) / seconds,
         lo: (last.lo - first.hi) / seconds,
         hi: (last.hi - first.lo) / seconds,

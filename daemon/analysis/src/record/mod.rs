@@ -3,7 +3,7 @@
 mod clocks;
 
 pub use crate::outcomes::Counts;
-pub use clocks::{Bounded, ClockCounts, Clocks};
+pub use clocks::{BoundedEstimate, Clocks, DelayQuality};
 
 use std::collections::BTreeMap;
 
@@ -57,7 +57,7 @@ pub struct RunRecord {
     pub edge: HostRecord,
     /// Cloud host, which ran the model; `None` if the run had no cloud host, or if the host was not reached.
     pub cloud: Option<HostRecord>,
-    /// Place at which the model ran.
+    /// Where the model ran.
     pub placement: Placement,
     /// Model of the run; `None` if a sensor ran alone.
     pub model: Option<ModelRecord>,
@@ -65,11 +65,11 @@ pub struct RunRecord {
     pub facts: Vec<(String, String)>,
     /// The pipeline's table of the configuration.
     pub pipeline: Value,
-    /// The agent's other tables.
+    /// The other tables of the agent's configuration.
     pub agent: Value,
     /// Position of the run in an experiment; `None` if the run does not belong to an experiment.
     pub experiment: Option<ExperimentPosition>,
-    /// Number of this edge among the edges that used the cloud at the same time; `None` if this was the only edge.
+    /// Number of this edge among the edges that used the cloud at the same time; `None` if this edge was alone.
     pub user: Option<User>,
     /// Longest wait for a missing peer, before the run and during it; seconds.
     #[serde(rename = "patience_s")]
@@ -86,7 +86,7 @@ pub struct RunRecord {
     pub misses: Option<Misses>,
     /// Superseded answers, and success and return of the episodes.
     pub actuator: ActuatorResults,
-    /// Quality of the delays.
+    /// Quality of the delays: their verdicts, sources and bounds.
     pub clocks: Clocks,
     /// Accuracy of the model, by column: `top-1`, `top-5`; empty if the right answers are not known.
     pub accuracy: BTreeMap<String, Accuracy>,
@@ -136,14 +136,14 @@ pub struct HostRecord {
     pub version: String,
     /// Hardware of the host.
     pub hardware: Option<Hardware>,
-    /// Program that disciplines the clock, in words, such as `chrony, stratum 2, to 10.0.0.1`; empty if it was not
-    /// inspected.
+    /// Program that disciplines the clock, in words, such as `chrony, stratum 2, to 10.0.0.1`; empty if the clock
+    /// was not inspected.
     pub clock: String,
     /// Conditions of the host, found before the run, that affect measurements.
     pub conditions: Vec<Condition>,
 }
 
-/// Place at which a run computed.
+/// Where the model of a run ran, if the run had a model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Placement {

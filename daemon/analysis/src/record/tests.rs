@@ -6,7 +6,7 @@ use super::*;
 use crate::rows::Row;
 use crate::testing::{kept, rows};
 
-fn near(found: Option<Bounded>, expected: [f64; 3]) {
+fn assert_near(found: Option<BoundedEstimate>, expected: [f64; 3]) {
     let found = found.expect("is known");
     for (found, expected) in [found.value, found.lo, found.hi].into_iter().zip(expected) {
         assert!((found - expected).abs() < 1e-9, "{found} instead of {expected}");
@@ -19,16 +19,16 @@ fn offset_and_skew_are_recovered_from_stamps() {
     for row in &mut rows {
         row.at = 1000.0 + row.iteration as f64;
     }
-    // The counts include neither warm-up nor messages between contradicting sources.
-    let upload = |row: &mut Row, of: fn(&mut OneWayDelay)| row.upload.as_mut().map(of);
-    upload(&mut rows[0], |delay| delay.raw = Span::from_seconds(9)).expect("was sent");
-    upload(&mut rows[2], |delay| delay.verdict = Verdict::Inconsistent).expect("was sent");
-    upload(&mut rows[9], |delay| delay.raw += Span::from_micros(18)).expect("was sent");
+    // The offsets come neither from warm-up (row 0) nor from a message whose delay is unknown (row 2).
+    let change_upload = |row: &mut Row, change: fn(&mut OneWayDelay)| row.upload.as_mut().map(change);
+    change_upload(&mut rows[0], |delay| delay.raw = Span::from_seconds(9)).expect("was sent");
+    change_upload(&mut rows[2], |delay| delay.verdict = Verdict::Inconsistent).expect("was sent");
+    change_upload(&mut rows[9], |delay| delay.raw += Span::from_micros(18)).expect("was sent");
     let clocks = Clocks::from_rows(&kept(&rows));
-    near(clocks.upload.first_offset, [0.005, 0.00499, 0.00501]);
-    near(clocks.upload.last_offset, [0.005_018, 0.005_008, 0.005_028]);
-    near(clocks.upload.skew, [3e-6, -2e-6 / 6.0, 38e-6 / 6.0]);
-    near(clocks.download.skew, [0.0, -20e-6 / 7.0, 20e-6 / 7.0]);
+    assert_near(clocks.upload.first_offset, [0.005, 0.00499, 0.00501]);
+    assert_near(clocks.upload.last_offset, [0.005_018, 0.005_008, 0.005_028]);
+    assert_near(clocks.upload.skew, [3e-6, -2e-6 / 6.0, 38e-6 / 6.0]);
+    assert_near(clocks.download.skew, [0.0, -20e-6 / 7.0, 20e-6 / 7.0]);
     rows.iter_mut().for_each(|row| row.at = 0.0);
-    assert_eq!(Clocks::from_rows(&kept(&rows)).upload.skew, None, "nobody wrote down when");
+    assert_eq!(Clocks::from_rows(&kept(&rows)).upload.skew, None, "the times were not recorded");
 }

@@ -51,14 +51,14 @@ fn edge_beside_failed_edge_does_not_count() {
     let mut runs = [
         run(0, edge, RunState::Finished, 10),
         run(0, other, failed.clone(), 11),
-        // The same command measures the repeat again.
+        // Both edges measured the repeat again.
         run(0, edge, RunState::Finished, 20),
         run(0, other, RunState::Finished, 21),
         run(1, edge, RunState::Finished, 11),
     ];
     let unfinished = Some(Exclusion::Unfinished(failed));
-    let together = Some(Exclusion::OtherEdgeUnfinished(1));
-    assert_eq!(exclusions(&runs), [together, unfinished.clone(), None, None, None]);
+    let other_unfinished = Some(Exclusion::OtherEdgeUnfinished(1));
+    assert_eq!(exclusions(&runs), [other_unfinished, unfinished.clone(), None, None, None]);
     runs[0].is_named = true;
     assert_eq!(exclusions(&runs), [None, unfinished, None, None, None]);
 }
@@ -76,7 +76,7 @@ fn named_run_counts_in_any_state() {
 }
 
 #[test]
-fn one_of_several_copies_counts() {
+fn only_one_of_several_copies_counts() {
     let first = run(0, HostId::random(), RunState::Finished, 1);
     let runs = [Candidate { rank: 1, ..first.clone() }, first.clone(), first.clone()];
     let copy = Some(Exclusion::CopyOf(1));
@@ -84,5 +84,9 @@ fn one_of_several_copies_counts() {
     let named = [first.clone(), Candidate { is_named: true, rank: 1, ..first.clone() }];
     assert_eq!(exclusions(&named), [Some(Exclusion::CopyOf(1)), None]);
     let unknown = Candidate { id: None, repeat: None, state: None, ..first };
-    assert_eq!(exclusions(&[unknown.clone(), unknown]), [None, None], "nothing is known of either");
+    assert_eq!(
+        exclusions(&[unknown.clone(), unknown]),
+        [None, None],
+        "results without an id are not known to be copies"
+    );
 }

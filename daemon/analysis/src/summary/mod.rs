@@ -24,7 +24,7 @@ pub struct Summary {
     pub quantities: Vec<Quantity>,
     /// Number of iterations by outcome.
     pub counts: Counts,
-    /// Number of warm-up iterations that failed. They are in no other count.
+    /// Number of warm-up iterations that failed. `counts` has these iterations in `warm_up`, not among the failed iterations.
     pub failed_in_warm_up: u64,
     /// Deadline of an iteration, seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
@@ -37,7 +37,7 @@ pub struct Summary {
     /// Description of the distribution that the latencies of the model are drawn from; `None` if the latencies are
     /// measured.
     pub replayed: Option<String>,
-    /// Quality of the delays.
+    /// Quality of the delays: their verdicts, sources and bounds.
     pub clocks: Clocks,
     /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
     pub unknown_labels: Option<UnknownLabels>,
@@ -54,14 +54,14 @@ pub struct Quantity {
     pub count: u64,
     /// Mean of the values.
     pub mean: f64,
-    /// Sample standard deviation; `None` below two numbers.
+    /// Sample standard deviation; `None` below two values.
     pub std: Option<f64>,
     /// Median. All quantiles are computed by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996,
     /// numpy's default).
     pub median: f64,
-    /// 95th percentile; `None` below 60 numbers.
+    /// 95th percentile; `None` below 60 values.
     pub p95: Option<f64>,
-    /// 99th percentile; `None` below 300 numbers.
+    /// 99th percentile; `None` below 300 values.
     pub p99: Option<f64>,
     /// Largest value.
     pub max: f64,
@@ -72,8 +72,11 @@ pub struct Quantity {
 impl Summary {
     /// Returns the summary of these rows.
     pub fn from_rows(rows: &Rows) -> Self {
-        let measurements = rows.names().iter().enumerate().filter(|(index, name)| {
-            FIXED_COLUMNS.get(*index).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
+        // The bounds of delays have another kind. The bounds of throughputs have the kind `Node`, so their names
+        // exclude them.
+        let summarised_columns = rows.names().iter().enumerate().filter(|(index, name)| {
+            FIXED_COLUMNS.get(*index).is_none_or(|(_, kind)| *kind == ColumnKind::Node)
+                && !is_throughput_bound(name)
         });
         let quantity = |(_, name): (usize, &Column)| {
             // Failed iterations missed their deadline, too. They are included, so that the mean of the column is the
@@ -85,8 +88,8 @@ impl Summary {
                     without_warm_up.filter_map(|row| row.value(name)),
                 );
             }
-            // The value of an episode is stored with its last iteration and counts even if this iteration is not in
-            // the statistics.
+            // The value of an episode is stored with the last iteration of the episode. The value counts even if this
+            // iteration is not in the statistics, because it describes the whole episode.
             if EPISODE_VALUES.contains(&name.as_ref()) {
                 return Quantity::from_values(name.clone(), rows.iter().filter_map(|row| row.value(name)));
             }
@@ -95,7 +98,7 @@ impl Summary {
         };
         Self {
             title: String::new(),
-            quantities: measurements.filter_map(quantity).collect(),
+            quantities: summarised_columns.filter_map(quantity).collect(),
             counts: Counts::from_rows(rows, 0),
             failed_in_warm_up: rows.iter().filter(|row| row.warm_up() && row.outcome() != Outcome::Ok).count()
                 as u64,
@@ -127,20 +130,19 @@ impl Summary {
         self
     }
 
-    /// Returns the summary of one column; `None` if no row in the statistics has a number in the
-    /// column.
+    /// Returns the summary of one column; `None` if no row in the statistics has a number in the column.
     pub fn quantity(&self, column: &str) -> Option<&Quantity> {
         self.quantities.iter().find(|quantity| quantity.column == column)
     }
 }
 
 /// Returns whether a column contains the lower or the upper bounds of the throughputs in another column.
-fn is_bound(column: &str) -> bool {
+fn is_throughput_bound(column: &str) -> bool {
     column.ends_with("-throughput-lo") || column.ends_with("-throughput-hi")
 }
 
-/// Returns the [bounds of the median](median_bounds) of a column; `None` unless every value in the statistics
-/// has bounds.
+/// Returns the [bounds of the median](median_bounds) of a column; `None` unless every value in the statistics has
+/// bounds.
 pub fn median_bounds_of(rows: &Rows, column: &str) -> Option<(f64, f64)> {
     let columns_with_bounds = ["upload", "download", "upload-throughput", "download-throughput"];
     columns_with_bounds.contains(&column).then_some(())?;

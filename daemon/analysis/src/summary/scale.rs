@@ -3,8 +3,7 @@
 use peernet_logger::Unit;
 use peernet_statistics::number::{decimals, fixed, milliseconds, significant, throughput};
 
-/// Names of nodes whose values are times, wherever the nodes are in the tree. Columns with these names are times in
-/// files of any program.
+/// Names of columns whose values are times, also in files of other programs, which have no units.
 const DURATION_COLUMNS: [&str; 19] = [
     "sensing",
     "upload",
@@ -65,11 +64,11 @@ impl Scale {
 
     /// Returns the scale of numbers that were logged in this unit.
     pub fn for_unit(unit: &str) -> Self {
-        let is = |logged_unit: &Unit| unit == logged_unit.symbol();
+        let is_symbol_of = |known_unit: &Unit| unit == known_unit.symbol();
         match unit {
-            _ if is(&Unit::SECONDS) => Self::Milliseconds,
-            _ if is(&Unit::BITS_PER_SECOND) => Self::MegabytesPerSecond,
-            _ if is(&Unit::BYTES) => Self::Bytes,
+            _ if is_symbol_of(&Unit::SECONDS) => Self::Milliseconds,
+            _ if is_symbol_of(&Unit::BITS_PER_SECOND) => Self::MegabytesPerSecond,
+            _ if is_symbol_of(&Unit::BYTES) => Self::Bytes,
             _ => Self::AsMeasured,
         }
     }
@@ -111,11 +110,11 @@ impl Scale {
     }
 }
 
-/// Returns the name of a column without an appended number.
+/// Returns the name of a column without an appended number: `upload` for `upload_2`.
 fn without_number(column: &str) -> &str {
     let column = column.strip_suffix(VALUE_SUFFIX).unwrap_or(column);
-    let is_number = |last: &str| last.bytes().all(|byte| byte.is_ascii_digit());
-    column.rsplit_once('_').filter(|(_, last)| is_number(last)).map_or(column, |(front, _)| front)
+    let is_number = |ending: &str| ending.bytes().all(|byte| byte.is_ascii_digit());
+    column.rsplit_once('_').filter(|(_, ending)| is_number(ending)).map_or(column, |(name, _)| name)
 }
 
 #[cfg(test)]
@@ -123,15 +122,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn user_column_has_logged_unit_whatever_its_suffix() {
+    fn column_of_custom_code_has_logged_unit_whatever_its_suffix() {
         assert_eq!(Scale::for_column("upload-bytes", None), Scale::Bytes);
-        assert_eq!(Scale::for_column("crop-bytes", None), Scale::AsMeasured, "a plain number, as on pages");
+        assert_eq!(Scale::for_column("crop-bytes", None), Scale::AsMeasured, "no unit was logged");
         assert_eq!(Scale::for_column("crop-bytes", Some("B")), Scale::Bytes);
     }
 
     #[test]
     fn nested_node_with_name_of_stage_has_logged_unit() {
-        assert_eq!(Scale::for_column("inference_queue", None), Scale::AsMeasured, "a length, for example");
+        assert_eq!(
+            Scale::for_column("inference_queue", None),
+            Scale::AsMeasured,
+            "the value may be the length of a queue"
+        );
         assert_eq!(Scale::for_column("inference_queue", Some("s")), Scale::Milliseconds);
         assert_eq!(Scale::for_column("upload_2", Some("B")), Scale::Bytes);
         for column in ["queue", "upload_2", "capture_capture-ipc"] {

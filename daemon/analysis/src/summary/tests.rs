@@ -19,10 +19,10 @@ fn quantity_matches_reference_statistics() {
         Quantity::from_values("x".into(), (1..=300).map(|n| f64::from(n).powf(1.5))).expect("numbers");
     let close = |value: f64, expected: f64| (value - expected).abs() < 1e-9 * expected;
     assert!(close(quantity.mean, PYTHON[0]), "{}", quantity.mean);
-    assert!(close(quantity.std.expect("many"), PYTHON[1]), "{:?}", quantity.std);
+    assert!(close(quantity.std.expect("many numbers"), PYTHON[1]), "{:?}", quantity.std);
     assert!(close(quantity.median, PYTHON[2]), "{}", quantity.median);
-    assert!(close(quantity.p95.expect("many"), PYTHON[3]), "{:?}", quantity.p95);
-    assert!(close(quantity.p99.expect("many"), PYTHON[4]), "{:?}", quantity.p99);
+    assert!(close(quantity.p95.expect("many numbers"), PYTHON[3]), "{:?}", quantity.p95);
+    assert!(close(quantity.p99.expect("many numbers"), PYTHON[4]), "{:?}", quantity.p99);
     assert!(close(quantity.max, PYTHON[5]), "{}", quantity.max);
 }
 

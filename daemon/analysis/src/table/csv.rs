@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::WriteError;
 
 /// Writes a file of comma-separated values: a header and rows with the same number of cells.
-pub(crate) fn csv(
+pub(crate) fn write_csv(
     path: &Path,
     header: &[&str],
     rows: impl Iterator<Item = Vec<String>>,
@@ -26,7 +26,7 @@ pub fn csv_text(header: &[&str], rows: &[Vec<String>]) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let result =
         writer.write_record(header).and_then(|()| rows.iter().try_for_each(|row| writer.write_record(row)));
-    result.expect("memory takes rows of one length");
-    let bytes = writer.into_inner().expect("memory can be flushed");
-    String::from_utf8(bytes).expect("made of text")
+    result.expect("all rows have as many cells as the header");
+    let bytes = writer.into_inner().expect("writing to memory does not fail");
+    String::from_utf8(bytes).expect("the cells are UTF-8")
 }

@@ -40,12 +40,13 @@ const GREEK: [(char, &str); 34] = [
     ('Ω', "Omega"),
 ];
 
-/// Scales a table down to the width of the page if it is wider, so that names of any length fit.
+/// LaTeX command that scales a table down to the width of the page if the table is wider than the page. Names of
+/// any length then fit.
 const RESIZE_TO_PAGE: &str = "\\resizebox{\\ifdim\\width>\\linewidth \\linewidth\\else\\width\\fi}{!}{%";
 
 pub(super) fn table(table: &Table, caption: &str) -> String {
     let columns: String =
-        (0..table.header.len()).map(|column| if column < table.labels { 'l' } else { 'r' }).collect();
+        (0..table.header.len()).map(|column| if column < table.label_columns { 'l' } else { 'r' }).collect();
     let line = |cells: &[String], bold_column: Option<usize>| {
         let cell = |(column, cell): (usize, &String)| {
             let is_bold = bold_column == Some(column);
@@ -66,7 +67,7 @@ pub(super) fn table(table: &Table, caption: &str) -> String {
     )
 }
 
-/// Returns a comment on the fonts that these letters need; empty if all letters are ASCII.
+/// Returns a comment that names the fonts or the program that these letters need; empty if all letters are ASCII.
 fn fonts(chars: impl Iterator<Item = char>) -> String {
     let (mut has_latin, mut other_letters) = (false, Vec::new());
     for char in chars.filter(|char| !char.is_ascii()) {
@@ -97,7 +98,8 @@ pub fn escape(text: &str) -> String {
     for char in text.chars() {
         match char {
             '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', char]),
-            // After `\\`, the end of a row, LaTeX would read these characters as arguments of `\\`.
+            // At the beginning of a row, LaTeX would read these characters as arguments of the `\\` that ends the row
+            // before.
             '[' | ']' | '*' => out.extend(['{', char, '}']),
             // Two equal characters of this kind would become one dash or one quotation mark.
             '-' | '\'' | ',' | '`' if previous == char => out.extend(['{', '}', char]),
@@ -125,7 +127,7 @@ pub fn escape(text: &str) -> String {
             'µ' => out.push_str("$\\mu$"),
             '–' => out.push_str("--"),
             '—' => out.push_str("---"),
-            // Marks of direction and breaks, joiners, the byte order mark.
+            // Invisible: soft hyphens, joiners, marks of writing direction, line separators, the byte order mark.
             '\u{ad}'
             | '\u{200b}'..='\u{200f}'
             | '\u{2028}'..='\u{202e}'
@@ -159,7 +161,7 @@ mod tests {
 
     #[test]
     fn escaped_text_has_no_arguments_or_ligatures() {
-        assert_eq!(escape("[x] *"), "{[}x{]} {*}", "after \\\\ they would be");
+        assert_eq!(escape("[x] *"), "{[}x{]} {*}", "LaTeX would read [, ] and * as arguments of \\\\");
         assert_eq!(escape("a--b --- ''x'' ``y`` ,, ?`"), "a-{}-b -{}-{}- '{}'x'{}' `{}`y`{}` ,{}, ?{}`");
     }
 
@@ -177,7 +179,7 @@ mod tests {
     fn rows(rows: &[[&str; 2]]) -> Table {
         Table {
             header: vec!["model".to_owned(), "ms".to_owned()],
-            labels: 1,
+            label_columns: 1,
             rows: rows.iter().map(|row| row.map(str::to_owned).to_vec()).collect(),
             marked: Some((0, 1)),
         }
@@ -196,10 +198,10 @@ mod tests {
 
     #[test]
     fn required_fonts_are_named() {
-        let second =
+        let font_comment =
             |name: &str| rows(&[[name, "1"]]).latex("").lines().nth(1).unwrap_or_default().to_owned();
-        assert_eq!(second("5 µm, Ω → 2 × θ"), "\\begin{table*}");
-        assert_eq!(second("Größe é ł «x» đ ½ …"), "% needs \\usepackage[T1]{fontenc}");
-        assert_eq!(second("車車いす é ŧ"), "% needs LuaLaTeX or XeLaTeX, and a font that has ŧいす車");
+        assert_eq!(font_comment("5 µm, Ω → 2 × θ"), "\\begin{table*}");
+        assert_eq!(font_comment("Größe é ł «x» đ ½ …"), "% needs \\usepackage[T1]{fontenc}");
+        assert_eq!(font_comment("車車いす é ŧ"), "% needs LuaLaTeX or XeLaTeX, and a font that has ŧいす車");
     }
 }

@@ -9,7 +9,7 @@ pub(super) fn table(table: &Table) -> String {
     let mut text = line(table.header.iter().map(|cell| escape(cell)).collect());
     text += &line(
         (0..table.header.len())
-            .map(|column| if column < table.labels { "---" } else { "---:" }.to_owned())
+            .map(|column| if column < table.label_columns { "---" } else { "---:" }.to_owned())
             .collect(),
     );
     for (row, cells) in table.rows.iter().enumerate() {
@@ -22,7 +22,7 @@ pub(super) fn table(table: &Table) -> String {
     text
 }
 
-/// Escapes characters that have a meaning in Markdown.
+/// Escapes characters that have a meaning in Markdown. Line breaks become blanks, because they would end the row.
 fn escape(cell: &str) -> String {
     let mut text = String::with_capacity(cell.len());
     for char in printable_line(cell).chars() {
@@ -42,7 +42,7 @@ mod tests {
     fn cells_cannot_break_the_table() {
         let table = Table {
             header: vec!["a|b".to_owned(), "n".to_owned()],
-            labels: 1,
+            label_columns: 1,
             rows: vec![vec!["x_y".to_owned(), "1.0".to_owned()], vec!["*\nz".to_owned(), String::new()]],
             marked: Some((0, 1)),
         };

@@ -5,16 +5,16 @@ mod latex;
 mod markdown;
 mod text;
 
-pub(crate) use csv::csv;
 pub use csv::csv_text;
+pub(crate) use csv::write_csv;
 pub use latex::escape as latex_escape;
 pub use text::text;
 
 use peernet_statistics::number::decimals;
 
 /// Returns the number of decimals of a column. The number that is closest to zero, but not zero, has three significant
-/// digits. This would take very many decimals if the numbers differ much, so there are at most two decimals more than
-/// the largest number needs for three digits.
+/// digits. If the numbers differ much, this rule would give very many decimals. There are therefore at most two
+/// decimals more than the largest number needs for three digits.
 pub fn decimals_of(values: impl Iterator<Item = f64>) -> usize {
     let (mut needed, mut largest) = (0, 0.0_f64);
     for value in values.filter(|value| value.is_finite() && *value != 0.0) {
@@ -30,10 +30,10 @@ pub struct Table {
     /// Titles of the columns.
     pub header: Vec<String>,
     /// Number of columns from the left that are text and aligned left. The other columns are numbers and aligned right.
-    pub labels: usize,
+    pub label_columns: usize,
     /// Rows with as many cells as the header.
     pub rows: Vec<Vec<String>>,
-    /// Marked cell, such as the smallest mean: indexes of its row and its column.
+    /// Marked cell, such as the smallest mean: the index of the row and the index of the column.
     pub marked: Option<(usize, usize)>,
 }
 
@@ -85,7 +85,7 @@ mod tests {
 
     #[test]
     fn column_has_equal_decimals() {
-        assert_eq!(decimals_of([0.000_34, 6.5].into_iter()), 4, "0.0003 and 6.5000");
+        assert_eq!(decimals_of([0.000_34, 6.5].into_iter()), 4, "shown as 0.0003 and 6.5000");
         assert_eq!(decimals_of([0.041_8, 0.394].into_iter()), 4);
         assert_eq!(decimals_of([640.1, 16.2, 0.0, f64::INFINITY].into_iter()), 1);
     }

@@ -10,6 +10,7 @@ pub fn text(header: &[&str], rows: &[Vec<String>]) -> String {
     lines(&header.iter().map(|&cell| cell.to_owned()).collect::<Vec<_>>(), rows, 1)
 }
 
+/// Returns the text of a table. An asterisk follows the marked cell.
 pub(super) fn table(table: &Table) -> String {
     let (mut header, mut rows) = (table.header.clone(), table.rows.clone());
     if let Some((marked_row, column)) = table.marked {
@@ -19,10 +20,11 @@ pub(super) fn table(table: &Table) -> String {
             cells[column].push_str(if row == marked_row { " *" } else { "  " });
         }
     }
-    lines(&header, &rows, table.labels)
+    lines(&header, &rows, table.label_columns)
 }
 
-fn lines(header: &[String], rows: &[Vec<String>], labels: usize) -> String {
+/// Returns lines of aligned cells. The first `label_columns` columns are aligned left, the others right.
+fn lines(header: &[String], rows: &[Vec<String>], label_columns: usize) -> String {
     let printable =
         |cells: &[String]| cells.iter().map(|cell| printable_line(cell).into_owned()).collect::<Vec<_>>();
     let (header, rows) = (printable(header), rows.iter().map(|row| printable(row)).collect::<Vec<_>>());
@@ -31,14 +33,13 @@ fn lines(header: &[String], rows: &[Vec<String>], labels: usize) -> String {
         cells.chain([header[column].chars().count()]).max().unwrap_or_default()
     };
     let widths: Vec<usize> = (0..header.len()).map(width).collect();
-    let line =
-        |cells: &[String]| {
-            let cells = cells.iter().zip(&widths).enumerate();
-            let cells = cells.map(|(column, (cell, width))| {
-                if column < labels { format!("{cell:<width$}") } else { format!("{cell:>width$}") }
-            });
-            cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
-        };
+    let line = |cells: &[String]| {
+        let cells = cells.iter().zip(&widths).enumerate();
+        let cells = cells.map(|(column, (cell, width))| {
+            if column < label_columns { format!("{cell:<width$}") } else { format!("{cell:>width$}") }
+        });
+        cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+    };
     std::iter::once(line(&header)).chain(rows.iter().map(|row| line(row))).collect::<Vec<_>>().join("\n")
 }
 
@@ -60,7 +61,7 @@ mod tests {
         let cells = |cells: [&str; 4]| cells.map(str::to_owned).to_vec();
         let table = Table {
             header: cells(["model", "network", "total", "success"]),
-            labels: 2,
+            label_columns: 2,
             rows: vec![cells(["s", "LAN", "9.50", "0.0"]), cells(["medium", "5G", "100.25", "50.0"])],
             marked: Some((0, 2)),
         };

@@ -57,8 +57,8 @@ fn axis_of_edges(users: &Users) -> Option<usize> {
         label.split(|char: char| !char.is_ascii_digit()).any(|number| number.parse() == Ok(edges))
     };
     let axes = || (0..users.axes.len()).filter(|_| edges_vary);
-    // An axis whose labels are the numbers themselves comes first: labels of another axis, such as the model `v2`, may contain
-    // the same numbers by chance.
+    // An axis whose labels are the numbers themselves comes first: labels of another axis, such as the model `v2`, may
+    // contain the same numbers by chance.
     let axis_of_numbers = axes().find(|axis| all_labels_match(*axis, &is_number));
     axis_of_numbers.or_else(|| axes().find(|axis| all_labels_match(*axis, &contains_number)))
 }

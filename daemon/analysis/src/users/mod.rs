@@ -176,8 +176,8 @@ impl Users {
             let repeats: Vec<Repeat<SortedValues>> =
                 groups.iter().map(|edges| concurrent_edges::repeat_from_edges(edges)).collect();
             let totals: SortedValues = match groups.as_slice() {
-                // If each repeat has a single edge, all totals of this edge are used, so that the numbers are those of the
-                // comparison of all configurations.
+                // If each repeat has a single edge, all totals of this edge are used, so that the numbers are those of
+                // the comparison of all configurations.
                 groups if groups[0].len() == 1 => {
                     groups.iter().flat_map(|edges| edges[0].rows.values_in_statistics("total")).collect()
                 }
@@ -198,8 +198,8 @@ impl Users {
 }
 
 impl UsersLine {
-    /// Returns the line of a configuration with `edges` edges, from its repeats. The field `replayed` is `None`: the repeats
-    /// do not tell which latencies are replayed.
+    /// Returns the line of a configuration with `edges` edges, from its repeats. The field `replayed` is `None`: the
+    /// repeats do not tell which latencies are replayed.
     pub fn new<T: WithMedian>(
         labels: Vec<String>,
         edges: usize,

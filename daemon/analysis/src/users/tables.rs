@@ -60,7 +60,7 @@ impl Users {
 
     fn table(&self) -> Table {
         let mut header = self.axes.clone();
-        let labels = header.len();
+        let label_columns = header.len();
         header.extend(["edges", "iterations/s", "per edge", "fairness"].map(str::to_owned));
         header.extend(["mean ms", "p50 ms", "p95 ms", "p99 ms"].map(|name| format!("total {name}")));
         let row = |line: &UsersLine| {
@@ -68,13 +68,13 @@ impl Users {
             let quantiles = quantiles.map(|value| cell(value, milliseconds));
             line.labels.iter().cloned().chain(line.cell_texts()).chain(quantiles).collect()
         };
-        Table { header, labels, rows: self.lines.iter().map(row).collect(), marked: None }
+        Table { header, label_columns, rows: self.lines.iter().map(row).collect(), marked: None }
     }
 }
 
 impl UsersLine {
-    /// Returns the texts of five cells: the number of edges, the rate, the range of the edges' rates, the fairness, and the mean
-    /// total in ms.
+    /// Returns the texts of five cells: the number of edges, the rate, the range of the edges' rates, the fairness, and
+    /// the mean total in ms.
     pub fn cell_texts(&self) -> [String; 5] {
         let range = self.rate_range().map(|(least, most)| join_ends([least, most].map(rate)));
         [

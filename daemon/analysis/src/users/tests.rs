@@ -15,7 +15,8 @@ fn jain_index_ranges_from_one_nth_to_one() {
     assert_eq!((jain_index(&[]), jain_index(&[0.0])), (None, None));
 }
 
-/// Returns an edge that makes `count` requests from `from` on, one every `period` seconds. Each total is `total` seconds.
+/// Returns an edge that makes `count` requests from `from` on, one every `period` seconds. Each total is `total`
+/// seconds.
 fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), period: f64, count: u32, total: f64) -> Loaded {
     let row = |index: u32| Row {
         iteration: u64::from(index) + 1,

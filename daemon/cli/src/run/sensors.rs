@@ -35,7 +35,7 @@ impl Sensors {
         let mut header: Vec<String> = axes.collect();
         header.extend(has_repeats.then(|| "repeat".to_owned()));
         header.extend(has_several_edges.then(|| "edge".to_owned()));
-        let labels = header.len();
+        let label_columns = header.len();
         let figures = ["samples", "rate /s", "period", "jitter p50", "jitter p99", "longest gap", "sensing"];
         header.extend(figures.into_iter().chain(["dropped", "failed"]).map(str::to_owned));
         let row = |(run, edge, study): &(&Run, &Loaded, SensorStudy)| {
@@ -48,7 +48,7 @@ impl Sensors {
         };
         let unnumbered = sensor_only.iter().any(|(_, _, study)| study.dropped.is_none());
         Some(Self {
-            table: Table { header, labels, rows: sensor_only.iter().map(row).collect(), marked: None },
+            table: Table { header, label_columns, rows: sensor_only.iter().map(row).collect(), marked: None },
             note: format!("{NOTE}{}", if unnumbered { UNNUMBERED } else { "" }),
             covers_all_runs: sensor_only.len() == edges.len(),
         })

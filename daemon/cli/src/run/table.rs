@@ -31,7 +31,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
         !axis_shows_users && plan.configurations.iter().any(|configuration| configuration.users > 1);
     header.extend(has_users_column.then(|| "users".to_owned()));
     header.push("state".to_owned());
-    let labels = header.len();
+    let label_columns = header.len();
     header.push("time".to_owned());
     let rows = record.runs().map(|(run, state)| {
         let configuration = plan.configuration(run);
@@ -45,7 +45,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
         cells.push(time_s.map_or_else(|| UNKNOWN.to_owned(), length));
         cells
     });
-    Table { header, labels, rows: rows.collect(), marked: None }.text()
+    Table { header, label_columns, rows: rows.collect(), marked: None }.text()
 }
 
 /// Describes the number of runs to do and their duration.
