@@ -1,7 +1,8 @@
-//! Checks of each request: the host name by which it addresses this server, and the site of the page that sends it.
+//! Checks of each request: the host name by which the request addresses this server, and the site of the page that sends
+//! the request.
 //!
-//! There is no login: everyone who reaches the address may use it. The server therefore listens on loopback only unless the configuration
-//! allows other addresses.
+//! There is no login: everyone who reaches the server's address may use the server. Without a
+//! configuration that allows other addresses, the server therefore listens on loopback addresses only.
 
 use std::net::Ipv6Addr;
 
@@ -12,19 +13,20 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use crate::error::WebError;
-use crate::server_names::has_name_form;
+use crate::server_names::has_host_name_syntax;
 use crate::state::App;
 
 /// Returns the host of `HOST[:PORT]`, where `HOST` is a name, an IPv4 address or an IPv6 address in brackets. Returns `None` for any
 /// other form.
 fn parse_host(authority: &str) -> Option<&str> {
+    // Every other form is an error: a text that this parser and another program read differently could pass the check of the name.
     let host_end = authority
         .find(']')
         .map_or_else(|| authority.find(':').unwrap_or(authority.len()), |bracket| bracket + 1);
     let (host, port) = authority.split_at(host_end);
     let is_host_valid = match host.strip_prefix('[') {
         Some(rest) => rest.strip_suffix(']')?.parse::<Ipv6Addr>().is_ok(),
-        None => has_name_form(host),
+        None => has_host_name_syntax(host),
     };
     let is_port_valid = port.is_empty() || port.strip_prefix(':').is_some_and(is_port);
     (is_host_valid && is_port_valid).then_some(host)
@@ -42,13 +44,13 @@ fn is_port(text: &str) -> bool {
 /// `BadRequest` unless exactly one valid Host header is present, and it agrees with the request's target.
 fn requested_host(request: &Request) -> Result<&str, WebError> {
     let bad_request = |text: &str| WebError::BadRequest(text.to_owned());
-    let mut hosts = request.headers().get_all(HOST).iter();
-    let host = match (hosts.next(), hosts.next()) {
-        (Some(host), None) => host,
+    let mut host_headers = request.headers().get_all(HOST).iter();
+    let host_header = match (host_headers.next(), host_headers.next()) {
+        (Some(host_header), None) => host_header,
         (None, _) => return Err(bad_request("the request has no Host header; send one")),
         (Some(_), Some(_)) => return Err(bad_request("the request has several Host headers; send one")),
     };
-    let parsed_host = host.to_str().ok().and_then(|text| Some((text, parse_host(text)?)));
+    let parsed_host = host_header.to_str().ok().and_then(|text| Some((text, parse_host(text)?)));
     let (authority, host) = parsed_host
         .ok_or_else(|| bad_request("the Host header is not a name or address with an optional port"))?;
     // A request to a proxy names the server in its target, too (RFC 9112, 3.2.2). Only the name in the Host header is
@@ -118,10 +120,10 @@ mod tests {
                     .collect(),
             )
         };
-        assert!(is_accepted(&[]), "a program");
+        assert!(is_accepted(&[]), "a program sends neither header");
         assert!(is_accepted(&[("sec-fetch-site", "same-origin"), ("origin", "http://localhost:8040")]));
-        assert!(is_accepted(&[("sec-fetch-site", "none")]), "typed by the user");
-        assert!(is_accepted(&[("origin", "http://LOCALHOST:8040")]), "an old browser");
+        assert!(is_accepted(&[("sec-fetch-site", "none")]), "the user entered the address");
+        assert!(is_accepted(&[("origin", "http://LOCALHOST:8040")]), "a browser without Sec-Fetch-Site");
         for site in ["cross-site", "same-site", ""] {
             assert!(!is_accepted(&[("sec-fetch-site", site), ("origin", "http://localhost:8040")]), "{site}");
         }
@@ -183,9 +185,12 @@ mod tests {
             requested_host(&request).map(str::to_owned)
         };
         let get = |target: &str| Request::get(target);
-        assert_eq!(host(get("/").header(HOST, "a.example:8040")).expect("one"), "a.example");
-        assert_eq!(host(get("http://[::1]:80/").header(HOST, "[::1]:80")).expect("the same"), "[::1]");
-        assert_eq!(host(get("http://A.example/").header(HOST, "a.example")).expect("the same"), "a.example");
+        assert_eq!(host(get("/").header(HOST, "a.example:8040")).expect("one Host header"), "a.example");
+        assert_eq!(host(get("http://[::1]:80/").header(HOST, "[::1]:80")).expect("equal names"), "[::1]");
+        assert_eq!(
+            host(get("http://A.example/").header(HOST, "a.example")).expect("equal names"),
+            "a.example"
+        );
         for wrong in [
             get("/"),
             get("/").version(Version::HTTP_10),

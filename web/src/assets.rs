@@ -1,7 +1,9 @@
-//! Style sheets, scripts and the font. They are inside the binary, so that the pages work without a network.
+//! Assets of the pages: style sheets, scripts, the font and the icon. The binary contains the assets, so that the pages
+//! work without a network.
 //!
-//! They are served below `/static/HASH/`, where HASH is a hash of their contents. A browser may therefore cache them without limit, and
-//! fetches them again after an update. Compressible assets are compressed once, when the server starts.
+//! Assets are served below `/static/HASH/`, where HASH is a hash of all assets. A browser may therefore cache an asset
+//! without limit, and fetches the asset again after an update. Compressible assets are compressed once, when the server
+//! starts.
 
 use std::hash::{DefaultHasher, Hasher};
 use std::io::Write as _;
@@ -62,6 +64,7 @@ static ASSETS: LazyLock<Assets> = LazyLock::new(|| {
                 .as_bytes(),
         ),
     ];
+    // `DefaultHasher::new()` has no random key, so a restart of the same program keeps the addresses of the assets.
     let mut hasher = DefaultHasher::new();
     for (name, _, bytes) in &files {
         hasher.write(name.as_bytes());
@@ -110,8 +113,9 @@ pub(crate) async fn serve(
     let headers_of_asset = [
         (CONTENT_TYPE, asset.content_type),
         // The address contains a hash of the contents. Changed contents therefore have another address, and a browser
-        // never has to ask again.
+        // never has to ask whether its copy is current.
         (CACHE_CONTROL, "public, max-age=31536000, immutable"),
+        // A proxy must not give the compressed form to a client that cannot decompress it.
         (VARY, "accept-encoding"),
     ];
     Ok(match gzipped {

@@ -51,11 +51,11 @@ impl Default for WebConfig {
 }
 
 impl WebConfig {
-    /// Returns all problems of the configuration that can be found without starting.
+    /// Returns all problems of the configuration that can be found without starting the server.
     pub fn check(&self) -> Vec<ConfigProblem> {
-        let names = self.server_names.iter().filter_map(|name| server_names::name_problem(name));
-        let names = names.map(|message| ConfigProblem { key: "server_names", message });
-        self.listen_address().err().into_iter().chain(names).chain(self.warn.check()).collect()
+        let messages = self.server_names.iter().filter_map(|name| server_names::name_problem(name));
+        let name_problems = messages.map(|message| ConfigProblem { key: "server_names", message });
+        self.listen_address().err().into_iter().chain(name_problems).chain(self.warn.check()).collect()
     }
 
     /// Returns the address to listen on, if the configuration allows it.
@@ -71,8 +71,8 @@ impl WebConfig {
             return Ok(address);
         }
         Err(new_problem(format!(
-            "{address} can be reached from other machines, and the dashboard has no login: everyone who reaches it \
-             can read all hosts, configurations and measurements; listen on 127.0.0.1, or set \
+            "{address} can be reached from other machines, and the dashboard has no login: everyone who reaches the \
+             address can read all hosts, configurations and measurements; listen on 127.0.0.1, or set \
              allow_unauthenticated = true if that is intended"
         )))
     }
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn other_addresses_need_allow_unauthenticated() {
+    fn non_loopback_address_needs_allow_unauthenticated() {
         for address in ["0.0.0.0:8040", "[::]:8040", "192.0.2.7:8040"] {
             let problems = problems_of_address(address, false);
             assert_eq!(problems.len(), 1, "{address}");

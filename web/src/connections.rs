@@ -1,12 +1,12 @@
-//! The accept loop, the limits of a connection that sends no request, and the shutdown of all connections.
+//! The loop that accepts connections, the limits of connections and live streams, and the shutdown of all connections.
 //!
 //! At most [`Limits::connections`] connections are open at a time, and client addresses share them ([`FairSlots`]). A further connection
 //! replaces the oldest connection of the address that has the most connections. But if no address has at least two more connections than
 //! the address of the further connection, the further connection is closed.
 //!
-//! Live streams never end. At most [`Limits::streams`] of them are open, shared in the same way, and at most
-//! [`Limits::streams_per_address`] of one address, so that connections and processor time remain for all other requests. A further
-//! stream is answered with 503.
+//! Live streams never end. At most [`Limits::streams`] live streams are open, so that connections and processor time remain
+//! for all other requests. Client addresses share the live streams as they share the connections, and one address has at
+//! most [`Limits::streams_per_address`]. A request for a further live stream is answered with 503.
 //!
 //! A connection is closed if it does not complete a request header within [`Limits::header_timeout`], whether it is idle or sends byte by
 //! byte. A connection whose peer reads nothing for [`Limits::unread_timeout`] is closed as well.
@@ -38,10 +38,10 @@ use crate::fair_slots::{FairSlots, Slot, SlotRefusal};
 const MAX_BUFFER_BYTES: usize = 64 << 10;
 /// Maximum size of the request line and all headers together, bytes.
 const MAX_HEADER_BYTES: usize = 64 << 10;
-/// Delay before the next `accept` if the last `accept` failed because file descriptors or memory were exhausted.
+/// Delay before the next `accept` after an `accept` failed.
 const ACCEPT_RETRY_DELAY: Duration = Duration::from_secs(1);
-/// Maximum number of live streams of one client address. For each stream, the server computes an update four times a
-/// second.
+/// Maximum number of live streams of one client address. It limits the processor time that one client can use: the server
+/// computes an update for each stream four times a second.
 const MAX_STREAMS_PER_ADDRESS: usize = 32;
 
 /// Limits of the server's connections.
@@ -76,8 +76,8 @@ impl Limits {
     }
 }
 
-/// Serves until `stop` is cancelled, and then until every connection is closed. After [`Limits::grace_period`] it closes the connections
-/// that are still open.
+/// Serves connections until `stop` is cancelled. Then waits until every connection is closed, and closes the connections
+/// that are still open after [`Limits::grace_period`].
 pub(crate) async fn accept(
     listener: TcpListener,
     router: Router,
@@ -85,7 +85,7 @@ pub(crate) async fn accept(
     stop: CancellationToken,
     limits: Limits,
 ) {
-    // One address may have all connections, because it loses them as soon as others need them.
+    // One address may have all connections, because it loses connections as soon as other addresses need them.
     let slots = FairSlots::new(limits.connections, usize::MAX);
     let stream_slots = FairSlots::new(limits.streams, limits.streams_per_address);
     let tasks = TaskTracker::new();
@@ -94,14 +94,14 @@ pub(crate) async fn accept(
     while let Some(accepted) = stop.run_until_cancelled(acceptor.accept(&listener)).await {
         let AcceptedConnection { tcp_stream, address, evict, slot } = accepted;
         let stream_slots = StreamSlots { slots: stream_slots.clone(), address, evict: evict.clone() };
-        let serve = serve(tcp_stream, router.clone(), stream_slots, stop.clone(), limits);
+        let connection = serve(tcp_stream, router.clone(), stream_slots, stop.clone(), limits);
         tasks.spawn(async move {
-            evict.run_until_cancelled(serve).await;
+            evict.run_until_cancelled(connection).await;
             // The slot is dropped after the connection, so that there are never more open connections than slots.
             drop(slot);
         });
     }
-    // New connections are refused while the open ones finish.
+    // New connections are refused while the open connections finish.
     drop(listener);
     tasks.close();
     if tokio::time::timeout(limits.grace_period, tasks.wait()).await.is_err() {
@@ -112,12 +112,12 @@ pub(crate) async fn accept(
     }
 }
 
-/// The slots of live streams, as the requests of one connection see them.
+/// The slots of live streams, with the address and the eviction token of the connection that requests a slot.
 #[derive(Clone, Debug)]
 pub(crate) struct StreamSlots {
     slots: FairSlots,
     address: AddressGroup,
-    /// Closes the connection when it is cancelled. A stream ends together with its connection, even while its client reads nothing.
+    /// Closes the connection when this token is cancelled. A stream ends together with its connection, even while its client reads nothing.
     evict: CancellationToken,
 }
 
@@ -130,10 +130,10 @@ impl StreamSlots {
         self.slots.acquire(self.address, self.evict.clone()).await.map_err(|refusal| {
             WebError::TooManyStreams(match refusal {
                 SlotRefusal::AddressLimitReached(count) => format!(
-                    "{count} live streams are open from this address, the limit of one address; close one and try again"
+                    "{count} live streams are open from this address, which is the limit of one address; close a stream and try again"
                 ),
                 SlotRefusal::AllSlotsTaken(count) => format!(
-                    "{count} live streams are open, the limit of all addresses together; try again when one has been closed"
+                    "{count} live streams are open, which is the limit of all addresses together; try again when a stream has been closed"
                 ),
             })
         })
@@ -149,17 +149,17 @@ struct AcceptedConnection {
     slot: Slot,
 }
 
-/// Accepts connections as long as slots are free.
+/// Accepts connections, and closes each connection that gets no slot.
 struct Acceptor {
     slots: FairSlots,
-    /// Closes all connections when it is cancelled.
+    /// Closes all connections when this token is cancelled.
     close_all: CancellationToken,
     clock: SharedClock,
     log: LogThrottle,
 }
 
 impl Acceptor {
-    /// Accepts connections until one gets a slot, and returns it.
+    /// Accepts connections until a connection gets a slot, and returns this connection.
     async fn accept(&mut self, listener: &TcpListener) -> AcceptedConnection {
         loop {
             match listener.accept().await {
@@ -175,6 +175,7 @@ impl Acceptor {
                     if let Some(times) = self.log.count_event(&error.to_string(), None, self.clock.mono()) {
                         tracing::error!(times, %error, "cannot accept a connection to the web server; trying again in one second");
                     }
+                    // Usually, file descriptors or memory are exhausted. An immediate retry would fail again.
                     tokio::time::sleep(ACCEPT_RETRY_DELAY).await;
                 }
             }
@@ -183,7 +184,7 @@ impl Acceptor {
 
     fn log_refusal(&mut self, peer: SocketAddr) {
         if let Some(times) = self.log.count_event("full", None, self.clock.mono()) {
-            tracing::warn!(times, %peer, "closed a new connection to the web server: the maximum number is open, and no other address has at least two more than this one");
+            tracing::warn!(times, %peer, "closed a new connection to the web server: the maximum number of connections is open, and no other address has at least two connections more than the address of the new connection");
         }
     }
 }
@@ -224,8 +225,8 @@ async fn serve(
     let result = tokio::select! {
         result = connection.as_mut() => result,
         () = stop.cancelled() => {
-            // `graceful_shutdown` closes an idle connection. But if a part of a header has arrived,
-            // `graceful_shutdown` would wait for the rest of that header.
+            // `graceful_shutdown` closes an idle connection. But if a part of the connection's first header has
+            // arrived, `graceful_shutdown` would wait for the rest of that header.
             if !has_received_request.load(Ordering::Relaxed) {
                 return;
             }

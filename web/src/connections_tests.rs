@@ -25,19 +25,19 @@ const LONG_LIMITS: Limits = Limits {
     grace_period: HOUR,
 };
 
-/// A server whose `/wait` answers only when a permit is added.
+/// A server that answers a request to `/wait` only when a permit is added to `answer_permits`.
 struct Server {
     address: SocketAddr,
     stop: CancellationToken,
     task: JoinHandle<()>,
-    /// Requests to `/wait` that may be answered.
-    answers: Arc<Semaphore>,
+    /// One permit for each request to `/wait` that may be answered.
+    answer_permits: Arc<Semaphore>,
     /// Notified when a request to `/wait` arrives.
-    entered: Arc<Notify>,
+    request_arrival: Arc<Notify>,
     /// Number of requests to `/wait` in progress.
-    inside: Arc<AtomicUsize>,
-    /// Largest number of such requests at one time.
-    maximum: Arc<AtomicUsize>,
+    waiting_requests: Arc<AtomicUsize>,
+    /// Largest number of requests to `/wait` that were in progress at one time.
+    max_waiting_requests: Arc<AtomicUsize>,
 }
 
 impl Server {
@@ -46,18 +46,24 @@ impl Server {
         let address = listener.local_addr().expect("an address");
         let stop = CancellationToken::new();
         let clock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
-        let answers = Arc::new(Semaphore::new(0));
-        let entered = Arc::new(Notify::new());
-        let (inside, maximum) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
-        let shared = (answers.clone(), entered.clone(), inside.clone(), maximum.clone());
+        let answer_permits = Arc::new(Semaphore::new(0));
+        let request_arrival = Arc::new(Notify::new());
+        let (waiting_requests, max_waiting_requests) =
+            (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+        let shared = (
+            answer_permits.clone(),
+            request_arrival.clone(),
+            waiting_requests.clone(),
+            max_waiting_requests.clone(),
+        );
         let wait = move || {
-            let (answers, entered, inside, maximum) = shared.clone();
+            let (answer_permits, request_arrival, waiting_requests, max_waiting_requests) = shared.clone();
             async move {
-                let now = inside.fetch_add(1, Ordering::SeqCst) + 1;
-                maximum.fetch_max(now, Ordering::SeqCst);
-                entered.notify_one();
-                answers.acquire().await.expect("open").forget();
-                inside.fetch_sub(1, Ordering::SeqCst);
+                let waiting = waiting_requests.fetch_add(1, Ordering::SeqCst) + 1;
+                max_waiting_requests.fetch_max(waiting, Ordering::SeqCst);
+                request_arrival.notify_one();
+                answer_permits.acquire().await.expect("open").forget();
+                waiting_requests.fetch_sub(1, Ordering::SeqCst);
                 "waited"
             }
         };
@@ -69,7 +75,7 @@ impl Server {
             .route("/wait", get(wait))
             .route("/endless", get(endless));
         let task = tokio::spawn(accept(listener, router, clock, stop.clone(), limits));
-        Self { address, stop, task, answers, entered, inside, maximum }
+        Self { address, stop, task, answer_permits, request_arrival, waiting_requests, max_waiting_requests }
     }
 
     async fn connect(&self) -> TcpStream {
@@ -111,8 +117,8 @@ impl Server {
 
     /// Waits until `count` requests to `/wait` are in progress.
     async fn wait_for_requests(&self, count: usize) {
-        while self.inside.load(Ordering::SeqCst) < count {
-            self.entered.notified().await;
+        while self.waiting_requests.load(Ordering::SeqCst) < count {
+            self.request_arrival.notified().await;
         }
     }
 }
@@ -129,12 +135,14 @@ const WAIT: &str = "GET /wait HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\
 #[tokio::test]
 async fn connection_without_complete_header_is_closed() {
     let server = Server::start(Limits { header_timeout: SOON, ..LONG_LIMITS }).await;
-    let silent = [server.connect().await, server.connect().await, server.connect().await];
-    let slow = server.connect_and_send("GET / HTTP/1.1\r\nHo").await;
-    let idle = server.connect_and_get_answer().await;
-    let mut half = server.connect_and_get_answer().await;
-    half.write_all(b"GET / HT").await.expect("sends");
-    for stream in silent.into_iter().chain([slow, idle, half]) {
+    let silent_connections = [server.connect().await, server.connect().await, server.connect().await];
+    let partial_header = server.connect_and_send("GET / HTTP/1.1\r\nHo").await;
+    let idle_connection = server.connect_and_get_answer().await;
+    let mut partial_second_header = server.connect_and_get_answer().await;
+    partial_second_header.write_all(b"GET / HT").await.expect("sends");
+    for stream in
+        silent_connections.into_iter().chain([partial_header, idle_connection, partial_second_header])
+    {
         assert!(!read_to_end(stream).await.contains("here"));
     }
 }
@@ -143,7 +151,7 @@ async fn connection_without_complete_header_is_closed() {
 async fn connection_whose_peer_reads_nothing_is_closed() {
     let server = Server::start(Limits { connections: 1, unread_timeout: SOON, ..LONG_LIMITS }).await;
     let unread = server.connect_and_send("GET /endless HTTP/1.1\r\nHost: here\r\n\r\n").await;
-    // The unread connection had the only slot.
+    // The unread connection holds the only slot until the server closes it.
     server.request_until_slot_is_free(&WAIT.replace("/wait", "/")).await;
     drop(unread);
 }
@@ -156,23 +164,23 @@ async fn request_in_progress_does_not_time_out() {
     // When this silent connection is closed by the header timeout, the request has waited at least as long as that
     // timeout.
     read_to_end(server.connect().await).await;
-    server.answers.add_permits(1);
+    server.answer_permits.add_permits(1);
     assert!(read_to_end(waiting).await.ends_with("waited"));
 }
 
 #[tokio::test]
 async fn connections_beyond_the_limit_are_closed() {
     let server = Server::start(Limits { connections: 2, ..LONG_LIMITS }).await;
-    let held = [server.connect_and_send(WAIT).await, server.connect_and_send(WAIT).await];
+    let waiting_connections = [server.connect_and_send(WAIT).await, server.connect_and_send(WAIT).await];
     server.wait_for_requests(2).await;
     assert_eq!(read_to_end(server.connect().await).await, "");
-    server.answers.add_permits(3);
-    for stream in held {
+    server.answer_permits.add_permits(3);
+    for stream in waiting_connections {
         assert!(read_to_end(stream).await.ends_with("waited"));
     }
-    // Both slots are free again, at the latest when their tasks have ended.
+    // Each slot becomes free only when the task of its connection has ended. A request before that may be closed.
     server.request_until_slot_is_free(WAIT).await;
-    assert_eq!(server.maximum.load(Ordering::SeqCst), 2);
+    assert_eq!(server.max_waiting_requests.load(Ordering::SeqCst), 2);
 }
 
 #[tokio::test]
@@ -188,7 +196,7 @@ async fn connection_of_another_address_replaces_oldest() {
     let mut other = socket.connect(server.address).await.expect("connects");
     other.write_all(WAIT.as_bytes()).await.expect("sends");
     assert_eq!(read_to_end(oldest).await, "");
-    server.answers.add_permits(2);
+    server.answer_permits.add_permits(2);
     for stream in [second, other] {
         assert!(read_to_end(stream).await.ends_with("waited"));
     }
@@ -197,11 +205,11 @@ async fn connection_of_another_address_replaces_oldest() {
 #[tokio::test]
 async fn stop_does_not_wait_for_idle_connections() {
     let server = Server::start(LONG_LIMITS).await;
-    let _silent = server.connect().await;
-    let _first = server.connect_and_send("GET / HTTP/1.1\r\nHo").await;
-    let _idle = server.connect_and_get_answer().await;
-    let mut half = server.connect_and_get_answer().await;
-    half.write_all(b"GET / HT").await.expect("sends");
+    let _silent_connection = server.connect().await;
+    let _partial_header = server.connect_and_send("GET / HTTP/1.1\r\nHo").await;
+    let _idle_connection = server.connect_and_get_answer().await;
+    let mut partial_second_header = server.connect_and_get_answer().await;
+    partial_second_header.write_all(b"GET / HT").await.expect("sends");
     server.stop.cancel();
     server.task.await.expect("ends");
 }
@@ -212,7 +220,7 @@ async fn request_in_progress_is_answered_after_stop() {
     let waiting = server.connect_and_send(WAIT).await;
     server.wait_for_requests(1).await;
     server.stop.cancel();
-    server.answers.add_permits(1);
+    server.answer_permits.add_permits(1);
     server.task.await.expect("ends");
     assert!(read_to_end(waiting).await.ends_with("waited"));
 }
@@ -250,7 +258,7 @@ async fn answer_to_headers_of_length(length: usize) -> String {
     let filler = "x".repeat(length - begin.len() - 4);
     let mut stream = server.connect().await;
     let mut answer = Vec::new();
-    // The server may close before it has read everything.
+    // The server may close the connection before it has read all headers.
     let _ = stream.write_all(format!("{begin}{filler}\r\n\r\n").as_bytes()).await;
     let _ = stream.read_to_end(&mut answer).await;
     String::from_utf8(answer).expect("text")

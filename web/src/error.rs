@@ -33,7 +33,7 @@ pub(crate) enum WebError {
     Gone(String),
     /// A page of another site requests a change.
     #[error(
-        "a page of {0} must not change data of this dashboard: only its own pages and programs may; a reverse proxy must forward the Host header"
+        "a page of {0} must not change data of this dashboard: only the dashboard's own pages and programs may change data; a reverse proxy must forward the Host header"
     )]
     OtherSite(String),
     /// The store returned an error.
@@ -51,7 +51,7 @@ pub(crate) enum WebError {
     /// The limit of live streams is reached; the text names the limit.
     #[error("{0}")]
     TooManyStreams(String),
-    /// The response timeout, in seconds, expired.
+    /// No answer began within the response timeout of this many seconds.
     #[error("the request was not answered within {0} s")]
     TookTooLong(u64),
     /// A handler panicked.
@@ -116,6 +116,8 @@ impl WebError {
         if !status.is_server_error() {
             return ProblemDetails::new(status, self.to_string(), None);
         }
+        // The texts of the next two kinds of error contain the whole cause. They go to the client, so the client needs no id to find the
+        // cause in the log.
         if let Self::TooManyStreams(text) = self {
             if let Some(times) = app.count_failure(text) {
                 tracing::warn!(times, error = text, "refused a live stream");
@@ -157,6 +159,7 @@ impl WebError {
 
 /// Returns twelve hexadecimal digits that identify a text.
 fn text_id(text: &str) -> String {
+    // `DefaultHasher::new()` has no random key, so a restart of the same program keeps the ids.
     let mut hasher = DefaultHasher::new();
     text.hash(&mut hasher);
     format!("{:012x}", hasher.finish() >> 16)

@@ -1,7 +1,7 @@
 //! Slots that client addresses share. When all slots are taken, the address with the most slots loses its oldest slot.
 //!
 //! An address that holds slots without using them, because it sends nothing or reads slowly, therefore cannot exclude other addresses.
-//! Each of `n` addresses gets a share of `1/n` if it requests that many slots (max-min fairness).
+//! If `n` addresses request slots, an address that requests at least `1/n` of the slots gets at least `1/n` (max-min fairness).
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -26,7 +26,7 @@ struct HeldSlots {
     /// Id of the next slot. Ids rise, so the smallest id of an address is its oldest slot.
     next_id: u64,
     /// Number of slots in `by_address`.
-    count: usize,
+    slot_count: usize,
     /// For each address its slots, oldest first. The token of a slot ends the use of this slot.
     by_address: HashMap<AddressGroup, BTreeMap<u64, CancellationToken>>,
 }
@@ -56,10 +56,10 @@ struct Entry {
 }
 
 impl FairSlots {
-    /// Creates `count` slots, at least one. An address may have at most `max_per_address`.
-    pub(crate) fn new(count: usize, max_per_address: usize) -> Self {
-        let count = count.max(1);
-        Self { capacity: count, max_per_address, free: Arc::new(Semaphore::new(count)), held: Arc::default() }
+    /// Creates `capacity` slots, at least one. An address may have at most `max_per_address` slots.
+    pub(crate) fn new(capacity: usize, max_per_address: usize) -> Self {
+        let capacity = capacity.max(1);
+        Self { capacity, max_per_address, free: Arc::new(Semaphore::new(capacity)), held: Arc::default() }
     }
 
     /// Acquires a slot for `address`. `evict` is cancelled when the slot is needed for another address.
@@ -86,7 +86,7 @@ impl FairSlots {
         if held_by_address >= self.max_per_address {
             return Err(SlotRefusal::AddressLimitReached(held_by_address));
         }
-        if held.count == self.capacity {
+        if held.slot_count == self.capacity {
             // If a difference of one slot sufficed, two addresses would evict each other in turn.
             let largest_holder = held.largest_holder().filter(|(_, slots)| *slots >= held_by_address + 2);
             let (largest_holder, _) = largest_holder.ok_or(SlotRefusal::AllSlotsTaken(self.capacity))?;
@@ -94,7 +94,7 @@ impl FairSlots {
         }
         let id = held.next_id;
         held.next_id += 1;
-        held.count += 1;
+        held.slot_count += 1;
         held.by_address.entry(address).or_default().insert(id, evict);
         Ok(Entry { address, id, held: Arc::clone(&self.held) })
     }
@@ -117,7 +117,7 @@ impl HeldSlots {
     fn remove(&mut self, address: AddressGroup, id: u64) {
         let Some(slots) = self.by_address.get_mut(&address) else { return };
         if slots.remove(&id).is_some() {
-            self.count -= 1;
+            self.slot_count -= 1;
         }
         if slots.is_empty() {
             self.by_address.remove(&address);
@@ -171,13 +171,13 @@ mod tests {
         });
         evict_oldest_token.cancelled().await;
         assert!(![evict_second, evict_third, evict_other].iter().any(CancellationToken::is_cancelled));
-        assert!(!next.is_finished(), "the new slot waits until the evicted one is dropped");
+        assert!(!next.is_finished(), "the new slot waits until the evicted slot is dropped");
         drop(oldest);
         next.await.expect("ends").expect("the evicted slot");
     }
 
     #[test]
-    fn address_with_equal_share_evicts_nobody() {
+    fn difference_of_one_slot_evicts_nobody() {
         let slots = FairSlots::new(4, 4);
         let held = ["192.0.2.1", "192.0.2.1", "192.0.2.2", "192.0.2.3"].map(|at| take(&slots, at));
         for address in ["192.0.2.1", "192.0.2.2"] {
@@ -198,6 +198,6 @@ mod tests {
         assert!(try_take(&slots, "192.0.2.1").0.is_none());
         drop(held);
         assert!(lock(&slots.held).by_address.is_empty());
-        assert_eq!((lock(&slots.held).count, slots.free.available_permits()), (0, 2));
+        assert_eq!((lock(&slots.held).slot_count, slots.free.available_permits()), (0, 2));
     }
 }

@@ -15,14 +15,14 @@ pub(crate) static STACK: LazyLock<Vec<&'static str>> =
 /// Name of both directions of the network together, for delays that the clocks cannot split.
 pub(crate) const NETWORK: &str = peernet_analysis::slowness::BOTH_DIRECTIONS;
 
-/// Returns the names of all parts that a total can have, in their order: those of [`STACK`], with [`NETWORK`] directly
-/// before `upload`.
+/// Returns the names of all parts that a `total` can have, in the order of a stack: the names of [`STACK`], with
+/// [`NETWORK`] directly before `upload`.
 pub(crate) fn parts() -> impl Iterator<Item = &'static str> {
     let both_directions = |name: &str| (name == stage::UPLOAD.as_str()).then_some(NETWORK);
     STACK.iter().flat_map(move |name| both_directions(name).into_iter().chain([*name]))
 }
 
-/// Returns the names of all parts of a total, separated by commas, for the scripts of pages.
+/// Returns the names of [`parts`], separated by commas, for the scripts of pages.
 pub(crate) fn part_names() -> String {
     parts().collect::<Vec<_>>().join(",")
 }
@@ -31,13 +31,13 @@ pub(crate) fn part_names() -> String {
 /// or 1.
 pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
 
-/// Returns the entries of the colour key. Stages of the same colour, such as the two queues, share an entry.
-pub(crate) fn key() -> impl Iterator<Item = &'static str> {
+/// Returns the entries of the colour key. Stages of the same colour, such as `queue` and `send-queue`, share an entry.
+pub(crate) fn key_entries() -> impl Iterator<Item = &'static str> {
     STACK.iter().copied().filter(|name| class(name) == *name)
 }
 
 /// Returns the label of an entry of the colour key. The label also names the other stages of the same colour.
-pub(crate) fn entry(name: &str) -> &str {
+pub(crate) fn key_entry_label(name: &str) -> &str {
     match name {
         "encode" => "encode, ipc",
         "queue" => "queue, batch-wait",
@@ -58,14 +58,16 @@ mod tests {
     #[test]
     fn key_names_every_stage() {
         for name in STACK.iter().copied() {
-            let entry = key().find(|known| *known == class(name)).expect("an entry");
-            assert!(entry_covers(entry, name), "{name} is not in {:?}", super::entry(entry));
+            let entry = key_entries().find(|known| *known == class(name)).expect("an entry");
+            assert!(entry_covers(entry, name), "{name} is not in {:?}", key_entry_label(entry));
         }
     }
 
     /// Returns whether the label of an entry covers a stage; `queue` covers `send-queue`, too.
     fn entry_covers(key_entry: &str, name: &str) -> bool {
-        entry(key_entry).split(", ").any(|known| name == known || name.ends_with(&format!("-{known}")))
+        key_entry_label(key_entry)
+            .split(", ")
+            .any(|known| name == known || name.ends_with(&format!("-{known}")))
     }
 
     #[test]
@@ -86,7 +88,7 @@ mod tests {
             "unattributed",
         ];
         // `send-queue` has the colour and the entry of `queue`, although other stages lie between the two in a stack.
-        assert!(key().eq(keys));
+        assert!(key_entries().eq(keys));
         assert_eq!(class("\"><script>"), "other");
     }
 }

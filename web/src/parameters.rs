@@ -29,7 +29,7 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for Parameters<T> 
             Err(rejection) => {
                 let text = rejection.body_text();
                 let text = text.strip_prefix("Failed to deserialize query string: ").unwrap_or(&text);
-                // The standard library's message for a letter in a number would not say what to do.
+                // The standard library's message for a letter in a number does not say what to do.
                 let text = text.replace("invalid digit found in string", "give a whole number");
                 Err(WebError::BadRequest(format!("query parameter {text}")))
             }
@@ -79,7 +79,10 @@ pub(crate) fn parse_time(name: &str, value: &str) -> Result<WallTime, WebError> 
     })
 }
 
-/// Returns the values of a path, or a `BadRequest` that names the invalid one.
+/// Returns the parameters of a path.
+///
+/// # Errors
+/// `BadRequest` when a parameter is invalid; the text names the parameter.
 pub(crate) fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
     path.map(|Path(value)| value).map_err(|rejection| {
         let text = rejection.body_text();

@@ -36,8 +36,8 @@ impl Picture {
         Self(page::legend(keys, class))
     }
 
-    /// Draws the labels of a scale in ms. The first label has the unit. `class` is `small` for the axis under a single bar, which only
-    /// narrow screens show.
+    /// Draws the labels of a scale in ms. The first label has the unit. `class` is `small` for the axis under a single bar; only
+    /// narrow screens show such an axis.
     pub(crate) fn milliseconds_axis(scale: &Scale, class: &str) -> Self {
         let mut ticks = scale.ticks(6);
         if let Some(first) = ticks.first_mut() {
@@ -74,13 +74,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn unit_stands_at_the_first_label() {
+    fn first_label_of_axis_has_the_unit() {
         let axis = Picture::milliseconds_axis(&Scale::up_to(30.0, 6), "").to_string();
         assert!(axis.contains(">0\u{202f}ms<") && axis.contains("x=\"100%\""), "{axis}");
         assert_eq!(
             axis.matches("text-anchor=\"middle\"").count(),
             5,
-            "labels at both ends of the axis lie inside it: {axis}"
+            "only the labels between both ends are centred at their ticks: {axis}"
         );
     }
 }

@@ -54,7 +54,7 @@ impl RunningServer {
         self.address
     }
 
-    /// Waits until the server has stopped, because its stop token was cancelled or it failed.
+    /// Waits until the server has stopped, because the stop token was cancelled or the server failed.
     ///
     /// # Errors
     /// Returns an error when the server failed.

@@ -4,19 +4,19 @@ use std::net::IpAddr;
 
 /// Returns a description of the problem of a configured name; `None` for a valid name.
 pub(crate) fn name_problem(name: &str) -> Option<String> {
-    (!has_name_form(name))
+    (!has_host_name_syntax(name))
         .then(|| format!("{name:?} is not a host name: write it like robot.example.org, without a port"))
 }
 
 /// Returns whether a text has the syntax of a host name or an IPv4 address.
-pub(crate) fn has_name_form(text: &str) -> bool {
+pub(crate) fn has_host_name_syntax(text: &str) -> bool {
     let is_name_byte = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-' | b'_');
     !text.is_empty() && text.bytes().all(is_name_byte)
 }
 
-/// The names under which requests are answered, in addition to IP addresses and `localhost`.
+/// The host names that a request may address, in addition to IP addresses and `localhost`. All other names are rejected.
 ///
-/// This prevents DNS rebinding: a page of another site whose name resolves to this machine could otherwise read and change all data
+/// The rejection prevents DNS rebinding: a page of another site whose name resolves to this machine could otherwise read and change all data
 /// through the browser of a user who opens it. IP addresses are safe, because a browser resolves no name for them.
 #[derive(Clone, Debug)]
 pub(crate) struct ServerNames(Vec<String>);
@@ -33,7 +33,7 @@ impl ServerNames {
 
     /// Returns whether requests that address `host` are answered.
     pub(crate) fn contains(&self, host: &str) -> bool {
-        // A dot at the end only says that the name is complete.
+        // A dot at the end marks a complete name; the name means the same host without the dot.
         let name = host.strip_suffix('.').unwrap_or(host).to_ascii_lowercase();
         let address = name.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(&name);
         address.parse::<IpAddr>().is_ok()

@@ -84,8 +84,8 @@ impl AppState {
         Ok(cached.iter().take(Self::SHOWN_INCIDENTS).cloned().collect())
     }
 
-    /// Replaces the error of a closed database by an empty answer, for live pages. Their live figures need no database, and a banner
-    /// reports that it is closed.
+    /// Replaces the error of a closed database by an empty answer, for live pages. The live figures of these pages need no database, and a
+    /// banner reports that the database is closed.
     pub(crate) fn empty_if_store_is_closed<T: Default>(
         answer: Result<T, StoreError>,
     ) -> Result<T, StoreError> {

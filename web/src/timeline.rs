@@ -1,7 +1,7 @@
 //! The nodes of one iteration, placed on the time line of the edge's clock.
 //!
-//! Nodes of the edge are placed by the edge's monotonic clock. Nodes of another host keep their relative distances. Their common position
-//! follows from the one-way delay of the message that brought the iteration there, and has the uncertainty of that delay.
+//! Nodes of the edge are placed by the edge's monotonic clock. The nodes of another host are placed relative to the arrival of the request
+//! there. The arrival follows from the one-way delay of the request, and has the uncertainty of that delay.
 
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{CountedNodes, HostIndex, Measure, Name, Node, NodeId, Transit, Tree};
@@ -12,6 +12,7 @@ use peernet_store::{IterationDetail, QuantityStatistics};
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PlacedNode {
     pub name: Name,
+    /// Number of nodes between this node and the root of the tree.
     pub depth: u8,
     pub location: NodeLocation,
     /// Start; `None` if it is unknown on the edge's clock.
@@ -19,11 +20,11 @@ pub(crate) struct PlacedNode {
     /// Duration; `None` if the node was never closed, or if its delay is unknown.
     pub length: Option<f64>,
     pub delay: Option<Delay>,
-    /// `true` if the statistics of the node's name include the node. They do not include a stage of a model inside
-    /// another model.
+    /// `true` if the statistics of the node's name include the node. Statistics omit a stage of a model inside another
+    /// model.
     pub is_counted: bool,
-    /// Median over the run of the values of this name; `None` if it is unknown, or if the node is not the only node of
-    /// this iteration whose value the statistics of the name include.
+    /// Median of the values of this name in the run. `None` if the median is unknown. Also `None` if the median is not
+    /// comparable with this node, because the statistics omit the node or add other nodes of the iteration to it.
     pub median: Option<f64>,
 }
 
@@ -61,7 +62,7 @@ pub(crate) struct Visit {
     /// Uncertainty of `arrival`: the maximum shift to an earlier time (negative) and to a later time. All times of the visit share this
     /// uncertainty.
     pub shift: (f64, f64),
-    /// Sum of upload and download, which does not depend on the clock relation.
+    /// Sum of upload and download, which does not depend on the clock relation; `None` if the sum is unknown.
     pub network: Option<f64>,
 }
 
@@ -94,6 +95,7 @@ impl<'a> NodeStatistics<'a> {
     }
 }
 
+/// Returns the transit nodes of a tree, in the order of the tree.
 fn transits(tree: &Tree) -> impl Iterator<Item = (&Node, &Transit)> {
     tree.nodes().iter().filter_map(|node| match &node.measure {
         Measure::Transit(transit) => Some((node, &**transit)),
@@ -121,8 +123,9 @@ fn visit(tree: &Tree, index: usize, both_ways: Option<f64>) -> Option<Visit> {
     });
     let delay_value = |transit: &Transit| Some(transit.delay.as_ref()?.value?.seconds());
     let both_delays = download.and_then(|(_, back)| Some(delay_value(request)? + delay_value(back)?));
-    // The measured sum and the delays are valid even if a clock was stepped during the iteration. The difference of the
-    // wall clock's stamps is not, so it is used only if the others are unknown.
+    // The measured sum and the sum of the delays are valid even if a wall clock was stepped during the iteration.
+    // `transport()` subtracts stamps of the edge's wall clock and is then wrong, so it is used only if both sums are
+    // unknown.
     let network =
         answer.and(both_ways.or(both_delays).or_else(|| tree.stages().transport().map(Span::seconds)));
 
@@ -139,6 +142,7 @@ fn visit(tree: &Tree, index: usize, both_ways: Option<f64>) -> Option<Visit> {
         }
     };
     let answer_times = answer.map(|(start, received_at)| {
+        // The download starts when the answer is sent. Its start is relative to the arrival of the request.
         let stay = start.seconds();
         (arrival + stay, both_ways.map_or(received_at, |network| sent_at + stay + network))
     });
@@ -159,7 +163,8 @@ impl Timeline {
         timeline
     }
 
-    /// Sorts nodes by start. Children stay with their parents, and nodes without a start keep their order.
+    /// Sorts the nodes below the root by start. Children stay with their parents, and a node without a start stays behind the
+    /// node before it.
     fn sort(&mut self) {
         let mut parent_start = f64::NEG_INFINITY;
         let mut keyed: Vec<(f64, PlacedNode)> = Vec::with_capacity(self.nodes.len());
@@ -199,6 +204,7 @@ impl Timeline {
         }
     }
 
+    /// Returns a node with its position on the edge's time line; `None` if the page does not show nodes of this kind.
     fn position_node(
         &self,
         (id, node): (NodeId, &Node),
@@ -237,12 +243,12 @@ impl Timeline {
         }
     }
 
-    /// Returns the format of tables of the nodes' durations.
+    /// Returns the format of the nodes' durations in tables.
     pub(crate) fn duration_format(&self) -> DurationFormat {
         DurationFormat::for_total(Some(self.end), None)
     }
 
-    /// Returns the stay on the other host if there is exactly one other host.
+    /// Returns the visit to the other host; `None` unless there is exactly one other host and its visit is known.
     pub(crate) fn visit(&self) -> Option<&Visit> {
         match self.visits.as_slice() {
             [Some(visit)] => Some(visit),

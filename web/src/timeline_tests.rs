@@ -7,9 +7,9 @@ use super::*;
 use crate::tests::samples;
 
 /// Returns an iteration with 2 ms of sensing, 20 ms of upload, 4 ms of inference on the cloud, and 1 ms of download.
-/// The cloud's wall clock is ahead of the edge's wall clock by `ahead`. `judge` returns a delay from the difference of
-/// its wall-clock stamps, and from its true value.
-fn offloaded(ahead: Span, judge: impl Fn(Span, Span) -> OneWayDelay) -> IterationDetail {
+/// The cloud's wall clock is ahead of the edge's wall clock by `ahead`. `estimate_delay` computes the delay of a transit
+/// from the difference of the transit's wall-clock stamps, and from the true delay.
+fn offloaded(ahead: Span, estimate_delay: impl Fn(Span, Span) -> OneWayDelay) -> IterationDetail {
     let edge = Arc::new(ManualClock::new(
         WallTime::from_unix_nanos(1_000_000_000),
         ClockIdentity::new("a", "system"),
@@ -18,66 +18,61 @@ fn offloaded(ahead: Span, judge: impl Fn(Span, Span) -> OneWayDelay) -> Iteratio
         WallTime::from_unix_nanos(1_000_000_000) + ahead,
         ClockIdentity::new("b", "system"),
     ));
-    let pass = |milliseconds| {
+    let advance = |milliseconds| {
         edge.advance(Span::from_millis(milliseconds));
         cloud.advance(Span::from_millis(milliseconds));
     };
     let mut log = Recorder::new(edge.clone(), HostId::random());
     {
         let _sensing = log.time(stage::SENSING);
-        pass(2);
+        advance(2);
     }
-    let up = log.start_transit(stage::UPLOAD, edge_stamp(&edge));
+    let up = log.start_transit(stage::UPLOAD, stamp(&edge));
     let sent = log.finish();
-    pass(20);
-    let mut cloud_log =
-        Recorder::resume(cloud.clone(), HostId::random(), sent.clone(), up, cloud_stamp(&cloud))
-            .expect("under way");
+    advance(20);
+    let mut cloud_log = Recorder::resume(cloud.clone(), HostId::random(), sent.clone(), up, stamp(&cloud))
+        .expect("the upload is open");
     {
         let _inference = cloud_log.time(stage::INFERENCE);
-        pass(4);
+        advance(4);
     }
-    let down = cloud_log.start_transit(stage::DOWNLOAD, cloud_stamp(&cloud));
-    let delta = cloud_log.into_tree_delta().expect("it came from elsewhere");
-    pass(1);
+    let down = cloud_log.start_transit(stage::DOWNLOAD, stamp(&cloud));
+    let delta = cloud_log.into_tree_delta().expect("the tree was resumed");
+    advance(1);
     let mut tree = sent;
-    tree.apply_delta(delta).expect("it fits");
-    let back = peernet_clock::Clock::wall(&*edge);
+    tree.apply_delta(delta).expect("the delta belongs to the tree");
+    let answer_arrival = peernet_clock::Clock::wall(&*edge);
     for (id, truth) in [(up, Span::from_millis(20)), (down, Span::from_millis(1))] {
         if let Some(Measure::Transit(transit)) = tree.measure_mut(id) {
-            let received = *transit.received.get_or_insert(back);
-            transit.delay = Some(judge(received - transit.sent, truth));
+            let received = *transit.received.get_or_insert(answer_arrival);
+            transit.delay = Some(estimate_delay(received - transit.sent, truth));
         }
     }
     IterationDetail { tree, ..samples::iteration() }
 }
 
-fn edge_stamp(clock: &ManualClock) -> peernet_clock::Stamp {
+fn stamp(clock: &ManualClock) -> peernet_clock::Stamp {
     peernet_clock::Clock::stamp(clock)
 }
 
-fn cloud_stamp(clock: &ManualClock) -> peernet_clock::Stamp {
-    peernet_clock::Clock::stamp(clock)
-}
-
-fn close(a: f64, b: f64) -> bool {
+fn is_close(a: f64, b: f64) -> bool {
     (a - b).abs() < 1e-9
 }
 
 #[test]
-fn one_clock_gives_every_node_a_position() {
+fn hosts_with_one_clock_give_every_node_a_position() {
     let timeline = Timeline::of(&offloaded(Span::ZERO, |raw, _| OneWayDelay::same_clock(raw)));
     let visit = timeline.visit().expect("one other host");
-    assert!(close(visit.sent_at, 0.002) && close(visit.arrival, 0.022), "{visit:?}");
+    assert!(is_close(visit.sent_at, 0.002) && is_close(visit.arrival, 0.022), "{visit:?}");
     assert_eq!(visit.shift, (0.0, 0.0));
-    assert!(close(visit.network.expect("it came back"), 0.021));
+    assert!(is_close(visit.network.expect("the answer arrived"), 0.021));
     let inference = timeline.nodes.iter().find(|node| node.name == "inference").expect("was recorded");
-    assert!(close(inference.start.expect("placed"), 0.022));
+    assert!(is_close(inference.start.expect("placed"), 0.022));
     assert_eq!(inference.location, NodeLocation::Host(1));
 }
 
 #[test]
-fn bound_of_upload_shifts_whole_visit() {
+fn visit_has_the_uncertainty_of_the_upload() {
     let ahead = Span::from_seconds(1_204);
     let detail = offloaded(ahead, |raw, truth| OneWayDelay {
         raw,
@@ -88,9 +83,9 @@ fn bound_of_upload_shifts_whole_visit() {
     });
     let timeline = Timeline::of(&detail);
     let visit = timeline.visit().expect("one other host");
-    assert!(close(visit.arrival, 0.022));
-    assert!(close(visit.shift.0, -0.000_65) && close(visit.shift.1, 0.000_63));
-    assert!(close(visit.network.expect("the sum is independent of the clock offset"), 0.021));
+    assert!(is_close(visit.arrival, 0.022));
+    assert!(is_close(visit.shift.0, -0.000_65) && is_close(visit.shift.1, 0.000_63));
+    assert!(is_close(visit.network.expect("the sum is independent of the clock offset"), 0.021));
 }
 
 #[test]
@@ -98,9 +93,9 @@ fn unrelated_clocks_leave_sum_exact_and_position_uncertain() {
     let timeline =
         Timeline::of(&offloaded(Span::from_seconds(-77), |raw, _| OneWayDelay::unsynchronised(raw)));
     let visit = timeline.visit().expect("one other host");
-    assert!(close(visit.network.expect("the sum is exact"), 0.021));
-    assert!(close(visit.arrival, 0.002 + 0.0105));
-    assert!(close(visit.shift.1, 0.0105));
+    assert!(is_close(visit.network.expect("the sum is exact"), 0.021));
+    assert!(is_close(visit.arrival, 0.002 + 0.0105));
+    assert!(is_close(visit.shift.1, 0.0105));
     let upload = timeline.nodes.iter().find(|node| node.name == "upload").expect("was recorded");
     assert_eq!(
         (upload.length, upload.delay.map(|delay| delay.verdict)),
@@ -111,7 +106,7 @@ fn unrelated_clocks_leave_sum_exact_and_position_uncertain() {
 #[test]
 fn wall_clock_step_during_visit_moves_no_node() {
     let mut detail = offloaded(Span::ZERO, |raw, _| OneWayDelay::stepped(raw, DelaySource::None));
-    // The edge's clock was set back by five seconds while the sample was away.
+    // The edge's clock was set back by five seconds while the sample was on the cloud.
     for node in 0..detail.tree.nodes().len() {
         let id = NodeId(node as u32);
         if let Some(Measure::Transit(transit)) = detail.tree.measure_mut(id)
@@ -123,16 +118,21 @@ fn wall_clock_step_during_visit_moves_no_node() {
     detail.row.both_ways = Some(0.021);
     let timeline = Timeline::of(&detail);
     let visit = timeline.visit().expect("one other host");
-    assert!(close(visit.network.expect("the sum is exact"), 0.021));
-    let (left, back) = visit.answer_times.expect("it came back");
-    assert!(close(visit.arrival, 0.002 + 0.0105) && close(left, 0.0165) && close(back, 0.027), "{visit:?}");
+    assert!(is_close(visit.network.expect("the sum is exact"), 0.021));
+    let (answer_sent, answer_received) = visit.answer_times.expect("the answer arrived");
+    assert!(
+        is_close(visit.arrival, 0.002 + 0.0105)
+            && is_close(answer_sent, 0.0165)
+            && is_close(answer_received, 0.027),
+        "{visit:?}"
+    );
 }
 
 #[test]
 fn lost_message_gives_timeline_without_visit() {
     let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("a", "system")));
     let mut log = Recorder::new(clock.clone(), HostId::random());
-    log.start_transit(stage::UPLOAD, edge_stamp(&clock));
+    log.start_transit(stage::UPLOAD, stamp(&clock));
     let timeline = Timeline::of(&IterationDetail { tree: log.finish(), ..samples::iteration() });
     assert_eq!(timeline.nodes.len(), 1);
     assert_eq!((timeline.nodes[0].length, timeline.visit()), (None, None));
@@ -140,7 +140,7 @@ fn lost_message_gives_timeline_without_visit() {
 
 #[test]
 fn visit_is_placed_despite_edge_clock_step() {
-    let truth_judged = |_, truth: Span| OneWayDelay {
+    let true_delay = |_, truth: Span| OneWayDelay {
         // The delay is a difference of free-running clocks, one of which was started 5,000 s before the other.
         raw: truth + Span::from_seconds(5_000),
         value: Some(truth),
@@ -148,7 +148,7 @@ fn visit_is_placed_despite_edge_clock_step() {
         source: DelaySource::InBand,
         verdict: Verdict::Ok,
     };
-    let mut detail = offloaded(Span::from_seconds(77), truth_judged);
+    let mut detail = offloaded(Span::from_seconds(77), true_delay);
     let raw = |millis: i64| RawTime::from_nanos(millis * 1_000_000);
     // The request is sent at 2 ms and arrives at 22 ms, the answer is sent at 26 ms and arrives at 27 ms. Meanwhile the
     // edge's wall clock is set back by an hour.
@@ -167,12 +167,12 @@ fn visit_is_placed_despite_edge_clock_step() {
     }
     let timeline = Timeline::of(&detail);
     let visit = timeline.visit().expect("one other host");
-    assert!(close(visit.arrival, 0.022), "{visit:?}");
-    let (left, back) = visit.answer_times.expect("it was answered");
-    assert!(close(left, 0.026) && close(back, 0.027), "{visit:?}");
-    assert!(close(visit.network.expect("both delays are known"), 0.021), "{visit:?}");
+    assert!(is_close(visit.arrival, 0.022), "{visit:?}");
+    let (answer_sent, answer_received) = visit.answer_times.expect("the answer arrived");
+    assert!(is_close(answer_sent, 0.026) && is_close(answer_received, 0.027), "{visit:?}");
+    assert!(is_close(visit.network.expect("both delays are known"), 0.021), "{visit:?}");
     assert!(timeline.end < 0.1, "{}", timeline.end);
-    // The raw delay that is shown is a difference of wall clocks.
+    // The raw delay on the page is a difference of wall clocks.
     let upload = timeline.nodes.iter().find_map(|node| node.delay.filter(|_| node.name == stage::UPLOAD));
-    assert!(close(upload.expect("judged").raw, 77.020), "{upload:?}");
+    assert!(is_close(upload.expect("a delay").raw, 77.020), "{upload:?}");
 }

@@ -57,13 +57,13 @@ impl Zone {
         ZonedTime(self.at(time))
     }
 
-    /// Formats a time range. A range within one day has the date once: `19 Nov 2026, 13:41:07 – 13:51:07`.
+    /// Formats a time range. A range within one day contains the date once: `19 Nov 2026, 13:41:07 – 13:51:07`.
     pub(crate) fn range(self, from: WallTime, to: WallTime) -> String {
         let (from, to) = (self.moment(from), self.moment(to));
         if from.date() == to.date() {
-            format!("{}, {} – {}", from.date(), from.clock(), to.clock())
+            format!("{}, {} – {}", from.date(), from.time_of_day(), to.time_of_day())
         } else {
-            format!("{}, {} – {}, {}", from.date(), from.clock(), to.date(), to.clock())
+            format!("{}, {} – {}, {}", from.date(), from.time_of_day(), to.date(), to.time_of_day())
         }
     }
 }
@@ -95,6 +95,7 @@ impl From<Zone> for String {
             Zone::Local => "local".to_owned(),
             Zone::Utc => "utc".to_owned(),
             Zone::Fixed(seconds) => {
+                // A parsed offset is always valid; only a `Fixed` of other code can be outside ±24 h.
                 FixedOffset::east_opt(seconds).map_or_else(|| "utc".to_owned(), |offset| offset.to_string())
             }
         }
@@ -107,17 +108,17 @@ pub(crate) struct ZonedTime(DateTime<FixedOffset>);
 
 impl ZonedTime {
     /// Returns the time of day with seconds: `14:11:02`.
-    pub(crate) fn clock(&self) -> String {
+    pub(crate) fn time_of_day(&self) -> String {
         self.0.format("%H:%M:%S").to_string()
     }
 
     /// Returns the time of day without seconds: `14:11`.
-    pub(crate) fn minute(&self) -> String {
+    pub(crate) fn hour_and_minute(&self) -> String {
         self.0.format("%H:%M").to_string()
     }
 
     /// Returns the time of day with milliseconds: `13:46:56.400`.
-    pub(crate) fn milliseconds(&self) -> String {
+    pub(crate) fn time_with_milliseconds(&self) -> String {
         self.0.format("%H:%M:%S%.3f").to_string()
     }
 
@@ -128,7 +129,7 @@ impl ZonedTime {
 }
 
 impl fmt::Display for ZonedTime {
-    /// Writes the form of HTML's `datetime` attribute.
+    /// Writes the time as the `datetime` attribute of HTML needs it (RFC 3339).
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0.to_rfc3339_opts(chrono::SecondsFormat::Millis, true))
     }
@@ -138,31 +139,31 @@ impl fmt::Display for ZonedTime {
 mod tests {
     use super::*;
 
-    const NOON: WallTime = WallTime::from_unix_nanos(1_795_089_667_400_000_000);
+    const TIME: WallTime = WallTime::from_unix_nanos(1_795_089_667_400_000_000);
 
     #[test]
     fn time_is_formatted_in_its_zone() {
         let zone: Zone = "+01:00".parse().expect("an offset");
-        let moment = zone.moment(NOON);
+        let moment = zone.moment(TIME);
         assert_eq!(moment.date(), "19 Nov 2026");
-        assert_eq!(moment.clock(), "13:01:07");
-        assert_eq!(moment.milliseconds(), "13:01:07.400");
+        assert_eq!(moment.time_of_day(), "13:01:07");
+        assert_eq!(moment.time_with_milliseconds(), "13:01:07.400");
         assert_eq!(moment.to_string(), "2026-11-19T13:01:07.400+01:00");
-        assert_eq!(zone.name(NOON), "UTC+1");
-        assert_eq!(Zone::Utc.name(NOON), "UTC");
-        assert_eq!(Zone::Fixed(-12_600).name(NOON), "UTC\u{2212}3:30");
+        assert_eq!(zone.name(TIME), "UTC+1");
+        assert_eq!(Zone::Utc.name(TIME), "UTC");
+        assert_eq!(Zone::Fixed(-12_600).name(TIME), "UTC\u{2212}3:30");
     }
 
     #[test]
     fn range_within_a_day_names_the_date_once() {
-        let later = NOON + peernet_clock::Span::from_seconds(600);
-        assert_eq!(Zone::Utc.range(NOON, later), "19 Nov 2026, 12:01:07 – 12:11:07");
-        let tomorrow = NOON + peernet_clock::Span::from_seconds(86_400);
-        assert_eq!(Zone::Utc.range(NOON, tomorrow), "19 Nov 2026, 12:01:07 – 20 Nov 2026, 12:01:07");
+        let later = TIME + peernet_clock::Span::from_seconds(600);
+        assert_eq!(Zone::Utc.range(TIME, later), "19 Nov 2026, 12:01:07 – 12:11:07");
+        let tomorrow = TIME + peernet_clock::Span::from_seconds(86_400);
+        assert_eq!(Zone::Utc.range(TIME, tomorrow), "19 Nov 2026, 12:01:07 – 20 Nov 2026, 12:01:07");
     }
 
     #[test]
-    fn zone_round_trips_and_invalid_text_is_refused() {
+    fn zone_keeps_its_text_and_invalid_text_is_refused() {
         for text in ["local", "utc", "+01:00", "-03:30"] {
             assert_eq!(String::from(text.parse::<Zone>().expect("a zone")), text);
         }
@@ -172,7 +173,7 @@ mod tests {
     #[test]
     fn extreme_times_do_not_panic() {
         for nanos in [i64::MIN, i64::MAX] {
-            assert!(!Zone::Fixed(3_600).moment(WallTime::from_unix_nanos(nanos)).clock().is_empty());
+            assert!(!Zone::Fixed(3_600).moment(WallTime::from_unix_nanos(nanos)).time_of_day().is_empty());
         }
     }
 }

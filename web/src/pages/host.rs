@@ -163,9 +163,11 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
     let serving = running().filter(|pipeline| pipeline.placement.peer.as_ref() == Some(&description.name));
     let title = match (host.connected, own_running, serving.count()) {
         (false, ..) if host.has_left => {
-            format!("{name} disconnected at {}", app.zone.moment(host.last_seen).clock())
+            format!("{name} disconnected at {}", app.zone.moment(host.last_seen).time_of_day())
         }
-        (false, ..) => format!("{name} has not reported since {}", app.zone.moment(host.last_seen).clock()),
+        (false, ..) => {
+            format!("{name} has not reported since {}", app.zone.moment(host.last_seen).time_of_day())
+        }
         (true, 0, 0) => format!("{name} is connected and idle"),
         (true, own, 0) => format!("{name} runs {own} pipeline{}", if own == 1 { "" } else { "s" }),
         (true, 0, others) => {
@@ -222,7 +224,7 @@ fn past_page(app: &AppState, snapshot: &LiveState, row: &HostRow) -> PastHost {
     let description = &row.description;
     PastHost {
         shell: Shell::new(app, snapshot, "/hosts", name.as_str()),
-        title: format!("{name} was last seen on {}, {}", seen.date(), seen.clock()),
+        title: format!("{name} was last seen on {}, {}", seen.date(), seen.time_of_day()),
         first_seen: app.zone.moment(row.first_seen),
         agent: agent(description),
         hardware: hardware(description),

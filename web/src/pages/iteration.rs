@@ -118,7 +118,7 @@ fn facts(app: &AppState, run: &RunSummary, detail: &IterationDetail) -> Vec<Stri
     let at = app.zone.moment(row.started);
     let mut facts = vec![
         format!("Iteration {}", count(row.number)),
-        format!("{}, {}", at.date(), at.milliseconds()),
+        format!("{}, {}", at.date(), at.time_with_milliseconds()),
         format!("episode {}, step {}", count(row.episode.into()), count(row.step.into())),
     ];
     // The rank is among the stored iterations.

@@ -247,7 +247,9 @@ fn facts(run: &RunDetail, zone: Zone) -> Vec<String> {
     let placement = &summary.placement;
     let mut facts = vec![match runs::end_time(summary) {
         Some(end) => zone.range(summary.started, end),
-        None => format!("{}, {}", zone.moment(summary.started).date(), zone.moment(summary.started).clock()),
+        None => {
+            format!("{}, {}", zone.moment(summary.started).date(), zone.moment(summary.started).time_of_day())
+        }
     }];
     facts.push(place::route(summary.host_name.as_str(), placement));
     facts.extend(placement.network.clone());

@@ -1,4 +1,4 @@
-//! Sample data of the aggregator, from which tests render every page in every state.
+//! Example data of the aggregator, from which tests render every page in every state.
 
 use std::sync::Arc;
 
@@ -81,7 +81,7 @@ const MEANS: [(&str, f64); 11] = [
     ("unattributed", 0.0001),
 ];
 
-/// Returns the transfers of messages of 150 kB that take `upload` seconds each; `None` for unknown delays.
+/// Returns the transfers of messages of 150 kB. Each upload takes `upload` seconds; `None` for an unknown delay.
 fn transfers(messages: u64, upload: Option<f64>) -> Transfers {
     Transfers::from_statistics(|name| match name.as_str() {
         "upload-bytes" => (messages > 0).then_some((messages, 149_625.0)),
@@ -96,33 +96,34 @@ const HALF_WIDTH: f64 = 0.00065;
 /// Returns a window of `seconds` seconds with `hz` iterations per second, whose means are `scale` times the usual
 /// values.
 pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Window {
-    let ok = (f64::from(seconds) * hz) as u64;
-    let crossing = |name: &str| matches!(name, "upload" | "download");
-    let known = verdict != Verdict::Unsynchronised;
-    let values = MEANS.iter().filter(|(name, _)| ok > 0 && (known || !crossing(name)));
+    let successes = (f64::from(seconds) * hz) as u64;
+    let is_transit = |name: &str| matches!(name, "upload" | "download");
+    let is_delay_known = verdict != Verdict::Unsynchronised;
+    let values = MEANS.iter().filter(|(name, _)| successes > 0 && (is_delay_known || !is_transit(name)));
     let mut values: Vec<(Name, QuantityStatistics)> =
-        values.map(|(name, mean)| (Name::from(*name), figures(mean * scale, ok))).collect();
-    if known && ok > 0 {
-        values.push((stage::UPLOAD_THROUGHPUT, figures(1.9e8 / scale, ok)));
+        values.map(|(name, mean)| (Name::from(*name), figures(mean * scale, successes))).collect();
+    if is_delay_known && successes > 0 {
+        values.push((stage::UPLOAD_THROUGHPUT, figures(1.9e8 / scale, successes)));
     }
     let bounds = [stage::UPLOAD, stage::DOWNLOAD].map(|stage| {
         let delay = values.iter().find(|(name, _)| *name == stage).map(|(_, delay)| delay.mean);
         DelayAccuracy {
-            half_width: known.then(|| figures(HALF_WIDTH, ok.max(1))),
-            ends: delay
-                .map(|delay| [delay - HALF_WIDTH, delay + HALF_WIDTH].map(|end| figures(end, ok.max(1)))),
-            verdicts: vec![(verdict, ok)],
+            half_width: is_delay_known.then(|| figures(HALF_WIDTH, successes.max(1))),
+            ends: delay.map(|delay| {
+                [delay - HALF_WIDTH, delay + HALF_WIDTH].map(|end| figures(end, successes.max(1)))
+            }),
+            verdicts: vec![(verdict, successes)],
             stage,
         }
     });
     Window {
         seconds,
         covered_s: f64::from(seconds),
-        counts: OutcomeCounts { ok, ..OutcomeCounts::default() },
+        counts: OutcomeCounts { ok: successes, ..OutcomeCounts::default() },
         rate_hz: hz,
-        failed_fraction: (ok > 0).then_some(0.0),
+        failed_fraction: (successes > 0).then_some(0.0),
         miss_rate: None,
-        transfers: transfers(ok, (known && ok > 0).then_some(0.0063 * scale)),
+        transfers: transfers(successes, (is_delay_known && successes > 0).then_some(0.0063 * scale)),
         values,
         bounds: bounds.to_vec(),
     }
@@ -140,7 +141,7 @@ pub(crate) fn placement(kind: PlacementKind) -> Placement {
     }
 }
 
-/// Returns a pipeline with a series of two minutes, without the seconds that are `gaps` seconds ago.
+/// Returns a pipeline with a series of two minutes. The series lacks the seconds whose ages, in seconds, are in `gaps`.
 pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: &[i64]) -> PipelineSnapshot {
     let last = NOW.unix_seconds();
     let series = (last - 120..=last).filter(|at| !gaps.contains(&(last - at)));
@@ -177,14 +178,15 @@ pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: 
     }
 }
 
-/// Returns the percentiles of the last two minutes in buckets of 10 s that have enough iterations.
+/// Returns the percentiles of the last two minutes in buckets of 10 s; no percentiles if a bucket has less than 60
+/// iterations.
 fn percentiles(last: i64, hz: f64, scale: f64) -> PercentileSeries {
     let count = 10 * hz as u64;
     if count < 60 {
         return PercentileSeries::default();
     }
-    let begins = (last - 120..=last).filter(|at| at % 10 == 0);
-    let points = begins.map(|at| PercentilePoint { at, count, p95: 0.018 * scale });
+    let bucket_starts = (last - 120..=last).filter(|at| at % 10 == 0);
+    let points = bucket_starts.map(|at| PercentilePoint { at, count, p95: 0.018 * scale });
     PercentileSeries { bucket_s: Some(10), points: points.collect() }
 }
 
@@ -329,11 +331,11 @@ pub(crate) fn clock_point(at: WallTime, window: u64, half: Option<f64>) -> Clock
     }
 }
 
-/// Returns a link from `cam-1` to `rack-a` with a history of two minutes, without the seconds that are `gaps` seconds
-/// ago.
+/// Returns a link from `cam-1` to `rack-a` with a history of two minutes. The history lacks the seconds whose ages, in
+/// seconds, are in `gaps`.
 pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkSnapshot {
     let second = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
-    let known = (0..120).rev().filter(|ago| !gaps.contains(ago));
+    let ages = (0..120).rev().filter(|ago| !gaps.contains(ago));
     LinkSnapshot {
         edge: host_id(),
         edge_name: slug("cam-1"),
@@ -356,7 +358,7 @@ pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkSnapshot {
             connections: vec![connection()],
             reflector: None,
         },
-        history: known.map(|ago| Arc::new(clock_point(second(ago), 1, half))).collect(),
+        history: ages.map(|ago| Arc::new(clock_point(second(ago), 1, half))).collect(),
     }
 }
 
@@ -421,7 +423,7 @@ fn connection() -> Connection {
     }
 }
 
-/// Returns the same link over `zmq-udp`.
+/// Returns the link of [`link`] without gaps, over `zmq-udp`.
 pub(crate) fn link_over_udp(half: Option<f64>) -> LinkSnapshot {
     let mut link = link(half, &[]);
     let network: NetworkName = "zmq-udp".parse().expect("a name");

@@ -237,7 +237,7 @@ pub(crate) fn stored_count_pairs(
     }
     pairs.extend(newest.map(|newest| {
         let newest = zone.moment(newest);
-        ("Stored up to", format!("{}, {} by the host's clock", newest.date(), newest.clock()))
+        ("Stored up to", format!("{}, {} by the host's clock", newest.date(), newest.time_of_day()))
     }));
     pairs
 }

@@ -39,7 +39,7 @@ impl Health {
             chip: Chip::new(Tone::Bad, "unsynchronised", "refused"),
             subject: refused.name.to_string(),
             href: "/hosts".to_owned(),
-            text: format!("was refused at {}: {}", zone.moment(refused.at).clock(), refused.reason),
+            text: format!("was refused at {}: {}", zone.moment(refused.at).time_of_day(), refused.reason),
             link: None,
         }));
         notes.extend(snapshot.hosts.iter().flat_map(|host| host_notes(host, snapshot.at, zone, warn)));
@@ -91,7 +91,7 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
         |chip, text| Note { chip, subject: name.clone(), href: format!("/hosts/{name}"), text, link: None };
     let mut notes = Vec::new();
     if !host.connected && !host.has_left {
-        let seen = zone.moment(host.last_seen).clock();
+        let seen = zone.moment(host.last_seen).time_of_day();
         notes.push(note(Chip::new(Tone::Warn, "gap", "away"), format!("has not reported since {seen}.")));
     }
     let missing = host.missing_events();

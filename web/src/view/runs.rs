@@ -142,7 +142,7 @@ pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
         let missing = MissingCount::from_gaps(gaps_of_reason().map(|gap| gap.count));
         let was = if missing.known == 1 && !missing.is_incomplete { "was" } else { "were" };
         let subject = format!("{} of this run", missing.sentence_start());
-        let [from, to] = [from, to].map(|at| zone.moment(at).clock());
+        let [from, to] = [from, to].map(|at| zone.moment(at).time_of_day());
         // One row may combine several gaps.
         let gaps: u64 = gaps_of_reason().map(|gap| gap.gaps).sum();
         let gaps = counted(gaps, "gap");

@@ -26,7 +26,7 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
             "{route}: {} last reported this link on {}, {}",
             subject.edge,
             seen.date(),
-            seen.clock()
+            seen.time_of_day()
         );
     }
     if subject.contradicts() {
