@@ -10,7 +10,7 @@ use peernet_analysis::compare::{MIN_BATCHES, MIN_VALUES};
 use peernet_statistics::number::{self, NONE, count};
 use peernet_store::ExperimentSummary;
 
-use super::kind::{NavigationEntry, PageKind};
+use super::registration::{NavigationEntry, PageRegistration};
 use super::shell::Shell;
 use super::{Page, page};
 use crate::parameters::Parameters;
@@ -25,7 +25,7 @@ use crate::view::compare::{
 };
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind = PageKind {
+pub(super) const PAGE: PageRegistration = PageRegistration {
     routes: || Router::new().route("/compare", get(show)),
     entry: Some(NavigationEntry { name: "Compare", address: "/compare", key: "c" }),
     topic: None,
@@ -38,9 +38,9 @@ const BASELINE: &str = "baseline";
 /// Number of experiments offered when nothing is selected.
 const MAX_OFFERED: u32 = 50;
 /// Maximum number of letters of a label that stays on one line.
-const SHORT: usize = 24;
+const MAX_UNBROKEN_LETTERS: usize = 24;
 /// Maximum number of excluded runs that are named.
-const LISTED: usize = 8;
+const MAX_NAMED_EXCLUSIONS: usize = 8;
 
 #[derive(Template)]
 #[template(path = "pages/compare.html")]
@@ -55,11 +55,11 @@ struct Compare {
     left_out: Vec<ExcludedRun>,
     table: Table,
     /// Caveats about the means, each with its chip.
-    doubts: Vec<(Chip, String)>,
+    caveats: Vec<(Chip, String)>,
     /// Names of further differences, which the table does not show.
     long_settings: String,
     /// Remarks on samples without a score.
-    unknown: Vec<String>,
+    unscored_remarks: Vec<String>,
     /// Name of the latency by which the configurations are compared.
     total: String,
     stacks: Vec<StackRow>,
@@ -76,6 +76,7 @@ struct Compare {
     baseline: Baseline,
     /// Settings that do not distinguish configurations.
     settings: Vec<Setting>,
+    /// Names of the configurations.
     names: Vec<String>,
     payload: Vec<PayloadPlots>,
     /// Latency by length of the answer.
@@ -121,6 +122,7 @@ async fn show(
 ) -> Page {
     let (store, snapshot) = (app.store(), app.live_state());
     let shell = |title: &str| Shell::new(&app, &snapshot, "/compare", title);
+    // `CompareSelection::parse` rejects unknown parameters, so `stage` and `baseline` are taken out before.
     let (selected_stage, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == STAGE);
     let selected_stage =
         selected_stage.last().map(|(_, stage)| stage.as_str()).filter(|stage| !stage.is_empty());
@@ -182,9 +184,9 @@ fn assemble(
         truncated_to: comparison.is_truncated.then_some(MAX_EXPERIMENT_RUNS),
         left_out: comparison.left_out.clone(),
         table: Table::of(comparison, &differences),
-        doubts: caveats(comparison),
+        caveats: caveats(comparison),
         long_settings: comparison.long_settings.join(", "),
-        unknown: unknown_labels(comparison),
+        unscored_remarks: unknown_labels(comparison),
         total: comparison.total_column.title().to_lowercase(),
         stacks,
         axes,
@@ -243,7 +245,7 @@ impl Baseline {
     }
 }
 
-/// Returns the name of the pipeline if all runs are runs of one pipeline, else an empty list.
+/// Returns a list with the name of the pipeline if all runs are runs of one pipeline, else an empty list.
 fn common_pipeline(comparison: &Comparison) -> Vec<String> {
     let mut pipelines: Vec<String> = comparison.runs().map(|run| run.pipeline.to_string()).collect();
     pipelines.dedup();

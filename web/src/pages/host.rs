@@ -12,7 +12,7 @@ use peernet_statistics::number::{NONE, SPACE, bytes, count, counted, fixed, giga
 use peernet_store::HostRow;
 use peernet_stream::{HostClock, HostDescription, PipelineState};
 
-use super::kind::{LiveTopic, PageKind};
+use super::registration::{LiveTopic, PageRegistration};
 use super::shell::Shell;
 use super::{Page, Update, page, path};
 use crate::error::WebError;
@@ -26,7 +26,7 @@ use crate::view::pipeline_table::{PipelineRow, PipelineTable};
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind = PageKind {
+pub(super) const PAGE: PageRegistration = PageRegistration {
     routes: || Router::new().route("/hosts/{host}", get(show)),
     entry: None,
     topic: Some(LiveTopic {
@@ -48,7 +48,7 @@ struct Host {
     name: String,
     title: String,
     facts: Vec<String>,
-    /// Route and address of each link of the host.
+    /// Route of each link of the host, and address of the link's page.
     links: Vec<(String, String)>,
     line: HostLine,
     agent: Pairs,
@@ -133,7 +133,7 @@ fn agent(description: &HostDescription) -> Pairs {
     ]
 }
 
-/// Returns the number of detected clock steps as text.
+/// Returns the number of detected clock steps as text. Sleeps and excessive drifts count as steps.
 fn step_count(clock: &HostClock) -> String {
     match clock.epoch {
         0 => "none since the agent started".to_owned(),
@@ -171,13 +171,16 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
         (true, 0, 0) => format!("{name} is connected and idle"),
         (true, own, 0) => format!("{name} runs {own} pipeline{}", if own == 1 { "" } else { "s" }),
         (true, 0, others) => {
-            format!("{name} serves {others} pipeline{} of others", if others == 1 { "" } else { "s" })
+            format!("{name} serves {others} pipeline{} of other hosts", if others == 1 { "" } else { "s" })
         }
         (true, own, others) => format!("{name} runs {own} and serves {others}"),
     };
     let aggregator_identity = app.clock.identity();
     let (clock, relation) = clock_words(&description.clock, aggregator_identity, host.clock_ahead);
-    let memory = host.metrics.agent_memory_bytes.map(|size| format!("agent holds {}", bytes(size as f64)));
+    let memory = host
+        .metrics
+        .agent_memory_bytes
+        .map(|size| format!("the agent uses {} of memory", bytes(size as f64)));
     let models = host.metrics.models.filter(|models| models.loaded > 0).map(|models| {
         let number = counted(u64::from(models.loaded), "model");
         format!("{number} loaded, {}", bytes(models.memory_bytes as f64))
@@ -185,7 +188,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
     let cpu = host
         .metrics
         .agent_cpu
-        .map(|share| format!("agent takes {}{SPACE}% of a core", fixed(share * 100.0, 1)));
+        .map(|share| format!("the agent uses {}{SPACE}% of a core", fixed(share * 100.0, 1)));
     Host {
         shell: Shell::new(app, snapshot, "/hosts", name.as_str()).live(format!("{TOPIC}/{name}")),
         title,

@@ -1,4 +1,4 @@
-//! Page of all hosts: pipelines on each, backlogs, clocks.
+//! Page of all hosts: their load, their clocks, and their events that are not stored yet.
 
 use std::collections::HashSet;
 use std::future::ready;
@@ -10,7 +10,7 @@ use axum::routing::get;
 use peernet_aggregator::LiveState;
 use peernet_store::HostRow;
 
-use super::kind::{LiveTopic, NavigationEntry, PageKind};
+use super::registration::{LiveTopic, NavigationEntry, PageRegistration};
 use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
@@ -21,7 +21,7 @@ use crate::view::{list_limits, startup};
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind = PageKind {
+pub(super) const PAGE: PageRegistration = PageRegistration {
     routes: || Router::new().route("/hosts", get(show)),
     entry: Some(NavigationEntry { name: "Hosts", address: "/hosts", key: "h" }),
     topic: Some(LiveTopic {
@@ -38,20 +38,20 @@ const TOPIC: &str = "hosts";
 struct Hosts {
     shell: Shell,
     title: String,
-    /// The title in the past tense, for when the connection is lost.
+    /// The title in the past tense. The page shows it while the page is disconnected from the aggregator.
     past_title: String,
     hosts: Vec<HostLine>,
     /// Hosts that said goodbye.
-    ended: Vec<HostLine>,
+    ended_hosts: Vec<HostLine>,
     events: Vec<EventLine>,
     /// Sentence shown if the list is truncated.
     truncation_note: Option<String>,
-    /// Sentence about hosts that connected before, shown while none reports.
+    /// Sentence about hosts that connected before, shown while no host reports.
     absent_hosts: Option<String>,
     /// Hosts whose connections were refused recently.
     refused: Vec<RefusedLine>,
     /// Hosts that are stored but not in the live state: name and time of the last report.
-    past: Vec<(String, ZonedTime)>,
+    past_hosts: Vec<(String, ZonedTime)>,
     /// Sentence shown if the list of past hosts is truncated.
     past_truncation_note: Option<String>,
 }
@@ -64,6 +64,7 @@ async fn show(State(app): State<App>) -> Page {
 
 /// Renders the changed parts of the page.
 pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
+    // The list of past hosts is no live part, so an update needs no stored hosts.
     let page = hosts(app, snapshot, &[]);
     let parts = vec![
         ("title", page.as_title().render()?),
@@ -88,15 +89,15 @@ fn hosts(app: &AppState, snapshot: &LiveState, stored: &[HostRow]) -> Hosts {
         all => format!("{connected} of {all} hosts were connected"),
     };
     let live: HashSet<_> = snapshot.hosts.iter().map(|host| host.id).collect();
-    let past: Vec<&HostRow> = stored.iter().filter(|row| !live.contains(&row.id)).collect();
-    let (current_hosts, ended) =
+    let past_hosts: Vec<&HostRow> = stored.iter().filter(|row| !live.contains(&row.id)).collect();
+    let (current_hosts, ended_hosts) =
         HostLine::current_and_ended(list_limits::MAX_IN_LIST, snapshot, app.clock.identity(), app.zone);
     Hosts {
         shell: Shell::new(app, snapshot, "/hosts", "Hosts").live(TOPIC),
         title,
         past_title,
         hosts: current_hosts,
-        ended,
+        ended_hosts,
         events: snapshot
             .hosts
             .iter()
@@ -106,8 +107,8 @@ fn hosts(app: &AppState, snapshot: &LiveState, stored: &[HostRow]) -> Hosts {
         truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, snapshot.hosts.len()),
         absent_hosts: startup::absent_hosts_sentence(snapshot),
         refused: RefusedLine::all(snapshot, app.zone),
-        past_truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, past.len()),
-        past: past
+        past_truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, past_hosts.len()),
+        past_hosts: past_hosts
             .iter()
             .take(list_limits::MAX_IN_LIST)
             .map(|row| (row.name.to_string(), app.zone.moment(row.last_seen)))

@@ -8,7 +8,7 @@ use peernet_store::{AggregatorIncidentKind, IncidentFilter};
 use peernet_stream::IncidentKind;
 use serde::Deserialize;
 
-use super::kind::{NavigationEntry, PageKind};
+use super::registration::{NavigationEntry, PageRegistration};
 use super::shell::Shell;
 use super::{Page, page};
 use crate::parameters::Parameters;
@@ -16,7 +16,7 @@ use crate::state::App;
 use crate::view::incidents::IncidentLine;
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind = PageKind {
+pub(super) const PAGE: PageRegistration = PageRegistration {
     routes: || Router::new().route("/incidents", get(show)),
     entry: Some(NavigationEntry { name: "Incidents", address: "/incidents", key: "i" }),
     topic: None,
@@ -37,8 +37,8 @@ const KINDS: [&str; 11] = [
     AggregatorIncidentKind::Storage.name(),
 ];
 
-/// Incidents per page.
-const ROWS: u32 = 100;
+/// Number of incidents on a page.
+const MAX_ROWS: u32 = 100;
 
 /// Query parameters.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -60,10 +60,11 @@ struct Incidents {
     lines: Vec<IncidentLine>,
     /// `true` if any incident belongs to a run.
     has_runs: bool,
-    /// `before` of the next page; `None` on the last.
+    /// Value of `before` for the page with older incidents; `None` on the last page.
     older: Option<i64>,
     /// Kinds that can be selected; `true` for the selected one.
     kinds: Vec<(&'static str, bool)>,
+    /// Names of hosts that can be selected; `true` for the selected one.
     hosts: Vec<(String, bool)>,
     filter: IncidentFilter,
 }
@@ -72,11 +73,12 @@ struct Incidents {
 async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> Page {
     let non_empty = |value: Option<String>| value.filter(|value| !value.is_empty());
     let Query { before, kind, host } = query;
-    let filter = IncidentFilter { limit: ROWS + 1, before, kind: non_empty(kind), host: non_empty(host) };
+    // One row more than the page shows tells whether there are older incidents.
+    let filter = IncidentFilter { limit: MAX_ROWS + 1, before, kind: non_empty(kind), host: non_empty(host) };
     let (mut rows, hosts) = tokio::try_join!(app.store().incidents(&filter), app.store().hosts())?;
     let is_filtered = filter.kind.is_some() || filter.host.is_some();
-    let has_more = rows.len() > ROWS as usize;
-    rows.truncate(ROWS as usize);
+    let has_more = rows.len() > MAX_ROWS as usize;
+    rows.truncate(MAX_ROWS as usize);
     page(&Incidents {
         shell: Shell::new(&app, &app.live_state(), "/incidents", "Incidents"),
         title: match (rows.is_empty(), is_filtered) {

@@ -11,7 +11,7 @@ use peernet_figures::scale::Scale;
 use peernet_statistics::number::{NONE, count, duration, times};
 use peernet_store::{IterationDetail, IterationRow, RunDetail, RunSummary};
 
-use super::kind::PageKind;
+use super::registration::PageRegistration;
 use super::shell::Shell;
 use super::{Page, page, path};
 use crate::error::WebError;
@@ -26,7 +26,7 @@ use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, lanes, ro
 use crate::view::{clock_fault, link, place};
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind = PageKind {
+pub(super) const PAGE: PageRegistration = PageRegistration {
     routes: || Router::new().route("/runs/{run}/iterations/{iteration}", get(show)),
     entry: None,
     topic: None,
@@ -57,7 +57,7 @@ struct Iteration {
     edge: String,
     cloud: Option<String>,
     axis: Picture,
-    /// Rails of both hosts with the messages between them; `None` without another host.
+    /// Time lines of both hosts, with the messages between the hosts; `None` without another host.
     lanes: Option<Picture>,
     rows: Vec<Row>,
     note: Option<String>,
@@ -79,7 +79,7 @@ async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathReje
     page(&assemble(&app, &run, &detail))
 }
 
-/// Returns the title of the page: duration, rank, and cause.
+/// Returns the title of the page: the duration, its ratio to the run's median, and the causes of a slow iteration.
 fn title(row: &IterationRow) -> String {
     let Some(total) = row.total.filter(|_| row.outcome == "ok") else {
         let reason = row.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
@@ -122,7 +122,11 @@ fn facts(app: &AppState, run: &RunSummary, detail: &IterationDetail) -> Vec<Stri
         format!("episode {}, step {}", count(row.episode.into()), count(row.step.into())),
     ];
     // The rank is among the stored iterations.
-    let base = if run.nodes_from > 0 { "those that are kept".to_owned() } else { count(run.counts.ok) };
+    let base = if run.nodes_from > 0 {
+        "the iterations that are still stored".to_owned()
+    } else {
+        count(run.counts.ok)
+    };
     facts.extend(detail.rank.map(|rank| match rank {
         1 => format!("slowest of {base}"),
         rank => format!("{} slowest of {base}", ordinal(rank)),

@@ -10,7 +10,7 @@ use peernet_clock::Span;
 use peernet_store::{IncidentFilter, IncidentRow};
 use serde::Deserialize;
 
-use super::kind::{LiveTopic, PageKind};
+use super::registration::{LiveTopic, PageRegistration};
 use super::shell::Shell;
 use super::{Page, Update, page, path};
 use crate::error::WebError;
@@ -33,7 +33,7 @@ use crate::view::link::traffic::TrafficRow;
 use crate::view::link::{Subject, canonical, find, no_link};
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind = PageKind {
+pub(super) const PAGE: PageRegistration = PageRegistration {
     routes: || Router::new().route("/links/{link}", get(show)),
     entry: None,
     topic: Some(LiveTopic {
@@ -66,7 +66,7 @@ pub(crate) struct Query {
 enum Range {
     #[default]
     #[serde(rename = "10min")]
-    Minutes,
+    TenMinutes,
     #[serde(rename = "1h")]
     Hour,
     #[serde(rename = "24h")]
@@ -74,11 +74,11 @@ enum Range {
 }
 
 impl Range {
-    const ALL: [Self; 3] = [Self::Minutes, Self::Hour, Self::Day];
+    const ALL: [Self; 3] = [Self::TenMinutes, Self::Hour, Self::Day];
 
     const fn query_value(self) -> &'static str {
         match self {
-            Self::Minutes => "10min",
+            Self::TenMinutes => "10min",
             Self::Hour => "1h",
             Self::Day => "24h",
         }
@@ -86,7 +86,7 @@ impl Range {
 
     const fn seconds(self) -> i64 {
         match self {
-            Self::Minutes => 600,
+            Self::TenMinutes => 600,
             Self::Hour => 3_600,
             Self::Day => 86_400,
         }
@@ -94,7 +94,7 @@ impl Range {
 
     const fn name(self) -> &'static str {
         match self {
-            Self::Minutes => "10\u{202f}min",
+            Self::TenMinutes => "10\u{202f}min",
             Self::Hour => "1\u{202f}h",
             Self::Day => "24\u{202f}h",
         }
@@ -102,7 +102,7 @@ impl Range {
 
     const fn heading(self) -> &'static str {
         match self {
-            Self::Minutes => "The last 10 minutes",
+            Self::TenMinutes => "The last 10 minutes",
             Self::Hour => "The last hour",
             Self::Day => "The last 24 hours",
         }
@@ -161,9 +161,10 @@ async fn show(
     )?;
     if let Some(link) = find(&snapshot, &link_name) {
         let subject = Subject::live(link);
-        let recent_series = LinkTimeSeries::live(&link.history, subject.end, Range::Minutes.seconds());
+        // The figures above the chart are of the last ten minutes, whatever the range of the chart.
+        let recent_series = LinkTimeSeries::live(&link.history, subject.end, Range::TenMinutes.seconds());
         let selected_series = match query.range {
-            Range::Minutes => None,
+            Range::TenMinutes => None,
             range => Some(read_time_series(&app, &subject, range).await?),
         };
         return page(&link_page(
@@ -216,7 +217,7 @@ pub(super) async fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> 
     let link = find(snapshot, link_name).ok_or_else(|| no_link(link_name))?;
     let incidents = app.cached_incidents().await?;
     let subject = Subject::live(link);
-    let recent_series = LinkTimeSeries::live(&link.history, subject.end, Range::Minutes.seconds());
+    let recent_series = LinkTimeSeries::live(&link.history, subject.end, Range::TenMinutes.seconds());
     let page = link_page(app, snapshot, &subject, &recent_series, None, Query { range, offset }, &incidents);
     let mut parts = vec![
         ("title", page.as_title().render()?),
@@ -230,7 +231,7 @@ pub(super) async fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> 
         ("clocks", page.as_clocks().render()?),
     ];
     // Charts of longer ranges are read from the store, so the live stream does not update them.
-    if range == Range::Minutes {
+    if range == Range::TenMinutes {
         parts.extend([
             ("chart", page.as_chart().render()?),
             ("table", page.as_table().render()?),

@@ -9,7 +9,7 @@ use axum::routing::get;
 use peernet_aggregator::LiveState;
 use peernet_store::LinkRow;
 
-use super::kind::{LiveTopic, NavigationEntry, PageKind};
+use super::registration::{LiveTopic, NavigationEntry, PageRegistration};
 use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
@@ -18,7 +18,7 @@ use crate::view::link::list::{LinkLine, PastLine, title};
 use crate::view::list_limits;
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind = PageKind {
+pub(super) const PAGE: PageRegistration = PageRegistration {
     routes: || Router::new().route("/links", get(show)),
     entry: Some(NavigationEntry { name: "Links", address: "/links", key: "l" }),
     topic: Some(LiveTopic {
@@ -39,7 +39,7 @@ struct Links {
     /// Sentence shown if the list is truncated.
     truncation_note: Option<String>,
     /// Links that are stored but not in the live state.
-    past: Vec<PastLine>,
+    past_links: Vec<PastLine>,
 }
 
 /// `GET /links`.
@@ -50,19 +50,20 @@ async fn show(State(app): State<App>) -> Page {
 
 /// Renders the changed parts of the page.
 pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
+    // The list of past links is no live part, so an update needs no stored links.
     let page = links(app, snapshot, &[]);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
     Ok(Update::new(page.shell.title, parts))
 }
 
 fn links(app: &AppState, snapshot: &LiveState, stored: &[LinkRow]) -> Links {
-    let mut past = PastLine::all(stored, snapshot, app.zone);
-    past.truncate(list_limits::MAX_IN_LIST);
+    let mut past_links = PastLine::all(stored, snapshot, app.zone);
+    past_links.truncate(list_limits::MAX_IN_LIST);
     Links {
         shell: Shell::new(app, snapshot, "/links", "Links").live(TOPIC),
         title: title(snapshot),
         lines: LinkLine::first(list_limits::MAX_IN_LIST, snapshot, app.zone),
         truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, snapshot.links.len()),
-        past,
+        past_links,
     }
 }

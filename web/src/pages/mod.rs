@@ -1,6 +1,7 @@
 //! The dashboard: one file per page, with its template next to it.
 //!
-//! A page is complete when it is loaded. Its live parts are blocks of its template, which the live stream sends again.
+//! A page is complete when it is loaded. The live parts of a page are blocks of the page's template. The live stream sends
+//! a part again when the part has changed.
 //!
 //! This file registers the pages. Each page is named here twice, as a module and in [`PAGES`], and nowhere else in the
 //! program.
@@ -11,12 +12,12 @@ mod host;
 mod hosts;
 mod incidents;
 mod iteration;
-mod kind;
 mod link;
 mod links;
 mod overview;
 mod pipeline;
 mod pipelines;
+mod registration;
 mod run;
 mod runs;
 mod shell;
@@ -30,16 +31,16 @@ use axum::extract::rejection::PathRejection;
 use axum::response::Html;
 use serde::Serialize;
 
-use self::kind::{LiveTopic, NavigationEntry, PageKind};
+use self::registration::{LiveTopic, NavigationEntry, PageRegistration};
 use crate::error::WebError;
 use crate::state::App;
 use crate::view::chart::{IncidentMark, Obstacles};
 
 pub(crate) use self::error::render as render_problem;
-pub(crate) use self::kind::RequestedTopic;
+pub(crate) use self::registration::RequestedTopic;
 
 /// All pages. The navigation and the list of topics have their entries in this order.
-static PAGES: &[PageKind] = &[
+static PAGES: &[PageRegistration] = &[
     overview::PAGE,
     pipelines::PAGE,
     runs::PAGE,
@@ -71,7 +72,7 @@ fn live_topics() -> impl Iterator<Item = &'static LiveTopic> {
 }
 
 /// Returns the patterns of the topics of live pages, such as `host/HOST`.
-pub(crate) fn topic_forms() -> impl Iterator<Item = &'static str> {
+pub(crate) fn topic_patterns() -> impl Iterator<Item = &'static str> {
     live_topics().map(|topic| topic.pattern)
 }
 
@@ -84,7 +85,10 @@ fn page(template: &impl Template) -> Page {
     Ok(Html(template.render()?))
 }
 
-/// Returns the values of a path, or `NotFound` if a value is invalid, because such a page does not exist.
+/// Returns the parameters of a path.
+///
+/// # Errors
+/// `NotFound` when a parameter is invalid: no page has such an address.
 fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
     path.map(|Path(value)| value).map_err(|rejection| WebError::NotFound(rejection.body_text()))
 }
@@ -100,7 +104,7 @@ pub(crate) struct Update {
     pub parts: Vec<(&'static str, String)>,
     /// Incidents to mark on the time axes.
     pub marks: Vec<IncidentMark>,
-    /// For the key of each chart the reasons why the upward and the downward throughput have no line.
+    /// Key of each chart, and the reasons why the chart's upward and downward throughput have no line.
     pub obstacles: Vec<(String, Obstacles)>,
 }
 

@@ -11,7 +11,7 @@ use peernet_statistics::number::counted;
 use peernet_store::IncidentRow;
 use peernet_stream::PipelineState;
 
-use super::kind::{LiveTopic, NavigationEntry, PageKind};
+use super::registration::{LiveTopic, NavigationEntry, PageRegistration};
 use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
@@ -27,7 +27,7 @@ use crate::view::startup;
 use crate::zone::ZonedTime;
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind = PageKind {
+pub(super) const PAGE: PageRegistration = PageRegistration {
     routes: || Router::new().route("/", get(show)),
     entry: Some(NavigationEntry { name: "Overview", address: "/", key: "o" }),
     topic: Some(LiveTopic { pattern: TOPIC, update: |app, snapshot, _| Box::pin(update(app, snapshot)) }),
@@ -46,9 +46,9 @@ pub(super) struct Overview {
     charts: Vec<ChartCard>,
     hosts: Vec<HostLine>,
     /// Hosts that said goodbye.
-    ended: Vec<HostLine>,
+    ended_hosts: Vec<HostLine>,
     /// Beginning of a sentence about pipelines that are not shown because their hosts said goodbye.
-    ended_note: Option<String>,
+    ended_pipelines_note: Option<String>,
     /// Sentences shown if the lists of pipelines and of hosts are truncated.
     truncation_note: [Option<String>; 2],
     /// `Err` holds the id under which the failure was logged.
@@ -61,7 +61,9 @@ pub(super) struct Overview {
 pub(super) struct EmptyOverview {
     shell: Shell,
     layout: String,
+    /// Address at which the aggregator listens for events.
     listening: String,
+    /// Time at which the server started.
     since: ZonedTime,
     refused: Vec<RefusedLine>,
     title: &'static str,
@@ -104,7 +106,7 @@ pub(super) async fn update(app: &AppState, snapshot: &LiveState) -> Result<Updat
 type Incidents = Result<Vec<IncidentRow>, String>;
 
 /// Returns the newest incidents, or the id of the logged error. An error of the store does not fail the page: only the panel of
-/// incidents shows it.
+/// incidents shows the error.
 async fn incidents(app: &AppState) -> Incidents {
     let rows = app.shown_incidents().await;
     rows.map_err(|error| WebError::from(error).to_problem(app).id().unwrap_or_default().to_owned())
@@ -132,32 +134,33 @@ struct ShownPipelines<'a> {
     /// The pipelines to show, running pipelines first. Pipelines of hosts that have ended are shown only if there are no others.
     pipelines: Vec<&'a PipelineSnapshot>,
     /// Number of pipelines of hosts that have not ended.
-    current: usize,
+    current_count: usize,
     /// Number of pipelines of hosts that have ended and that are not shown.
-    hidden_ended: usize,
+    hidden_ended_count: usize,
 }
 
 impl<'a> ShownPipelines<'a> {
     fn of(snapshot: &'a LiveState) -> Self {
-        let ended_hosts: HashSet<_> =
+        let ended_host_ids: HashSet<_> =
             snapshot.hosts.iter().filter(|host| host.has_left).map(|host| host.id).collect();
         let all = snapshot.pipelines.iter().map(|one| &**one);
         let (mut ended, mut pipelines): (Vec<_>, Vec<_>) =
-            all.partition(|one| ended_hosts.contains(&one.host));
-        let (current, all_ended) = (pipelines.len(), ended.len());
+            all.partition(|one| ended_host_ids.contains(&one.host));
+        let (current_count, all_ended) = (pipelines.len(), ended.len());
         pipelines.sort_by_key(|one| one.state != PipelineState::Running);
         pipelines.truncate(list_limits::MAX_ON_OVERVIEW);
         if pipelines.is_empty() {
             ended.truncate(MAX_ENDED_PIPELINES);
-            return Self { hidden_ended: all_ended - ended.len(), pipelines: ended, current };
+            return Self { hidden_ended_count: all_ended - ended.len(), pipelines: ended, current_count };
         }
-        Self { pipelines, current, hidden_ended: all_ended }
+        Self { pipelines, current_count, hidden_ended_count: all_ended }
     }
 
-    fn ended_note(&self) -> Option<String> {
-        let verb = if self.hidden_ended == 1 { "is" } else { "are" };
-        let pipelines = counted(self.hidden_ended as u64, "pipeline");
-        (self.hidden_ended > 0).then(|| format!("{pipelines} of hosts that have ended {verb}"))
+    /// Returns the beginning of a sentence about the pipelines that are not shown.
+    fn ended_pipelines_note(&self) -> Option<String> {
+        let verb = if self.hidden_ended_count == 1 { "is" } else { "are" };
+        let pipelines = counted(self.hidden_ended_count as u64, "pipeline");
+        (self.hidden_ended_count > 0).then(|| format!("{pipelines} of hosts that have ended {verb}"))
     }
 }
 
@@ -169,7 +172,7 @@ pub(super) fn overview(
     let health = Health::of(snapshot, app.zone, app.started_at, &app.warn);
     let shown = ShownPipelines::of(snapshot);
     let pipelines = &shown.pipelines;
-    let (hosts, ended) =
+    let (hosts, ended_hosts) =
         HostLine::current_and_ended(list_limits::MAX_ON_OVERVIEW, snapshot, app.clock.identity(), app.zone);
     let charts: Vec<ChartCard> =
         pipelines.iter().map(|pipeline| ChartCard::new(pipeline, snapshot, app.zone)).collect();
@@ -179,9 +182,9 @@ pub(super) fn overview(
         layout: charts.iter().map(|card| card.key.as_str()).collect::<Vec<_>>().join(" "),
         now: PipelineTable::new(pipelines),
         hosts,
-        ended,
-        ended_note: shown.ended_note(),
-        truncation_note: [shown.current, snapshot.hosts.len()]
+        ended_hosts,
+        ended_pipelines_note: shown.ended_pipelines_note(),
+        truncation_note: [shown.current_count, snapshot.hosts.len()]
             .map(|all| list_limits::truncation_note(list_limits::MAX_ON_OVERVIEW, all)),
         incidents: incidents.map(|rows| IncidentLine::all(&rows, app.zone)),
         data: ChartCard::data(&charts, &marks)?,

@@ -14,7 +14,7 @@ use peernet_store::{QuantityStatistics, RunFilter, RunSummary};
 use peernet_stream::{PipelineState, PlacementKind};
 use serde::Deserialize;
 
-use super::kind::{LiveTopic, PageKind};
+use super::registration::{LiveTopic, PageRegistration};
 use super::shell::Shell;
 use super::{Page, Update, page, path};
 use crate::error::WebError;
@@ -35,7 +35,7 @@ use crate::view::stages::{StageRow, TOO_FEW};
 use crate::view::{chip::Chip, link, place};
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind = PageKind {
+pub(super) const PAGE: PageRegistration = PageRegistration {
     routes: || Router::new().route("/pipelines/{host}/{pipeline}", get(show)),
     entry: None,
     topic: Some(LiveTopic {
@@ -93,7 +93,7 @@ struct Stat {
     name: &'static str,
     number: String,
     unit: &'static str,
-    /// Reason for a missing number; empty if the number is present.
+    /// Explanation of the number, or the reason why the number is missing; may be empty.
     title: String,
 }
 
@@ -136,7 +136,7 @@ fn find<'a>(snapshot: &'a LiveState, host: &str, name: &str) -> Result<&'a Pipel
     let matches = |one: &&PipelineSnapshot| one.host_name.as_str() == host && one.pipeline.as_str() == name;
     snapshot.pipelines.iter().map(|one| &**one).find(matches).ok_or_else(|| {
         WebError::NotFound(format!(
-            "host {host} has not reported a pipeline {name}; its stored runs are listed under /runs"
+            "host {host} has not reported a pipeline {name}; the stored runs of such a pipeline are listed under /runs"
         ))
     })
 }

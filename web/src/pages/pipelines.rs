@@ -9,7 +9,7 @@ use axum::routing::get;
 use peernet_aggregator::{LiveState, PipelineSnapshot};
 use peernet_stream::PipelineState;
 
-use super::kind::{LiveTopic, NavigationEntry, PageKind};
+use super::registration::{LiveTopic, NavigationEntry, PageRegistration};
 use super::shell::Shell;
 use super::{Page, Update, page};
 use crate::error::WebError;
@@ -19,7 +19,7 @@ use crate::view::place;
 use crate::view::{list_limits, startup};
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind = PageKind {
+pub(super) const PAGE: PageRegistration = PageRegistration {
     routes: || Router::new().route("/pipelines", get(show)),
     entry: Some(NavigationEntry { name: "Pipelines", address: "/pipelines", key: "p" }),
     topic: Some(LiveTopic {
@@ -36,7 +36,7 @@ const TOPIC: &str = "pipelines";
 struct Pipelines {
     shell: Shell,
     title: String,
-    /// The title in the past tense, for when the connection is lost.
+    /// The title in the past tense. The page shows it while the page is disconnected from the aggregator.
     past_title: String,
     lines: Vec<Line>,
     /// Sentence shown if the list is truncated.

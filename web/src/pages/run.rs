@@ -16,7 +16,7 @@ use peernet_store::{IterationFilter, RunDetail, RunStatistics, StageStatistics};
 use peernet_stream::ExperimentPosition;
 use serde::Deserialize;
 
-use super::kind::PageKind;
+use super::registration::PageRegistration;
 use super::shell::Shell;
 use super::{Page, page, path};
 use crate::error::WebError;
@@ -38,8 +38,8 @@ use crate::view::{accuracy, clock_fault, link, place, runs};
 use crate::zone::Zone;
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind =
-    PageKind { routes: || Router::new().route("/runs/{run}", get(show)), entry: None, topic: None };
+pub(super) const PAGE: PageRegistration =
+    PageRegistration { routes: || Router::new().route("/runs/{run}", get(show)), entry: None, topic: None };
 
 /// Maximum number of points of the line over time.
 const MAX_POINTS: usize = 240;
@@ -49,8 +49,7 @@ const DRAWN_SLOWEST: u32 = 40;
 const MAX_FAILED: u32 = 8;
 
 /// Reason why a run has no rate.
-const NO_LENGTH: &str =
-    "how long it ran is not known: it has no end yet, its clock was set, or it stood still";
+const NO_LENGTH: &str = "the length of the run is not known: the run has no end yet, the edge's clock was set, or the run stood still";
 
 /// Query parameters.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -138,16 +137,17 @@ struct Run {
     data: JsonBlock,
 }
 
-/// Kinds of marks in the chart over time.
+/// For each kind of mark in the chart over time: `true` if the chart has such marks.
 struct MarkKinds {
     borders: bool,
     warm_up: bool,
     failed: bool,
 }
 
-/// The selected distribution and the links that select another.
+/// The selected distribution, and the links that select another distribution or view.
 struct Distribution {
     stage: String,
+    /// `None` if the run has no measurement of this name.
     plot: Option<Picture>,
     /// Name of each view, the query parameters of its link, and `true` for the selected one.
     views: [(&'static str, String, bool); 2],
@@ -214,7 +214,7 @@ impl Distribution {
     }
 }
 
-/// Results of the actuator: each a number and words about its base.
+/// Results of the actuator. Each result has a number, and a text about the episodes or answers that the number covers.
 #[derive(Debug, PartialEq)]
 struct ActuatorNumbers {
     /// Success rate in percent with its interval; `None` if no success is reported.
@@ -374,7 +374,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn actuator_figures_have_their_base() {
+    fn actuator_results_state_what_they_cover() {
         let none = ActuatorNumbers { success: None, episode_return: None, superseded: None };
         assert_eq!(ActuatorNumbers::new(&ActuatorResults::default(), 9), none);
         let statistics_of = |name: &str| match name {

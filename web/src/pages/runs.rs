@@ -8,7 +8,7 @@ use peernet_statistics::number::count;
 use peernet_store::RunFilter;
 use serde::Deserialize;
 
-use super::kind::{NavigationEntry, PageKind};
+use super::registration::{NavigationEntry, PageRegistration};
 use super::shell::Shell;
 use super::{Page, page};
 use crate::parameters::{self, Parameters};
@@ -16,14 +16,14 @@ use crate::state::App;
 use crate::view::runs::RunLine;
 
 /// Registration of this page.
-pub(super) const PAGE: PageKind = PageKind {
+pub(super) const PAGE: PageRegistration = PageRegistration {
     routes: || Router::new().route("/runs", get(show)),
     entry: Some(NavigationEntry { name: "Runs", address: "/runs", key: "r" }),
     topic: None,
 };
 
-/// Runs per page.
-const ROWS: u32 = 50;
+/// Number of runs on a page.
+const MAX_ROWS: u32 = 50;
 
 /// Query parameters.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -52,10 +52,11 @@ struct Runs {
 async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> Page {
     let pipeline =
         query.pipeline.as_deref().map(|name| parameters::parse_slug("pipeline", name)).transpose()?;
-    let filter = RunFilter { pipeline, limit: ROWS + 1, before: query.before, ..RunFilter::default() };
+    // One row more than the page shows tells whether there are older runs.
+    let filter = RunFilter { pipeline, limit: MAX_ROWS + 1, before: query.before, ..RunFilter::default() };
     let mut runs = app.store().runs(&filter).await?;
-    let has_more = runs.len() > ROWS as usize;
-    runs.truncate(ROWS as usize);
+    let has_more = runs.len() > MAX_ROWS as usize;
+    runs.truncate(MAX_ROWS as usize);
     let older = runs.last().filter(|_| has_more).map(|last| {
         let name = query.pipeline.as_ref().map_or_else(String::new, |name| format!("&pipeline={name}"));
         format!("?before={}{name}", last.number)

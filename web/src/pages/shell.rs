@@ -1,8 +1,8 @@
-//! Frame around every page.
+//! The frame of every page: head, top bar and foot.
 
 use peernet_aggregator::LiveState;
 
-use super::kind::NavigationEntry;
+use super::registration::NavigationEntry;
 use crate::assets;
 use crate::state::AppState;
 use crate::view::clock_fault::FaultyClocks;
@@ -11,7 +11,7 @@ use crate::view::storage_notice;
 /// Head, top bar and foot of a page.
 #[derive(Clone, Debug)]
 pub(crate) struct Shell {
-    /// Address of the navigation entry that is marked; empty for a page that belongs to none.
+    /// Address of the navigation entry that is marked; empty for a page that belongs to no entry.
     pub section: &'static str,
     /// Title of the browser's window.
     pub title: String,
@@ -26,7 +26,7 @@ pub(crate) struct Shell {
     /// Topic of the live stream that updates this page; `None` for a page without live updates.
     pub topic: Option<String>,
     /// `true` if no host has reported yet.
-    pub waiting: bool,
+    pub is_waiting: bool,
     /// Sentences about injected clock faults, one per host.
     pub clock_faults: Vec<String>,
     /// Sentence shown while events are not being stored.
@@ -62,7 +62,7 @@ impl Shell {
             offset: app.zone.offset_seconds(now),
             aggregator: snapshot.aggregator.to_string(),
             topic: None,
-            waiting: snapshot.hosts.is_empty(),
+            is_waiting: snapshot.hosts.is_empty(),
             clock_faults: FaultyClocks::of(snapshot).banner(),
             not_storing: storage_notice::notice(&app.aggregator.current_readiness()),
         }

@@ -16,7 +16,7 @@ const REGISTRIES: [Registry; 2] = [
     Registry { folder: "api", unregistered: &["openapi", "schema"], registration_suffix: "::routes()" },
     Registry {
         folder: "pages",
-        unregistered: &["error", "kind", "shell", "tests"],
+        unregistered: &["error", "registration", "shell", "tests"],
         registration_suffix: "::PAGE",
     },
 ];

@@ -70,7 +70,7 @@ async fn empty_aggregator_shows_how_to_start_an_edge() {
     for (path, text) in [
         ("/pipelines", "No pipeline has reported yet"),
         ("/runs", "No run is stored yet"),
-        ("/links", "A link comes with the first pipeline whose placement is"),
+        ("/links", "A link appears with the first pipeline whose placement is"),
         ("/hosts", "No host has reported yet"),
         ("/incidents", "No incident is stored"),
     ] {

@@ -1,6 +1,6 @@
 //! `GET /api/v1/live`: one stream of events per page.
 //!
-//! Each listener takes the newest snapshot of the live state when it is ready for it, at most four times a second and less often when
+//! Each listener takes the newest snapshot of the live state when the listener is ready, at most four times a second and less often when
 //! snapshots are large. A slow listener therefore skips snapshots and never delays the others.
 
 mod schema;
@@ -43,11 +43,11 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     router
 }
 
-/// Describes the query parameter `topics` by the topics that the pages registered.
+/// Describes the query parameter `topics` with the topics that the pages registered.
 fn describe_topics(document: &mut utoipa::openapi::OpenApi) {
-    let forms: Vec<String> = pages::topic_forms().map(|form| format!("`{form}`")).collect();
-    // The line break after the first form stays, because the committed OpenAPI document has it.
-    let (first, others) = forms.split_at(1);
+    let patterns: Vec<String> = pages::topic_patterns().map(|pattern| format!("`{pattern}`")).collect();
+    // The line break after the first pattern stays, because the committed OpenAPI document has it.
+    let (first, others) = patterns.split_at(1);
     let text = format!(
         "Topics, separated by commas: `picture` (all pipelines and hosts as JSON), and for the dashboard {},\n{}.\n\
          By default `picture`. At most {MAX_TOPICS} different topics; a topic that is named several times is sent once.",
@@ -78,7 +78,7 @@ const MAX_BYTES_PER_SECOND: usize = 512 << 10;
 const MAX_TOPICS: usize = 16;
 /// Maximum number of seconds of each pipeline that are sent to a listener that reconnects.
 const MAX_HISTORY_SECONDS: usize = 600;
-/// Maximum number of seconds of all pipelines together in one event. If the missed seconds exceed it, a listener receives only the
+/// Maximum number of seconds of all pipelines together in one event. If the missed seconds exceed this number, a listener receives only the
 /// latest [`PipelineList::SECONDS`] of each pipeline, and must request the rest pipeline by pipeline.
 const MAX_CATCH_UP_SECONDS: usize = 10_000;
 /// Time between two heartbeats while nothing changes.
@@ -116,7 +116,7 @@ impl Topic {
             return Ok(Self::LiveState);
         }
         pages::topic(text).map(Self::Page).ok_or_else(|| {
-            let names: Vec<&str> = [Self::LIVE_STATE].into_iter().chain(pages::topic_forms()).collect();
+            let names: Vec<&str> = [Self::LIVE_STATE].into_iter().chain(pages::topic_patterns()).collect();
             WebError::BadRequest(format!(
                 "query parameter topics: {text:?} is not a topic; use one of {}",
                 names.join(", ")

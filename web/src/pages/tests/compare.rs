@@ -327,7 +327,7 @@ async fn few_runs_show_all_distributions_or_selected_one() {
     let html = page_of_stage(&two, "preprocessing").await.expect("there");
     assert!(panel(&html, "distributions").contains("aria-current=\"true\">preprocessing</a>"), "{html}");
     let html = page_of_stage(&two, "download-throughput").await.expect("a usual one");
-    assert!(panel(&html, "distributions").contains("No run that is compared has measured this."), "{html}");
+    assert!(panel(&html, "distributions").contains("No compared run has measured this quantity."), "{html}");
     let refused = page_of_stage(&two, "<b>").await.expect_err("nobody has it").to_string();
     assert!(refused.contains("none of the compared runs has \"<b>\"; ask for"), "{refused}");
 

@@ -75,7 +75,7 @@ async fn configurations_beyond_six_are_named() {
     let panel = panel(&html);
     assert_eq!(panel.matches("<figcaption>").count(), 6, "{panel}");
     assert!(
-        panel.contains("The first 6 whose answers differ in length; those of G; H; I do, too."),
+        panel.contains("Only the first 6 configurations whose answers differ in length are drawn; the answers of G; H; I differ"),
         "{panel}"
     );
 }

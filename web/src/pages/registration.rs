@@ -10,8 +10,8 @@ use super::Update;
 use crate::error::WebError;
 use crate::state::{App, AppState};
 
-/// Registration of a page. The file of each page defines one `PageKind`, and the list in `pages/mod.rs` names it.
-pub(crate) struct PageKind {
+/// Registration of a page. The file of each page defines one `PageRegistration`, and the list in `pages/mod.rs` contains it.
+pub(crate) struct PageRegistration {
     /// Routes of the page.
     pub routes: fn() -> Router<App>,
     /// Entry in the navigation; `None` for a page that belongs to the entry of another page.
@@ -23,7 +23,7 @@ pub(crate) struct PageKind {
 /// An entry of the navigation.
 pub(crate) struct NavigationEntry {
     pub name: &'static str,
-    /// Address of the page; the addresses of pages below it begin with it.
+    /// Address of the page. The addresses of the pages below this page begin with this address.
     pub address: &'static str,
     /// Key that opens the page if it is pressed after `g`.
     pub key: &'static str,
