@@ -32,29 +32,31 @@
     find("#menu").setAttribute("aria-expanded", String(open));
   }
 
-  // --- alternative views: one of them is shown; a chart can be replaced by its table
+  // --- alternative views: one of several views is shown, or a table replaces a chart
   function selectView(button) {
     for (const other of findAll("[data-shows]", button.closest(".seg"))) {
-      const on = other === button;
+      const isSelected = other === button;
       const view = document.getElementById(other.dataset.shows);
-      other.setAttribute("aria-pressed", String(on));
-      view.classList.toggle(view.classList.contains("alternative") ? "shown" : "flipped", view.classList.contains("alternative") ? on : !on);
+      other.setAttribute("aria-pressed", String(isSelected));
+      // A view with the class `alternative` is hidden unless it has `shown`. Any other view is visible unless it has `flipped`.
+      const isAlternative = view.classList.contains("alternative");
+      view.classList.toggle(isAlternative ? "shown" : "flipped", isAlternative ? isSelected : !isSelected);
     }
   }
   function toggleTable(button) {
-    const on = button.getAttribute("aria-pressed") !== "true";
-    button.setAttribute("aria-pressed", String(on));
-    document.getElementById(button.dataset.flips).classList.toggle("flipped", on);
-    document.getElementById(button.dataset.table).classList.toggle("shown", on);
+    const showTable = button.getAttribute("aria-pressed") !== "true";
+    button.setAttribute("aria-pressed", String(showTable));
+    document.getElementById(button.dataset.flips).classList.toggle("flipped", showTable);
+    document.getElementById(button.dataset.table).classList.toggle("shown", showTable);
   }
 
   // --- key of the stages: a click shows one stage only, a second click shows all again
   function isolateStage(button) {
     const buttons = findAll("#key button[data-stage]");
     const shown = buttons.filter((other) => other.getAttribute("aria-pressed") === "true");
-    const back = shown.length === 1 && shown[0] === button;
-    for (const other of buttons) other.setAttribute("aria-pressed", String(back || other === button));
-    dispatch("peernet-isolate", back ? null : button.dataset.stage);
+    const showAll = shown.length === 1 && shown[0] === button;
+    for (const other of buttons) other.setAttribute("aria-pressed", String(showAll || other === button));
+    dispatch("peernet-isolate", showAll ? null : button.dataset.stage);
   }
 
   function selectRange(button) {
@@ -83,6 +85,7 @@
       if (!answer.ok) throw new Error(`status ${answer.status}`);
       const page = new DOMParser().parseFromString(await answer.text(), "text/html");
       panel.replaceWith(page.getElementById(id));
+      // The table of the stages is outside the panel. Its rows mark the stage that the panel shows, and link to the panel's other stages.
       const inTable = link.classList.contains("pick");
       for (const pick of findAll("a.pick")) {
         const fresh = findAll("a.pick", page).find((other) => other.textContent === pick.textContent);
@@ -102,16 +105,16 @@
   // --- pinning of a run
   async function togglePin(button) {
     if (button.ariaBusy === "true") return;
-    const on = button.getAttribute("aria-pressed") !== "true", message = find("#pin-said");
+    const pin = button.getAttribute("aria-pressed") !== "true", message = find("#pin-said");
     button.ariaBusy = "true";
     message.textContent = "";
     try {
-      const answer = await fetch(button.dataset.pin, { method: on ? "PUT" : "DELETE" });
+      const answer = await fetch(button.dataset.pin, { method: pin ? "PUT" : "DELETE" });
       if (!answer.ok) throw new Error((await answer.json()).detail);
-      button.setAttribute("aria-pressed", String(on));
-      button.querySelector("span").textContent = on ? "Pinned" : "Pin";
-      button.title = on ? "Unpin" : "Pin: nothing of this run is deleted by age";
-      find("#pinned").hidden = !on;
+      button.setAttribute("aria-pressed", String(pin));
+      button.querySelector("span").textContent = pin ? "Pinned" : "Pin";
+      button.title = pin ? "Unpin" : "Pin: nothing of this run is deleted by age";
+      find("#pinned").hidden = !pin;
     } catch (error) {
       message.textContent = `Not changed: ${error.message}`;
     } finally {
@@ -132,6 +135,7 @@
 
   document.addEventListener("click", (event) => {
     const at = (selector) => event.target.closest(selector);
+    // With one of these keys, a click opens the link in another tab or window.
     const plain = !event.ctrlKey && !event.metaKey && !event.shiftKey && event.button === 0;
     let hit;
     if (at("#theme")) switchTheme();
@@ -152,6 +156,7 @@
   // --- keyboard; a key without an action on this page keeps its action in the browser, such as scrolling by the space bar
   let gPressedAt = 0;
   const clickAction = (selector) => { const found = find(selector); return found && (() => found.click()); };
+  // For each key: a function that returns the key's action, or a false value if the page has no such action.
   const keys = {
     t: () => switchTheme,
     "?": () => () => find("#keyhelp").showModal(),
@@ -166,6 +171,7 @@
     if (event.key === " " && target.closest("button, a, summary, [role=button]")) return;
     // Arrow keys scroll the focused element if it can scroll sideways.
     if (event.key.startsWith("Arrow") && target.scrollWidth > target.clientWidth && target.matches(".scroll, pre")) return;
+    // The second key of a pair such as `g` `r` must follow within 1.5 s.
     if (event.timeStamp - gPressedAt < 1500 && gPressedAt) {
       gPressedAt = 0;
       const link = find(`.nav a[data-key="${CSS.escape(event.key)}"]`);

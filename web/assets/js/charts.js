@@ -1,9 +1,11 @@
-// Parts that all charts share: colours of app.css, axes, tooltips, gaps and marks. Charts are redrawn when the theme changes.
+// Functions that all charts share: colours of app.css, axes, tooltips, gaps and marks. Charts are redrawn when the theme changes.
 const PEER = (() => {
   // Parts of a total in the order of every stack: stages, both directions together, the unattributed time. The server sets the attribute.
   const PARTS = document.documentElement.dataset.parts.split(",");
+  // Stages whose areas are too pale for a line. Lines of these stages have a darker colour.
   const PALE = new Set(["encode", "queue", "preprocessing", "unattributed"]);
   const drawn = new Set();
+  // Hidden element, by which the browser computes colours.
   let probe = null;
 
   // Values of the style sheets, cached until the theme or the size changes: reading them makes the browser compute styles.
@@ -12,8 +14,8 @@ const PEER = (() => {
     if (!cache.has(key)) cache.set(key, read());
     return cache.get(key);
   }
-  // These listeners are registered, and therefore run, before the listeners that redraw the charts. So the charts read
-  // the new values.
+  // These listeners are registered, and therefore run, before the listeners that redraw the charts. The charts
+  // therefore read the new values.
   document.addEventListener("peernet-theme", () => cache.clear());
   addEventListener("resize", () => cache.clear());
 
@@ -24,8 +26,10 @@ const PEER = (() => {
     return getComputedStyle(probe).color;
   });
   const px = (rem) => rem * cached("rem", () => parseFloat(getComputedStyle(document.documentElement).fontSize));
+  // Returns the name of the stage whose colour a stage has.
   const look = (stage) => ({ "send-queue": "queue", "batch-wait": "queue", ipc: "encode", "upload + download": "network" })[stage] ?? stage;
 
+  // Returns a hatched fill. Its lines rise to the right if `angle` is positive, else they fall.
   function hatch(ground, line, angle) {
     const canvas = document.createElement("canvas"), ratio = window.devicePixelRatio || 1, size = 6;
     canvas.width = canvas.height = size * ratio;
@@ -59,11 +63,12 @@ const PEER = (() => {
     if (stage === "unattributed") return hatch(css("--s-unattributed"), css("--e-unattributed"), -1);
     return css(`--s-${stage}`);
   });
-  const edge = (stage) => (look(stage) === "network" ? css("--s-upload") : css((PALE.has(look(stage)) ? "--e-" : "--s-") + look(stage)));
+  // Returns the colour of lines and points of a stage.
+  const lineColour = (stage) => (look(stage) === "network" ? css("--s-upload") : css((PALE.has(look(stage)) ? "--e-" : "--s-") + look(stage)));
 
   const offset = () => Number(document.documentElement.dataset.offset) * 1000;
-  // Returns the time of day in minutes, in seconds, or with `precision` "ms" in milliseconds.
-  const clock = (time, precision) => new Date(time + offset()).toISOString().slice(11, precision === "ms" ? 23 : precision ? 19 : 16);
+  // Formats a time of day: to the minute; to the second if `precision` is true; to the millisecond if it is "ms".
+  const timeOfDay = (time, precision) => new Date(time + offset()).toISOString().slice(11, precision === "ms" ? 23 : precision ? 19 : 16);
   const FONT = "Inter, system-ui, sans-serif";
   const text = () => ({ color: css("--ink-3"), fontSize: px(0.6875), fontFamily: FONT });
   // Returns the width of the widest of some labels.
@@ -74,11 +79,11 @@ const PEER = (() => {
     return Math.ceil(Math.max(0, ...labels.map((label) => ruler.measureText(label).width)));
   }
   // Margins of a plot: on the left for the labels of its values, on the right for half a label of the time axis.
-  const sides = (values, seconds) => ({ left: Math.max(px(2.25), px(0.375) + maxLabelWidth(values)), right: maxLabelWidth([clock(0, seconds)]) / 2 });
+  const sides = (values, seconds) => ({ left: Math.max(px(2.25), px(0.375) + maxLabelWidth(values)), right: maxLabelWidth([timeOfDay(0, seconds)]) / 2 });
   function timeAxis(more) {
     return {
       type: "time", axisLine: { lineStyle: { color: css("--line") } }, axisTick: { show: false }, splitLine: { show: false },
-      axisLabel: { ...text(), hideOverlap: true, showMinLabel: false, showMaxLabel: false, formatter: (time) => clock(time, more?.seconds), ...more?.ends },
+      axisLabel: { ...text(), hideOverlap: true, showMinLabel: false, showMaxLabel: false, formatter: (time) => timeOfDay(time, more?.seconds), ...more?.ends },
       axisPointer: { lineStyle: { color: css("--ink-3"), width: 1, type: "solid" }, label: { show: false } },
       ...more,
     };
@@ -143,7 +148,7 @@ const PEER = (() => {
   // Marks and gaps that are closer than this, px, are drawn as one.
   const TOUCHING = 6;
   // Returns the visible gaps in pixels. Neighbours closer than TOUCHING px are merged. If `commonText` is given, it is
-  // the text of the widest gap, and the others have none.
+  // the text of the widest gap, and the other gaps have no text.
   function spans(gaps, api, area, commonText) {
     const found = [];
     gaps.forEach((gap, index) => {
@@ -154,7 +159,7 @@ const PEER = (() => {
       else found.push({ index, from, to, text: gap.text });
     });
     const widest = found.reduce((best, span) => (best && best.to - best.from >= span.to - span.from ? best : span), null);
-    // The text of a short gap could overlap a sign, so short gaps have none.
+    // The text of a short gap could overlap a sign, so short gaps have no text.
     for (const span of found) span.shownText = commonText ? (span === widest ? commonText : "") : span.to - span.from >= px(0.75) || gaps.length === 1 ? span.text : "";
     return new Map(found.map((span) => [span.index, span]));
   }
@@ -187,11 +192,11 @@ const PEER = (() => {
   }
 
   // Draws periods of warm-up as shades, borders of episodes as dashed lines, and failed iterations as crosses above the plot.
-  function parts({ borders, warmUp, failed }, [top, bottom]) {
+  function runMarks({ borders, warmUp, failed }, [top, bottom]) {
     const rows = warmUp.map((period) => [...period, "warm-up"]).concat(borders.map((at) => [at, at, "border"]), failed.map((at) => [at, at, "cross"]));
     const ink = css("--ink"), bad = css("--bad"), size = px(0.5) / 12;
     return {
-      type: "custom", name: "parts", silent: true, z: 1, clip: false, tooltip: { show: false }, encode: { x: [0, 1] }, data: rows.map((row) => [row[0], row[1]]),
+      type: "custom", name: "run-marks", silent: true, z: 1, clip: false, tooltip: { show: false }, encode: { x: [0, 1] }, data: rows.map((row) => [row[0], row[1]]),
       renderItem(params, api) {
         const kind = rows[params.dataIndex][2], area = params.coordSys, end = area.x + area.width;
         const from = api.coord([api.value(0), 0])[0], to = api.coord([api.value(1), 0])[0];
@@ -206,8 +211,8 @@ const PEER = (() => {
     };
   }
 
-  // --- length of the buckets of means. It depends only on the time range and the rate, so that every screen shows the
-  // same figures. It is the shortest length with which every bucket contains an iteration even with jitter, and the
+  // --- length of the buckets of means. The length depends only on the time range and the rate, so that every screen shows
+  // the same figures. It is the shortest length with which every bucket contains an iteration even with jitter, and the
   // range has at most MAX_BUCKETS buckets, as many as a small screen can show.
   const BUCKETS = [1, 2, 5, 10, 30, 60], MAX_BUCKETS = 150;
   const bucket = (range, rate) => BUCKETS.find((size) => range / size <= MAX_BUCKETS && (!(rate > 0) || rate * size >= 1.5)) || 60;
@@ -231,6 +236,8 @@ const PEER = (() => {
       if (one.seen && one.stale) redraw(one);
     }
   });
+  // Draws a chart again. A chart outside the visible part of the page is drawn when it becomes visible, or at once if
+  // `unseen`: a printed page contains all charts.
   function redraw(one, unseen = false) {
     one.stale = !unseen && (!one.seen || document.hidden);
     if (one.stale || !one.node.clientWidth) { one.stale = true; return; }
@@ -258,11 +265,12 @@ const PEER = (() => {
     }).observe(node);
     return one;
   }
+  // Releases the charts whose elements were removed from the page.
   function forget() {
     for (const one of drawn) if (!one.node.isConnected) { one.chart.dispose(); drawn.delete(one); }
   }
   document.addEventListener("peernet-theme", ({ detail }) => drawn.forEach((one) => redraw(one, detail === "print")));
   document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((one) => { if (one.stale) redraw(one); }); });
 
-  return { PARTS, look, css, px, fill, edge, clock, text, sides, timeAxis, valueAxis, tooltip, tip, marks, parts, bucket, steps, ticks, draw, redraw, forget, isHovered: (node) => hovered === node };
+  return { PARTS, look, css, px, fill, lineColour, timeOfDay, text, sides, timeAxis, valueAxis, tooltip, tip, marks, runMarks, bucket, steps, ticks, draw, redraw, forget, isHovered: (node) => hovered === node };
 })();

@@ -1,11 +1,11 @@
 // Live charts of pipelines: stages stacked over the last minutes, the 95th percentile above, throughputs below.
-// Means of seconds are combined to means of buckets here. The aggregator splits totals into parts and computes percentiles, because a mean of
-// percentiles is not a percentile.
+// Means of seconds are combined to means of buckets here. The aggregator splits totals into parts. It also computes the percentiles, because
+// a mean of percentiles is not a percentile.
 (() => {
   const MAX_SECONDS = 600, RETRY_MS = 2000;
   // Longest time between two reports of a connected host, which reports every five seconds.
   const MAX_REPORT_GAP_S = 15;
-  // Minimum time between two drawings of new data, milliseconds. Meanwhile only the newest bucket changes, and too
+  // Minimum time between two drawings of new data, milliseconds. In this time only the newest bucket changes, by too
   // little to be visible.
   const MIN_REDRAW_MS = 1000;
   let cards = [], range = 600, isolatedStage = null, paused = false, marks = [], scale = { max: 0, since: 0 }, queued = 0, drawnAt = 0;
@@ -29,6 +29,7 @@
 
   // --- seconds into buckets
   function grow(list, length) { while (list.length < length) list.push(null); }
+  // Adds the values of a second to a card. A second may be received again.
   function put(card, second) {
     state++;
     let at = second.at - card.from;
@@ -44,9 +45,9 @@
       list[at] = value * 1e3;
     }
     for (const list of Object.values(card.means)) { grow(list, length); list[at] ??= null; }
-    for (const [way, sent] of [["up", second.transfers.upload], ["down", second.transfers.download]]) {
-      grow(card.transfers[way], length);
-      card.transfers[way][at] = sent?.seconds > 0 ? [sent.timed_bytes, sent.seconds * 1e6] : null;
+    for (const [direction, sent] of [["up", second.transfers.upload], ["down", second.transfers.download]]) {
+      grow(card.transfers[direction], length);
+      card.transfers[direction][at] = sent?.seconds > 0 ? [sent.timed_bytes, sent.seconds * 1e6] : null;
     }
     const extra = card.n.length - MAX_SECONDS;
     if (extra > 0) {
@@ -56,14 +57,14 @@
     card.last = card.from + card.n.length - 1;
   }
 
-  // Stores received percentiles; `complete` says that they are all percentiles. Returns false if the buckets have
-  // another length than before and older percentiles are therefore missing.
+  // Stores received percentiles; `complete` is true if they are all percentiles of the card. Returns false if older
+  // percentiles are missing, because the buckets have another length than before.
   function putPercentiles(card, { bucket_s: size, points }, complete) {
     state++;
-    const same = size === card.p95.size, fresh = points.map(({ at, p95 }) => [at, p95 * 1e3]), times = new Set(points.map(({ at }) => at));
-    const kept = complete || !same ? [] : card.p95.points.filter(([at]) => !times.has(at) && at + size > card.from);
+    const isSameLength = size === card.p95.size, fresh = points.map(({ at, p95 }) => [at, p95 * 1e3]), times = new Set(points.map(({ at }) => at));
+    const kept = complete || !isSameLength ? [] : card.p95.points.filter(([at]) => !times.has(at) && at + size > card.from);
     card.p95 = { size, points: kept.concat(fresh).sort((one, other) => one[0] - other[0]) };
-    return complete || same;
+    return complete || isSameLength;
   }
   // Returns the percentiles within the range as (start, end, ms); none if the range is shorter than one bucket.
   function percentiles(card, start, end) {
@@ -72,7 +73,8 @@
     return points.filter(([at]) => at < end && at + size > start).map(([at, value]) => [Math.max(at, start) * 1e3, Math.min(at + size, end) * 1e3, value]);
   }
 
-  // Returns the buckets of a card, cached for each state of all cards: the charts share the end of their range and their scale.
+  // Returns the buckets of a card. They are cached until any card changes, because all charts end at the newest second of all cards. `state`
+  // counts the changes.
   let state = 0;
   function bucketed(card) {
     const key = `${state} ${range}`;
@@ -95,9 +97,9 @@
         if (card.n[index] > 0) { seconds.push(index); row.n += card.n[index]; }
       }
       const mean = (list) => {
-        let sum = 0, any = false;
-        for (const index of seconds) if (list?.[index] != null) { sum += list[index] * card.n[index]; any = true; }
-        return any ? sum / row.n : null;
+        let sum = 0, hasValue = false;
+        for (const index of seconds) if (list?.[index] != null) { sum += list[index] * card.n[index]; hasValue = true; }
+        return hasValue ? sum / row.n : null;
       };
       // Speed is bytes divided by transfer time; bytes per microsecond are MB/s.
       const speed = (list) => {
@@ -218,10 +220,10 @@
         if (!PEER.isHovered(node) || !params.length) return "";
         const row = rows.reduce((best, other) => (Math.abs(other.at - params[0].axisValue) < Math.abs(best.at - params[0].axisValue) ? other : best), rows[0]);
         const lines = shown.slice().reverse().filter((stage) => row.n > 0).map((stage) => ({ stage, name: stage, value: NUMBERS.milliseconds(row.means[stage]) }));
-        const level = p95.find(([from, to]) => row.at >= from && row.at < to);
-        lines.push({ name: "total, mean", value: NUMBERS.milliseconds(row.total), sum: true }, { name: card.p95.size ? `p95 of ${card.p95.size} s` : "p95", value: NUMBERS.milliseconds(level?.[2]) });
+        const percentile = p95.find(([from, to]) => row.at >= from && row.at < to);
+        lines.push({ name: "total, mean", value: NUMBERS.milliseconds(row.total), sum: true }, { name: card.p95.size ? `p95 of ${card.p95.size} s` : "p95", value: NUMBERS.milliseconds(percentile?.[2]) });
         if (card.remote) lines.push({ name: "up while sending, MB/s", value: NUMBERS.throughput(row.up), sum: true }, { name: "down while sending, MB/s", value: NUMBERS.throughput(row.down) });
-        return PEER.tip(PEER.clock(row.at - size * 500, true), size === 1 ? "ms, mean of 1 s" : `ms, mean of ${size} s`, lines);
+        return PEER.tip(PEER.timeOfDay(row.at - size * 500, true), size === 1 ? "ms, mean of 1 s" : `ms, mean of ${size} s`, lines);
       }),
       xAxis: [0, ...below.map((_, index) => index + 1)].map((grid) => PEER.timeAxis({ ...axes, gridIndex: grid, ...(grid < below.length ? { axisLabel: { show: false } } : {}), seconds, splitNumber: 4 })),
       yAxis: [
@@ -256,12 +258,13 @@
       const card = cards.find((other) => other.host === pipeline.host && other.pipeline === pipeline.name);
       if (!card) continue;
       const oldest = pipeline.seconds[0];
-      if (card.missed || (oldest && card.n.length && oldest.at > card.last + 1)) catchUp(card);
+      if (card.hasMissedSeconds || (oldest && card.n.length && oldest.at > card.last + 1)) catchUp(card);
       pipeline.seconds.forEach((second) => put(card, second));
       if (!putPercentiles(card, pipeline.total_over_time, false)) catchUp(card);
       const host = detail.hosts.find((other) => other.name === card.host), at = Math.floor(Date.parse(detail.at) / 1000);
       for (const name of ["cpu", "gpu"]) {
         const list = card[name];
+        // Like the history from the server, the list has a point every five seconds.
         if (card.remote || !host?.connected || host[name] == null || (list.length && at - list[list.length - 1][0] < 5)) continue;
         list.push([at, host[name] * 100]);
         if (list.length > MAX_SECONDS / 5) list.shift();
@@ -271,18 +274,18 @@
   });
   // Fetches the seconds that this page missed. Seconds that were never reported remain a gap.
   async function catchUp(card) {
-    card.missed = true;
-    if (performance.now() - (card.asked ?? -RETRY_MS) < RETRY_MS) return;
-    card.asked = performance.now();
+    card.hasMissedSeconds = true;
+    if (performance.now() - (card.requestedAt ?? -RETRY_MS) < RETRY_MS) return;
+    card.requestedAt = performance.now();
     try {
       const answer = await fetch(`/api/v1/pipelines/${encodeURIComponent(card.host)}/${encodeURIComponent(card.pipeline)}`);
       if (!answer.ok) throw new Error(`status ${answer.status}`);
       const pipeline = await answer.json();
       pipeline.seconds.forEach((second) => put(card, second));
       putPercentiles(card, pipeline.total_over_time, true);
-      card.missed = false;
+      card.hasMissedSeconds = false;
       refresh();
-    } catch { /* The next update asks again. */ }
+    } catch { /* The next update requests the seconds again. */ }
   }
   document.addEventListener("peernet-reconnected", () => cards.forEach(catchUp));
   document.addEventListener("peernet-updated", ({ detail }) => {

@@ -8,7 +8,7 @@
   let source = null, lastEventId = "", lastEventAt = 0, isDisconnected = false, paused = false, pending = null, lastUpdateAt = 0, timer = 0, status = null;
 
   const offset = () => Number(document.documentElement.dataset.offset) * 1000;
-  const clock = (time) => new Date(time + offset()).toISOString().slice(11, 19);
+  const timeOfDay = (time) => new Date(time + offset()).toISOString().slice(11, 19);
 
   // --- replacement of parts: nodes are changed in place, so that focus and selection survive
   function morph(from, to) {
@@ -19,6 +19,7 @@
       if (at.isEqualNode(node)) return;
       if (at.nodeType !== node.nodeType || at.nodeName !== node.nodeName) { at.replaceWith(node); return; }
       if (node.nodeType !== Node.ELEMENT_NODE) { if (at.nodeValue !== node.nodeValue) at.nodeValue = node.nodeValue; return; }
+      // `hidden` is set by the search and `open` by the user. The HTML of the server has neither.
       for (const { name } of Array.from(at.attributes)) if (name !== "hidden" && name !== "open" && !node.hasAttribute(name)) at.removeAttribute(name);
       for (const { name, value } of Array.from(node.attributes)) if (at.getAttribute(name) !== value) at.setAttribute(name, value);
       morph(at, node);
@@ -64,7 +65,7 @@
     for (const part of document.querySelectorAll("[id^=part-]")) visibility.observe(part);
   }
   function replace(all = false) {
-    let any = false;
+    let hasReplaced = false;
     for (const [id, html] of pendingParts) {
       if ((hiddenParts.has(id) && !all) || paused) continue;
       pendingParts.delete(id);
@@ -74,13 +75,14 @@
       template.innerHTML = html;
       // The element of a part may also contain nodes that are not live. The nodes of the part come first.
       morph(part, template.content);
-      any = true;
+      hasReplaced = true;
     }
-    return any;
+    return hasReplaced;
   }
   addEventListener("beforeprint", () => replace(true));
   function schedule() {
     if (timer || paused || document.hidden) return;
+    // A user who prefers reduced motion sees numbers change at most once a second.
     timer = setTimeout(apply, reducedMotion.matches ? Math.max(0, 1000 - (performance.now() - lastUpdateAt)) : 0);
   }
 
@@ -108,7 +110,7 @@
       // A new stream sends every part again: updates from the time of the fetch may be older or newer than the page.
       connect();
       dispatch("peernet-reloaded");
-    } catch { /* The next update tries again; the stream shows that the aggregator is unreachable. */
+    } catch { /* The next update tries again. If the aggregator is unreachable, the stream ends and the page shows it. */
     } finally {
       isReloading = false;
     }
@@ -137,7 +139,7 @@
     }));
     banner.hidden = sentences.length === 0;
   }
-  // A banner on every page says so while events are not being stored.
+  // While events are not being stored, a banner on every page says so.
   function showNotStoring(sentence) {
     const banner = $("storing");
     if (banner.textContent !== (sentence || "")) banner.textContent = sentence || "";
@@ -174,7 +176,7 @@
       handleReconnect();
       handle(event.data);
     });
-    // `rehearsals` has the injected clock faults.
+    // `rehearsals` is the public name of the injected clock faults.
     on("status", (data) => { status = JSON.parse(data); showClockFaults(status.rehearsals); showNotStoring(status.not_storing); updateState(); });
     on("page", (data) => { pending = mergeUpdates(pending, JSON.parse(data)); schedule(); });
     on("picture", (data) => dispatch("peernet-picture", JSON.parse(data)));
@@ -192,7 +194,7 @@
     setTimeout(() => { if (!source && !isLeaving) connect(); }, RETRY_MS);
     if (isDisconnected) return;
     isDisconnected = true;
-    const at = clock(Date.now());
+    const at = timeOfDay(Date.now());
     document.body.classList.add("away");
     $("banner").textContent = `Connection to the aggregator lost at ${at}. Trying again every 2\u202fs; the figures below are the last ones received.`;
     $("banner").hidden = false;

@@ -4,7 +4,7 @@ const NUMBERS = (() => {
   // Numbers from this size on are written with a power of ten.
   const HUGE = 1e12;
 
-  // Formats a number with a fixed count of decimals, a true minus sign, and commas between thousands. A number that is
+  // Formats a number with a fixed number of decimals, a true minus sign, and commas between thousands. A number that is
   // rounded to zero has no sign.
   function fixed(value, decimals) {
     if (value == null || !Number.isFinite(value)) return NONE;

@@ -49,7 +49,7 @@
         const lines = [];
         if (bucket) lines.push({ name: "median", value: NUMBERS.milliseconds(bucket[1]) }, { name: "p95", value: NUMBERS.milliseconds(bucket[2]) });
         if (point) lines.push({ stage: point.data.stage, name: `iteration ${NUMBERS.count(point.data.number)}`, value: NUMBERS.milliseconds(point.value[1]), sum: lines.length > 0 });
-        return lines.length ? PEER.tip(PEER.clock(bucket ? bucket[0] : at, true), `ms, ${data.bucket} s`, lines) : "";
+        return lines.length ? PEER.tip(PEER.timeOfDay(bucket ? bucket[0] : at, true), `ms, ${data.bucket} s`, lines) : "";
       }),
       // An axis of a few seconds may have no round time between its ends.
       xAxis: PEER.timeAxis({ min: begin, max: end, seconds, ends: { showMinLabel: short, showMaxLabel: short } }),
@@ -59,9 +59,9 @@
         { type: "line", symbol: "none", data: line(2), lineStyle: { width: 1, color: PEER.css("--ink-3") }, itemStyle: { color: PEER.css("--ink-3") }, emphasis: { disabled: true }, z: 3 },
         {
           type: "scatter", symbolSize: PEER.px(0.4375), z: 5, cursor: "pointer", emphasis: { disabled: true },
-          data: data.slow.map(([at, total, stage, number]) => ({ value: [at, total], stage, number, itemStyle: { color: stage === "total" || stage === "other" ? PEER.css("--line-strong") : PEER.edge(stage) } })),
+          data: data.slow.map(([at, total, stage, number]) => ({ value: [at, total], stage, number, itemStyle: { color: stage === "total" || stage === "other" ? PEER.css("--line-strong") : PEER.lineColour(stage) } })),
         },
-        PEER.parts({ borders: data.borders, warmUp: data.warm_up, failed: data.failed }, [top, top + height]),
+        PEER.runMarks({ borders: data.borders, warmUp: data.warm_up, failed: data.failed }, [top, top + height]),
         PEER.marks([], gaps, [[top, top + height]], "not recorded"),
       ],
     };
@@ -70,7 +70,7 @@
   const drawing = PEER.draw(node, options);
   drawing.chart.on("click", (event) => { if (event.data?.number) location.href = `/runs/${data.run}/iterations/${event.data.number}`; });
 
-  // --- a slider, Ctrl and the wheel, or a drag across the plot select a time range; a double click resets it
+  // --- a slider, Ctrl and the wheel, or a drag across the plot select a time range; a double click shows the whole run again
   function select(next) {
     range = next;
     history.replaceState(null, "", next ? `#t=${Math.round(next[0])}-${Math.round(next[1])}` : location.pathname + location.search);
@@ -97,6 +97,7 @@
       surface.remove(dragArea);
       const time = (x) => drawing.chart.convertFromPixel({ xAxisIndex: 0 }, x);
       const [from, to] = event ? [time(Math.min(pressedX, event.offsetX)), time(Math.max(pressedX, event.offsetX))] : [0, 0];
+      // No bucket is shorter than a second, so a shorter range would show nothing more.
       if (to - from >= 1000) zoom([Math.max(begin, from), Math.min(end, to)]);
     }
     pressedX = dragArea = null;

@@ -1,4 +1,5 @@
-//! Fills a database: one long run of one agent, sent as an agent sends it, and several short runs.
+//! Fills a database with several short runs and one long run of one agent. They reach the aggregator over an event stream,
+//! as the runs of a real agent do.
 
 use std::path::Path;
 
@@ -15,17 +16,17 @@ use zeromq::{Message, Options, Socket, SocketType};
 use crate::{clocks, generate, start};
 
 /// Number of nodes of an iteration.
-const NODES: u64 = 21;
+const NODES_PER_ITERATION: u64 = 21;
 /// Number of iterations per batch; such a batch has about 100 kB.
-const ITERATIONS: u64 = 240;
+const ITERATIONS_PER_BATCH: u64 = 240;
 /// Iterations per second.
 const HZ: u64 = 100;
 /// One in this many iterations ends with a timeout.
 const TIMEOUT_EVERY: u64 = 1_000;
-/// Number of short runs before the long run. They are an experiment, and fill the lists on pages.
-const RUNS: u32 = 100;
+/// Number of short runs before the long run. The short runs form one experiment, and fill the lists on pages.
+const SHORT_RUNS: u32 = 100;
 /// Number of configurations of the experiment; each has two repeats.
-const CONFIGURATIONS: u32 = RUNS / 2;
+const CONFIGURATIONS: u32 = SHORT_RUNS / 2;
 
 /// Ingests about `nodes` nodes into a new database.
 pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
@@ -33,7 +34,7 @@ pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
     let running = start(database, clock, stop.clone()).await;
     let address = running.handle.live().borrow().listening.clone();
     let mut agent = Agent::connect(&address).await;
-    for number in 0..RUNS {
+    for number in 0..SHORT_RUNS {
         let position = ExperimentPosition {
             name: "grid".to_owned(),
             id: "1".to_owned(),
@@ -41,7 +42,7 @@ pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
             repeat: number / CONFIGURATIONS,
             ..ExperimentPosition::default()
         };
-        agent.run(ITERATIONS * NODES, Some(position)).await;
+        agent.run(ITERATIONS_PER_BATCH * NODES_PER_ITERATION, Some(position)).await;
     }
     agent.run(nodes, None).await;
     agent.wait_until_stored().await;
@@ -57,17 +58,17 @@ struct Agent {
     stream: StreamId,
     chain: Chain,
     /// Number of the newest batch that was sent.
-    number: u64,
+    newest_sent: u64,
     /// Number of events in all batches so far.
     events: u64,
     /// Number of the newest batch that was acknowledged.
-    stored: u64,
+    newest_acknowledged: u64,
     /// Maximum number of batches that may be sent and not yet acknowledged.
     window: u32,
     /// Source of the iterations' values.
     numbers: generate::Numbers,
-    /// Time on the edge's clock, seconds since the start.
-    second: i64,
+    /// Time on the edge's clock, seconds since the start of the first run.
+    time_s: i64,
 }
 
 impl Agent {
@@ -96,12 +97,12 @@ impl Agent {
             hosts: (edge, cloud),
             stream,
             chain: Chain::START,
-            number: 0,
+            newest_sent: 0,
             events: 0,
-            stored: 0,
+            newest_acknowledged: 0,
             window: 0,
             numbers: generate::Numbers::new(1),
-            second: 0,
+            time_s: 0,
         };
         let ToAgent::Challenge { aggregator, nonce, .. } = agent.receive().await else {
             panic!("no challenge")
@@ -119,12 +120,12 @@ impl Agent {
     /// second.
     async fn run(&mut self, nodes: u64, position: Option<ExperimentPosition>) {
         let run = RunId::random();
-        let start_s = self.second;
+        let start_s = self.time_s;
         let mut events = vec![generate::run_started(run, "line", generate::at(start_s as f64))];
         if let Some(Event::RunStarted(description)) = events.first_mut() {
             description.experiment = position.map(Box::new);
         }
-        for number in 1..=nodes.div_ceil(NODES) {
+        for number in 1..=nodes.div_ceil(NODES_PER_ITERATION) {
             let at = generate::at(start_s as f64) + Span::from_seconds_f64(number as f64 / HZ as f64);
             let mut iteration = generate::iteration_at(run, number, self.hosts, at, &mut self.numbers);
             if number.is_multiple_of(TIMEOUT_EVERY) {
@@ -133,16 +134,16 @@ impl Agent {
             }
             events.push(Event::Iteration(iteration));
             if number.is_multiple_of(HZ) {
-                self.second += 1;
-                let sample = clocks::sample(self.hosts.1, self.second, 30);
+                self.time_s += 1;
+                let sample = clocks::sample(self.hosts.1, self.time_s, 30);
                 events.push(Event::Clock(Box::new(sample)));
             }
-            if number.is_multiple_of(ITERATIONS) {
+            if number.is_multiple_of(ITERATIONS_PER_BATCH) {
                 self.send(&std::mem::take(&mut events)).await;
             }
         }
-        self.second += 1;
-        let ended = generate::at(self.second as f64);
+        self.time_s += 1;
+        let ended = generate::at(self.time_s as f64);
         events.push(Event::RunEnded(RunEnded { run, ended, reason: EndReason::Finished }));
         self.send(&events).await;
     }
@@ -150,7 +151,7 @@ impl Agent {
     /// Returns the incident that accompanies a timeout.
     fn incident(&self, run: RunId) -> Incident {
         Incident {
-            at: generate::at(self.second as f64),
+            at: generate::at(self.time_s as f64),
             kind: IncidentKind::Disconnected,
             pipeline: Some("line".parse().expect("a name")),
             run: Some(run),
@@ -164,15 +165,15 @@ impl Agent {
         if events.is_empty() {
             return;
         }
-        while self.number >= self.stored + u64::from(self.window) {
+        while self.newest_sent >= self.newest_acknowledged + u64::from(self.window) {
             self.handle_acknowledgement().await;
         }
-        self.number += 1;
+        self.newest_sent += 1;
         let body = generate::body(events);
         let count = u32::try_from(events.len()).expect("a batch");
         let previous_chain = self.chain;
         self.chain = previous_chain.next(count, &body);
-        let (host, stream, number, chain) = (self.hosts.0, self.stream, self.number, self.chain);
+        let (host, stream, number, chain) = (self.hosts.0, self.stream, self.newest_sent, self.chain);
         let events_before = self.events;
         let head = BatchHead {
             host,
@@ -191,7 +192,7 @@ impl Agent {
 
     /// Waits until all batches are acknowledged.
     async fn wait_until_stored(&mut self) {
-        while self.stored < self.number {
+        while self.newest_acknowledged < self.newest_sent {
             self.handle_acknowledgement().await;
         }
     }
@@ -200,7 +201,7 @@ impl Agent {
     async fn handle_acknowledgement(&mut self) {
         match self.receive().await {
             ToAgent::Ack { stream, through, window } if stream == self.stream => {
-                (self.stored, self.window) = (through, window);
+                (self.newest_acknowledged, self.window) = (through, window);
             }
             other => panic!("unexpected {other:?}"),
         }

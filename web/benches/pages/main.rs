@@ -1,5 +1,6 @@
 //! Benchmark of whole pages and API resources on a large database, from the request to the compressed answer: a run
-//! with a million recorded tree nodes is compared with a run with the given number of nodes. Both are ingested over ZeroMQ.
+//! with a million recorded tree nodes is compared with a run with the given number of nodes. The aggregator receives both runs
+//! over ZeroMQ.
 //!
 //! `cargo bench -p peernet-web --bench pages -- [NODES] [FOLDER]`: 100 million nodes take some minutes and about 6 GB.
 //! With `FOLDER`, the databases are kept there and used again by later runs.

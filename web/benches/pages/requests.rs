@@ -1,4 +1,4 @@
-//! Requests for every page and API resource, for the largest run.
+//! Requests for every page and API resource, most of them for the long run.
 
 use axum::Router;
 use axum::body::{Body, to_bytes};
@@ -10,7 +10,7 @@ use tower::ServiceExt;
 
 /// Number of requests per address.
 const REPEATS: usize = 20;
-/// Upper limit of an answer, bytes.
+/// Maximum size of an answer, bytes.
 const MAX_ANSWER: usize = 64 << 20;
 
 /// Response times of one address.
@@ -42,9 +42,10 @@ async fn addresses(router: &Router) -> Vec<(String, String)> {
     let newest = &json(router, "/api/v1/runs?limit=12").await["runs"];
     let numbers: Vec<String> =
         newest.as_array().expect("a list").iter().map(|run| run["number"].to_string()).collect();
+    // The long run was filled in last, so it is the newest run.
     let run = &numbers[0];
-    let last = newest[0]["counts"]["ok"].as_u64().expect("a count");
-    let middle = last / 2;
+    let last_iteration = newest[0]["counts"]["ok"].as_u64().expect("a count");
+    let middle = last_iteration / 2;
     let (host, pipeline) = (text(&newest[0]["host"]), text(&newest[0]["pipeline"]));
     let link = text(&json(router, "/api/v1/links").await["links"][0]["name"]);
     let experiment = text(&json(router, "/api/v1/experiments?limit=1").await["experiments"][0]["id"]);
@@ -80,7 +81,7 @@ async fn addresses(router: &Router) -> Vec<(String, String)> {
         ("API: first 1,000 iterations", format!("/api/v1/runs/{run}/iterations?limit=1000")),
         (
             "API: last 100 iterations",
-            format!("/api/v1/runs/{run}/iterations?after={}", last.saturating_sub(100)),
+            format!("/api/v1/runs/{run}/iterations?after={}", last_iteration.saturating_sub(100)),
         ),
         (
             "API: 100 failed iterations",

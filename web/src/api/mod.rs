@@ -1,7 +1,7 @@
 //! The REST API, `/api/v1`: one file or folder per resource, which holds its handlers, its schema types and its part of
 //! the OpenAPI document.
 //!
-//! This file registers them: a resource is named here twice, as a module and in `describe_routes`, and nowhere else in the program.
+//! This file registers the resources. A resource is named here twice, as a module and in `describe_routes`, and nowhere else in the program.
 
 mod compare;
 mod export;

@@ -1,4 +1,4 @@
-//! Every page that live updates change, in every state that its data may have.
+//! Tests that render every page with live updates, in every state that the page's data may have.
 
 mod clocks;
 mod compare;
@@ -22,6 +22,7 @@ fn check(html: &str) {
     for script in html.split("<script").skip(1) {
         assert!(script.starts_with(" src=") || script.starts_with(" type=\"application/json\""), "{script}");
     }
+    // A browser repairs unclosed elements silently, so only a count finds them.
     for element in ["svg", "table", "tr", "td", "ul", "section", "div", "dl", "span", "a"] {
         let opened =
             html.matches(&format!("<{element} ")).count() + html.matches(&format!("<{element}>")).count();
@@ -31,6 +32,7 @@ fn check(html: &str) {
     assert!(!html.contains("NaN") && !html.contains(">inf<") && !html.contains("-0.00"), "{html}");
 }
 
+/// Returns the HTML of the overview.
 async fn overview_of(
     snapshot: &peernet_aggregator::LiveState,
     incidents: Vec<peernet_store::IncidentRow>,
@@ -56,13 +58,15 @@ async fn overview_shows_running_pipeline_without_warnings() {
 }
 
 #[tokio::test]
-async fn miss_rates_are_column_where_a_pipeline_has_a_deadline() {
+async fn pipeline_with_deadline_adds_column_of_miss_rates() {
     let live = || pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
-    let of = |pipelines| snapshot(vec![host("cam-1", "Orin")], pipelines);
-    assert!(!overview_of(&of(vec![live()]), Vec::new()).await.contains("missed"));
+    let with_pipelines = |pipelines| snapshot(vec![host("cam-1", "Orin")], pipelines);
+    assert!(!overview_of(&with_pipelines(vec![live()]), Vec::new()).await.contains("missed"));
     let mut late = live();
     late.windows[2].miss_rate = Some(0.012);
-    let html = overview_of(&of(vec![late, pipeline("other", 30.0, 1.0, Verdict::Ok, &[])]), Vec::new()).await;
+    let html =
+        overview_of(&with_pipelines(vec![late, pipeline("other", 30.0, 1.0, Verdict::Ok, &[])]), Vec::new())
+            .await;
     assert!(html.contains("data-h=\"missed %\">1.2</td>"), "{html}");
     assert!(html.contains("title=\"no deadline\">—</span>"), "{html}");
 }
@@ -173,7 +177,7 @@ async fn bars_quantiles_and_whiskers_are_of_one_window() {
     let number = |cell: &Cell| cell.text.parse::<f64>().expect("a figure");
     assert!(number(&row.p50) <= number(&row.p95) && number(&row.p95) <= number(&row.p99), "{row:?}");
     let bar: f64 = row.total.parse().expect("a figure");
-    assert!((bar - number(&row.p50)).abs() < 0.1, "the sample's mean is its median: {row:?}");
+    assert!((bar - number(&row.p50)).abs() < 0.1, "`samples::window` has equal means and medians: {row:?}");
     let html = overview_of(&snapshot(Vec::new(), vec![live]), Vec::new()).await;
     assert!(html.contains("all figures: last 60&#x202f;s"), "{html}");
 }
@@ -249,15 +253,15 @@ async fn hostile_texts_are_escaped_everywhere() {
 
 #[tokio::test]
 async fn most_severe_problems_are_listed_first() {
-    let mut away = host("cam-1", "Orin");
-    away.connected = false;
-    away.accounting.dropped = 1_050;
-    away.behind = Some(Span::from_seconds(35));
+    let mut away_host = host("cam-1", "Orin");
+    away_host.connected = false;
+    away_host.accounting.dropped = 1_050;
+    away_host.behind = Some(Span::from_seconds(35));
     let mut waiting = pipeline("waiting", 0.0, 1.0, Verdict::Ok, &[]);
     waiting.state = PipelineState::Waiting("rack-a does not answer".into());
     let mut failed = pipeline("failed", 0.0, 1.0, Verdict::Ok, &[]);
     failed.state = PipelineState::Failed("no pictures in /data".into());
-    let html = overview_of(&snapshot(vec![away], vec![waiting, failed]), Vec::new()).await;
+    let html = overview_of(&snapshot(vec![away_host], vec![waiting, failed]), Vec::new()).await;
     assert!(html.contains("No pipeline is running, 5 to look at"), "{html}");
     let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text} is missing: {html}"));
     assert!(at("stopped: no pictures in /data") < at("has not reported since 12:01:07"));
@@ -266,7 +270,7 @@ async fn most_severe_problems_are_listed_first() {
 }
 
 #[tokio::test]
-async fn host_that_said_goodbye_is_no_problem() {
+async fn host_that_said_goodbye_causes_no_warning() {
     let mut left = host("cam-1", "Orin");
     (left.connected, left.has_left) = (false, true);
     let mut ended = pipeline("line", 0.0, 1.0, Verdict::Ok, &[]);
@@ -279,8 +283,9 @@ async fn host_that_said_goodbye_is_no_problem() {
         hosts::update(&app, &live_state).expect("renders").parts.into_iter().map(|(_, html)| html).collect();
     assert!(hosts.contains("dot quiet") && !hosts.contains("dot bad"), "{hosts}");
     for page in [&html, &hosts] {
-        let folded = page.split_once("<summary>1 host has ended</summary>").expect("a closed disclosure").1;
-        assert!(folded.contains("cam-1") && folded.contains("ended</span>"), "{page}");
+        let ended_hosts =
+            page.split_once("<summary>1 host has ended</summary>").expect("a closed disclosure").1;
+        assert!(ended_hosts.contains("cam-1") && ended_hosts.contains("ended</span>"), "{page}");
         assert!(!page.contains("last seen"), "{page}");
     }
     let one = host::update(&app, &live_state, "cam-1").expect("renders");
@@ -327,7 +332,7 @@ async fn local_pipeline_has_no_clock_bound() {
 }
 
 #[tokio::test]
-async fn pipeline_that_only_senses_shows_no_model() {
+async fn pipeline_with_sensor_alone_shows_no_model() {
     let mut alone = pipeline("study", 30.0, 1.0, Verdict::Ok, &[]);
     alone.placement = peernet_stream::Placement::sensor_alone();
     let html = overview_of(&snapshot(vec![host("cam-1", "Orin")], vec![alone]), Vec::new()).await;
@@ -344,7 +349,7 @@ async fn accuracy_is_shown_for_labelled_samples() {
         let update = pipeline::update(&app, live_state, "cam-1/line/10").expect("renders");
         update.parts.into_iter().map(|(_, html)| html).collect::<String>()
     };
-    assert!(!html(&live_state).contains("accuracy"), "no label, no accuracy");
+    assert!(!html(&live_state).contains("accuracy"), "there is no accuracy without labels");
     for window in &mut std::sync::Arc::make_mut(&mut live_state.pipelines[0]).windows {
         window.values.push((Name::from("top-1"), figures(0.875, 300)));
     }
@@ -388,7 +393,7 @@ async fn clock_fault_is_shown_on_every_page_it_concerns() {
 }
 
 #[tokio::test]
-async fn update_of_live_page_has_only_its_parts() {
+async fn update_of_live_page_has_only_the_live_parts() {
     let (app, _folder) = samples::app().await;
     let live_state =
         snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);

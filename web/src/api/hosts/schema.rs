@@ -117,7 +117,7 @@ pub(crate) struct HostNow {
 pub(crate) struct EventAccount {
     /// Number of events produced; each reported gap counts as an event.
     pub produced: u64,
-    /// Number of produced events that were written to the spool, or stored without it while its disk failed.
+    /// Number of produced events that were written to the spool, or stored without the spool while the spool's disk failed.
     pub spooled: u64,
     /// Number of produced events that were sent at least once.
     pub sent: u64,
@@ -125,7 +125,7 @@ pub(crate) struct EventAccount {
     pub acknowledged: u64,
     /// Number of events that wait on the agent, in memory or in the spool.
     pub waiting: u64,
-    /// Number of events that were dropped because a queue or the spool was full, or lost when the agent was killed; gaps count them.
+    /// Number of events that were dropped because a queue or the spool was full, or lost when the agent was killed. Gaps count these events.
     pub dropped: u64,
     /// Number of gaps reported.
     pub gaps: u64,

@@ -94,7 +94,8 @@ impl From<stream::RoundTrip> for RoundTrip {
 pub(crate) struct Delay {
     /// Number of delays.
     pub count: u32,
-    /// The worst verdict that at least 5 % of the delays have; of several seconds, that the seconds with 5 % of the delays have.
+    /// The verdict of the worst 5 % of the delays: at least 5 % of the delays have this verdict or a worse one. For a bucket, each delay counts
+    /// with the verdict of its second.
     pub verdict: &'static str,
     /// The median of the delays that have a value, with the medians of their lower and of their upper bounds; null if no delay has a value.
     pub median: Option<MedianDelay>,

@@ -73,11 +73,11 @@ pub(crate) struct LinkNow {
 pub(crate) struct Exchanges {
     /// Number of exchanges that were accepted.
     pub taken: u64,
-    /// Number rejected because no pair of clocks can produce them.
+    /// Number of exchanges rejected because no pair of clocks can produce them.
     pub impossible: u64,
-    /// Number rejected because they contradict all others.
+    /// Number of exchanges rejected because they contradict all other exchanges.
     pub outliers: u64,
-    /// Number rejected because a clock was stepped during the exchange.
+    /// Number of exchanges rejected because a clock was stepped during the exchange.
     pub stepped: u64,
     /// Number of windows that were started after a step.
     pub restarts: u32,
@@ -106,7 +106,7 @@ pub(crate) struct LinkPoint {
     pub down: Option<Delay>,
     /// Clocks that the offset relates: `raw`, `raw-to-wall` or `wall`. A free-running (`raw`) clock counts from the boot of its machine.
     pub clocks: &'static str,
-    /// Range of the relative rate of the two clocks that the exchanges allow; null while they bound nothing.
+    /// Range of the relative rate of the two clocks that the exchanges allow; null while the exchanges do not bound the rate.
     pub proven_skew: Option<ProvenSkew>,
     /// Age of the oldest exchange that bounds the offset, seconds, if exchanges are so rare that the window grew beyond
     /// `[clock] window_s`; else null.

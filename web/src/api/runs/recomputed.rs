@@ -48,7 +48,7 @@ pub(crate) struct RecomputedStage {
 pub(crate) struct Judgement {
     /// Delays that have a value, seconds.
     pub delay: Option<QuantityStatistics>,
-    /// Half widths of their bounds, seconds.
+    /// Half widths of the bounds of the delays, seconds.
     pub half_width: Option<QuantityStatistics>,
     pub verdicts: Vec<VerdictCount>,
 }

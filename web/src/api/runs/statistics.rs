@@ -122,8 +122,8 @@ pub(crate) struct StageList {
 /// iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct SpeedWhileSending {
-    /// Throughput from the edge to the cloud; null when nothing was sent, no delay is known, or the clocks do not determine the delays
-    /// (prevailing verdict neither `ok` nor `limited`).
+    /// Throughput from the edge to the cloud; null when nothing was sent, no delay is known, or the clocks do not determine the delays:
+    /// at least 5 % of the delays have a verdict other than `ok` and `limited`.
     pub upload_bits_per_second: Option<f64>,
     /// Throughput from the cloud to the edge; null in the same cases.
     pub download_bits_per_second: Option<f64>,

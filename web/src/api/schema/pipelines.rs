@@ -112,7 +112,7 @@ pub(crate) struct TransferRates {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TransferRate {
     /// Speed while sending: sum of bits divided by sum of transfer times; null where no delay is known, or the clocks do not determine
-    /// the delays (prevailing verdict neither `ok` nor `limited`).
+    /// the delays: at least 5 % of the delays have a verdict other than `ok` and `limited`.
     pub speed_bits_per_second: Option<f64>,
     /// Traffic: sum of bits divided by wall time.
     pub traffic_bits_per_second: Option<f64>,

@@ -1,4 +1,4 @@
-//! The pages of links, in every state that the clocks may be in.
+//! Tests of the pages of links, in every state that the clocks may be in.
 
 use peernet_clock::{Span, Verdict};
 
@@ -6,6 +6,8 @@ use super::super::{link, links, pipeline};
 use super::{check, overview_of};
 use crate::tests::samples::{self, host, snapshot};
 
+/// Returns a live state with one pipeline and the pipeline's link. `verdict` is that of the pipeline's delays. `half` is half the width of
+/// the offset's bounds, seconds; `None` without an offset.
 pub(super) fn linked(half: Option<f64>, verdict: Verdict) -> peernet_aggregator::LiveState {
     let mut live_state =
         snapshot(vec![host("cam-1", "Orin")], vec![samples::pipeline("line", 30.0, 1.0, verdict, &[])]);
@@ -87,7 +89,10 @@ async fn link_without_live_host_has_a_page() {
         let html = askama::Template::render(&page).expect("renders");
         check(&html);
         assert!(html.contains("cam-1 last reported this link on 19 Nov 2026, 12:01:07"), "{html}");
-        assert!(!html.contains("data-topic") && !html.contains("id=\"pause\""), "nothing of it is live");
+        assert!(
+            !html.contains("data-topic") && !html.contains("id=\"pause\""),
+            "no part of the page is live"
+        );
     }
 }
 

@@ -1,4 +1,4 @@
-//! Runs side by side, in every state that they may have.
+//! Tests of the page that compares runs, in every state that the runs may have.
 
 use std::sync::Arc;
 
@@ -19,16 +19,18 @@ use crate::tests::samples;
 use crate::view::compare::tests::{comparison, configuration, totals};
 use crate::view::compare::{Configuration, RunMeans};
 
+/// Returns the HTML of a comparison. If `is_long`, each run has enough batches for an interval of the differences.
 async fn page_of(configurations: Vec<Configuration>, is_long: bool) -> String {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
     let comparison = comparison(configurations);
     let means = if is_long { totals(&comparison, 20) } else { RunMeans::new() };
-    let html = render_comparison(shell, &comparison, &means, (None, None)).expect("nothing asked for");
+    let html = render_comparison(shell, &comparison, &means, (None, None)).expect("renders");
     check(&html);
     html
 }
 
+/// Returns the HTML of a comparison that shows the distributions of one stage.
 async fn page_of_stage(configurations: &[Configuration], stage: &str) -> Result<String, WebError> {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
@@ -62,8 +64,8 @@ async fn two_configurations_have_a_difference_with_its_interval() {
 async fn several_configurations_have_a_table_bars_and_a_plot() {
     let many = (0..8).map(|at| configuration(at, Remote, 1.0 + at as f64 * 0.3, 1e3 * (at + 1) as f64));
     let html = page_of(many.collect(), false).await;
-    let before_spread = html.split("How the total spreads").next().expect("what stands before");
-    let stacked = before_spread.split("id=\"differences\"").next().expect("what stands before");
+    let before_spread = html.split("How the total spreads").next().expect("the text before");
+    let stacked = before_spread.split("id=\"differences\"").next().expect("the text before");
     assert_eq!(stacked.matches("class=\"bar\"").count() - 1, 8);
     let latency = panel(&html, "cl-h");
     assert!(latency.contains("upload: ") && latency.contains(" ms + size ÷ ("), "{latency}");
@@ -104,24 +106,24 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
     assert!(html.contains("Accuracy against latency") && html.contains("B 84.0\u{202f}% at"), "{html}");
     let panel = html.split("id=\"ca-1\"").nth(1).and_then(|rest| rest.split("</section>").next());
     let panel = panel.expect("a panel");
-    assert!(panel.contains(">ms, logarithmic<"), "one takes sixteen times as long: {panel}");
+    assert!(panel.contains(">ms, logarithmic<"), "one configuration takes sixteen times as long: {panel}");
     assert_eq!(panel.matches("class=\"f-ink\"").count(), 2, "{panel}");
     let row = "<td class=\"num\" data-h=\"number\">2</td><th scope=\"row\">B</th><td class=\"num\" data-h=\"accuracy, %\">84.0</td>";
     assert!(panel.contains(row), "{panel}");
     let html = page_of(vec![with(0, 0.7), configuration(1, Local, 2.0, 1e3)], false).await;
-    assert!(!html.contains("Accuracy against latency"), "one point is no plot");
+    assert!(!html.contains("Accuracy against latency"), "one point makes no plot");
     let mut without_total = with(1, 0.84);
     without_total.stages.retain(|stage| !["total", "stages-total"].contains(&stage.stage.as_str()));
     let html = page_of(vec![with(0, 0.7), without_total], false).await;
-    assert!(!html.contains("Accuracy against latency"), "the time of another stage is no total");
+    assert!(!html.contains("Accuracy against latency"), "no other stage replaces a missing total");
 }
 
 #[tokio::test]
 async fn latency_is_drawn_against_number_of_users() {
-    let with = |at: usize, users: usize| {
+    let with_users = |at: usize, users: usize| {
         let mut one = configuration(at, Remote, 1.0 + users as f64, 1e3);
         one.values = vec![users.to_string(), "zmq-tcp".to_owned()];
-        let usual = one.runs.remove(0);
+        let run = one.runs.remove(0);
         // There are two repeats, and the first user is missing in the second one.
         for (repeat, user) in (0..users).map(|user| (0, user)).chain((1..users).map(|user| (1, user))) {
             let host_name = samples::slug(&format!("user-{}", user + 1));
@@ -132,18 +134,18 @@ async fn latency_is_drawn_against_number_of_users() {
                 repeat,
                 ..ExperimentPosition::default()
             };
-            one.runs.push(RunSummary { host_name, experiment: Some(position), ..usual.clone() });
+            one.runs.push(RunSummary { host_name, experiment: Some(position), ..run.clone() });
         }
         one
     };
-    let html = page_of(vec![with(0, 1), with(1, 2), with(2, 4)], false).await;
+    let html = page_of(vec![with_users(0, 1), with_users(1, 2), with_users(2, 4)], false).await;
     assert!(html.contains("Latency against the number of edges"), "{html}");
     assert!(html.contains("B: 48.3\u{202f}ms at 2 edges, C: 80.5\u{202f}ms at 4 edges"), "{html}");
-    // 300 answers of each in 59 s.
+    // Each edge gets 300 answers in 59 s.
     assert!(html.contains(">10.2</td>") && html.contains(">5.08</td>"), "{html}");
     assert!(html.contains("data-h=\"fairness\">1.000</td>"), "{html}");
-    let html = page_of(vec![with(0, 1), with(1, 1)], false).await;
-    assert!(!html.contains("number of edges"), "each was alone");
+    let html = page_of(vec![with_users(0, 1), with_users(1, 1)], false).await;
+    assert!(!html.contains("number of edges"), "no edges ran at the same time");
 }
 
 #[tokio::test]
@@ -151,7 +153,7 @@ async fn missing_interval_is_explained() {
     let two = comparison(vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)]);
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-    let html = render_comparison(shell, &two, &totals(&two, 3), (None, None)).expect("nothing asked for");
+    let html = render_comparison(shell, &two, &totals(&two, 3), (None, None)).expect("renders");
     check(&html);
     assert!(
         html.contains("an interval needs at least 30 iterations of each run, in at least 5 stretches"),
@@ -174,7 +176,7 @@ async fn verdict_and_replayed_latencies_have_chips_of_run_page() {
     two.replayed_by_run.insert(1, replayed);
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-    let html = render_comparison(shell, &two, &RunMeans::new(), (None, None)).expect("nothing asked for");
+    let html = render_comparison(shell, &two, &RunMeans::new(), (None, None)).expect("renders");
     check(&html);
     let notes = html.split("<ul class=\"notes\">").nth(1).and_then(|rest| rest.split("</ul>").next());
     let lines: Vec<&str> = notes.expect("caveats").split("<li>").skip(1).collect();
@@ -191,7 +193,7 @@ async fn baseline_can_be_chosen_among_configurations() {
         let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
         render_comparison(shell, &three, &totals(&three, 20), (None, Some(baseline)))
     };
-    let html = page("2").expect("it is compared");
+    let html = page("2").expect("run 2 is compared");
     check(&html);
     assert!(
         html.contains("Difference to B</h2>") && html.contains("<option value=\"2\" selected>B</option>"),
@@ -217,7 +219,7 @@ async fn iterations_are_compared_with_those_of_baseline() {
 }
 
 #[tokio::test]
-async fn missed_deadlines_are_column_where_there_is_a_deadline() {
+async fn run_with_deadline_adds_column_of_missed_deadlines() {
     let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
     assert!(!page_of(two.clone(), false).await.contains("missed"));
     let run = &mut two[1].runs[0];
@@ -269,7 +271,7 @@ async fn throughput_is_drawn_against_payload_with_its_numbers() {
 }
 
 #[tokio::test]
-async fn links_are_separate_studies() {
+async fn each_link_has_its_own_plot_of_latency() {
     let mut four: Vec<_> =
         (0..4).map(|at| configuration(at, Remote, 1.0, 1e4 * (1 + at % 2) as f64)).collect();
     for one in &mut four[2..] {
@@ -302,7 +304,7 @@ async fn few_runs_show_all_distributions_or_selected_one() {
     let titles =
         ["Total", "Sensing time", "Upload time", "Inference time", "Download time", "Upload throughput"];
     let found: Vec<&str> = all.split("<h3 class=\"quantity\">").skip(1).collect();
-    assert_eq!(found.len(), titles.len(), "nobody has a throughput of the download: {all}");
+    assert_eq!(found.len(), titles.len(), "no run has a throughput of the download: {all}");
     for (group, title) in found.iter().zip(titles) {
         assert!(group.starts_with(title) && group.matches("<figcaption>").count() == 2, "{title}: {group}");
     }
@@ -315,7 +317,7 @@ async fn few_runs_show_all_distributions_or_selected_one() {
     );
     assert!(all.contains("bin f-upload\"") && all.contains("bin f-sensing\""), "{all}");
 
-    let html = page_of_stage(&two, "upload").await.expect("there");
+    let html = page_of_stage(&two, "upload").await.expect("a measured stage");
     let one = panel(&html, "distributions");
     assert_eq!((one.matches("<h3").count(), one.matches("<figcaption>").count()), (1, 2), "{one}");
     assert!(
@@ -324,11 +326,11 @@ async fn few_runs_show_all_distributions_or_selected_one() {
         )
     );
     // Any stage that a run has can be selected, even one that the page does not offer for all comparisons.
-    let html = page_of_stage(&two, "preprocessing").await.expect("there");
+    let html = page_of_stage(&two, "preprocessing").await.expect("a measured stage");
     assert!(panel(&html, "distributions").contains("aria-current=\"true\">preprocessing</a>"), "{html}");
-    let html = page_of_stage(&two, "download-throughput").await.expect("a usual one");
+    let html = page_of_stage(&two, "download-throughput").await.expect("a standard stage");
     assert!(panel(&html, "distributions").contains("No compared run has measured this quantity."), "{html}");
-    let refused = page_of_stage(&two, "<b>").await.expect_err("nobody has it").to_string();
+    let refused = page_of_stage(&two, "<b>").await.expect_err("no run has this stage").to_string();
     assert!(refused.contains("none of the compared runs has \"<b>\"; ask for"), "{refused}");
 
     let alone = page_of(two[..1].to_vec(), false).await;
@@ -372,26 +374,30 @@ async fn delay_with_wide_interval_is_drawn_as_band() {
         one
     };
     let two = vec![of(0, 0.000_65, Verdict::Ok), of(1, 0.004, Verdict::Limited)];
-    let html = page_of_stage(&two, "upload").await.expect("there");
+    let html = page_of_stage(&two, "upload").await.expect("a measured stage");
     let drawn = panel(&html, "distributions");
     assert_eq!(drawn.matches("class=\"band\"").count(), 2, "{drawn}");
     assert!(
         drawn.contains("ms, clock bounds 5.") && drawn.contains("median within the clock bounds 2."),
         "{drawn}"
     );
-    assert_eq!(drawn.matches("chip warn").count(), 1, "only the second is limited: {drawn}");
-    let html = page_of_stage(&two, "upload-throughput").await.expect("there");
+    assert_eq!(
+        drawn.matches("chip warn").count(),
+        1,
+        "only the verdict of the second run is limited: {drawn}"
+    );
+    let html = page_of_stage(&two, "upload-throughput").await.expect("a measured stage");
     assert_eq!(
         panel(&html, "distributions").matches("class=\"band\"").count(),
         2,
-        "a throughput is no better known: {html}"
+        "a throughput is as uncertain as its delay: {html}"
     );
     let mut undetermined = configuration(2, Remote, 1.0, 1e3);
     let mut mergeable = MergeableStatistics::default();
     mergeable.add(stage::TOTAL, "s", undetermined.summary(&stage::TOTAL).expect("measured"));
     mergeable.add_verdicts(stage::UPLOAD, Verdict::Unsynchronised, 300);
     undetermined.mergeable = Arc::new(mergeable);
-    let html = page_of_stage(&[two[0].clone(), undetermined], "upload").await.expect("there");
+    let html = page_of_stage(&[two[0].clone(), undetermined], "upload").await.expect("a measured stage");
     assert!(
         panel(&html, "distributions").contains("The clocks do not determine this quantity for 1 run."),
         "{html}"

@@ -1,4 +1,4 @@
-//! Tests of the account of events, in every state.
+//! Tests of the counts of events on pages, in every state that an agent's events may be in.
 
 use super::*;
 
@@ -23,9 +23,9 @@ async fn event_counts_of_each_state_are_shown() {
         ..samples::accounting()
     };
     let live_state = snapshot(vec![reported, broken, host("cam-3", "Orin")], Vec::new());
-    let part = |name: &str, wanted: &str| {
+    let part = |name: &str, part_id: &str| {
         let update = host::update(&app, &live_state, name).expect("renders");
-        let (_, html) = update.parts.into_iter().find(|(id, _)| *id == wanted).expect("the part");
+        let (_, html) = update.parts.into_iter().find(|(id, _)| *id == part_id).expect("the part");
         check(&html);
         html
     };

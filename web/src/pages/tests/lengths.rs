@@ -1,4 +1,4 @@
-//! Response length against latency, on the page that compares.
+//! Tests of the panel *Response length against latency* of the page that compares runs.
 
 use peernet_stream::PlacementKind::Remote;
 
@@ -27,7 +27,7 @@ fn panel(html: &str) -> &str {
 }
 
 #[tokio::test]
-async fn answers_of_varying_and_equal_length_are_drawn() {
+async fn configurations_with_answers_of_varying_length_are_drawn() {
     let html = page_of(vec![
         configuration(0, Remote, 1.0, 1e3),
         answers_of_lengths(1, "completion-tokens", &sample_answers(300)),
@@ -60,7 +60,7 @@ async fn without_answers_of_different_length_there_is_no_panel() {
 }
 
 #[tokio::test]
-async fn panel_without_usage_has_remedy() {
+async fn panel_without_usage_says_what_to_do() {
     let html = page_of(vec![answers_of_lengths(0, "output-chunks", &sample_answers(80))]).await;
     let panel = panel(&html);
     assert!(panel.contains("the server sent no `usage`; use --x output-chunks with peernet plot"), "{panel}");

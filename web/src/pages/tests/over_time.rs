@@ -1,4 +1,4 @@
-//! Runs over time side by side, in every state that they may have.
+//! Tests of the panel that shows compared runs over time, in every state that the runs may have.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
     let html = render_comparison(shell, &comparison(configurations), &RunMeans::new(), (None, None))
-        .expect("nothing asked for");
+        .expect("renders");
     check(&html);
     let panel = html.split("id=\"cc-h\"").nth(1)?;
     panel.split("</section>").next().map(str::to_owned)
@@ -66,7 +66,7 @@ async fn first_runs_of_each_configuration_are_drawn() {
 }
 
 #[tokio::test]
-async fn run_over_time_shows_sensing_without_total() {
+async fn sensing_is_shown_over_time_if_total_is_missing() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     one.stages.retain(|known| known.stage == stage::SENSING);
     let known = one.summary(&stage::SENSING).expect("samples").clone();
@@ -84,7 +84,7 @@ async fn run_over_time_shows_sensing_without_total() {
 }
 
 #[tokio::test]
-async fn runs_without_a_single_answer_are_named() {
+async fn runs_without_successful_iteration_are_named() {
     let mut all: Vec<_> = (0..12).map(|at| configuration(at, Remote, 1.0, 1e3)).collect();
     for one in &mut all[2..] {
         one.stages.clear();
@@ -94,8 +94,7 @@ async fn runs_without_a_single_answer_are_named() {
     let (app, _folder) = samples::app().await;
     let page = |all: &[Configuration]| {
         let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-        render_comparison(shell, &comparison(all.to_vec()), &RunMeans::new(), (None, None))
-            .expect("nothing asked for")
+        render_comparison(shell, &comparison(all.to_vec()), &RunMeans::new(), (None, None)).expect("renders")
     };
     let html = page(&all);
     check(&html);
@@ -125,5 +124,5 @@ async fn caption_states_length_of_short_run() {
     };
     let short = of_points(3).expect("three points");
     assert_eq!(short.runs[0].caption, "points of 1\u{202f}s, 2.5\u{202f}s from first to last start");
-    assert!(of_points(2).is_none(), "two points say nothing about time");
+    assert!(of_points(2).is_none(), "two points are too few for a plot");
 }
