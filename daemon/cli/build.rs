@@ -1,10 +1,10 @@
-//! Adds the commit to `--version`: from the environment (packagers), otherwise from git, otherwise none. `-dirty`
-//! means that the sources of the program differ from the commit.
+//! Adds the commit to `--version`: the commit in `PEERNET_COMMIT`, which packagers set, otherwise the commit of the git
+//! checkout, otherwise the text `commit unknown`. `-dirty` means that the sources of the program differ from the commit.
 
 use std::path::PathBuf;
 use std::process::Command;
 
-/// Sources of the program, from the top of the repository. Tests and documents do not change it.
+/// Sources of the program, from the top of the repository. Tests and documents do not change the program.
 const SOURCES: [&str; 9] = [
     "Cargo.toml",
     "Cargo.lock",
@@ -20,6 +20,7 @@ const SOURCES: [&str; 9] = [
 fn main() {
     println!("cargo::rerun-if-env-changed=PEERNET_COMMIT");
     println!("cargo::rerun-if-changed=build.rs");
+    // A commit and a checkout change one of these files of git.
     for name in ["HEAD", "logs/HEAD"] {
         if let Some(path) = git(&["rev-parse", "--git-path", name]) {
             println!("cargo::rerun-if-changed={path}");
@@ -35,8 +36,9 @@ fn main() {
 /// Returns the short hash of the commit, with `-dirty` if a source of the program is changed.
 fn commit() -> Option<String> {
     let head = git(&["rev-parse", "--short=10", "HEAD"])?;
+    // A source with a dot in its path is a file. The others are folders, of which all files count.
     let pathspecs =
-        SOURCES.map(|part| format!(":(top,glob){part}{}", if part.contains('.') { "" } else { "/**" }));
+        SOURCES.map(|source| format!(":(top,glob){source}{}", if source.contains('.') { "" } else { "/**" }));
     let status = ["--no-optional-locks", "status", "--porcelain", "--untracked-files=no", "--"];
     let status: Vec<&str> = status.into_iter().chain(pathspecs.iter().map(String::as_str)).collect();
     // `git status --porcelain` prints nothing if no source is changed, and `git` returns `None` for empty output.

@@ -11,29 +11,30 @@ pub(crate) const DEFAULT_PORT: u16 = 5551;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum AddressError {
     /// The address is valid on one network interface only.
-    #[error("a zone such as %eth0 cannot be given; take an address that is not link-local, or a name")]
+    #[error("a zone such as %eth0 is not supported; use an address that is not link-local, or a host name")]
     Zone,
-    /// The text is no address. The caller's message contains the text.
+    /// The text is no address. The caller's message contains the text, so this message has only the problem.
     #[error("{}", .0.problem)]
     Invalid(InvalidAddress),
 }
 
-/// Reads an address, or a host with or without a port. A host without a port gets the port `port`, and a host gets
-/// the scheme of `network`.
+/// Reads an address, or a host with or without a port. A text without a scheme gets the scheme of `network`, and a text
+/// without a port gets `port`.
 ///
 /// # Errors
 /// When the text is neither an address nor a host.
 pub(crate) fn address(text: &str, port: u16, network: NetworkKind) -> Result<Address, AddressError> {
     let (scheme, rest) = text.split_once("://").unwrap_or((network.schemes()[0], text));
-    let is_named = |kind: &NetworkKind| kind.schemes().contains(&scheme) && kind.has_named_listeners();
-    if NetworkKind::ALL.iter().any(is_named) {
-        // Such an address names a listener that another program resolves. The port in it is the port of that program
-        // and has its own default.
+    let has_named_listener =
+        |kind: &NetworkKind| kind.schemes().contains(&scheme) && kind.has_named_listeners();
+    if NetworkKind::ALL.iter().any(has_named_listener) {
+        // Such an address names a listener, which another program finds, such as a ROS master. A port in the address is
+        // the port of that program and has another default, so `port` is not added.
         return format!("{scheme}://{rest}").parse().map_err(AddressError::Invalid);
     }
-    let is_zoned =
+    let has_zone =
         rest.split_once('%').is_some_and(|(ip, _)| ip.trim_start_matches('[').parse::<Ipv6Addr>().is_ok());
-    if is_zoned {
+    if has_zone {
         return Err(AddressError::Zone);
     }
     let rest = match rest.parse() {

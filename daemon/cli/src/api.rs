@@ -46,6 +46,7 @@ impl Api {
     }
 
     fn request<T: DeserializeOwned>(&self, path: &str, timeout: Duration) -> anyhow::Result<T> {
+        // The body of an error answer says what is wrong, so it is read like that of any answer.
         let config = ureq::Agent::config_builder().timeout_global(Some(timeout)).http_status_as_error(false);
         let agent: ureq::Agent = config.build().into();
         let url = format!("{}{path}", self.url.trim_end_matches('/'));
@@ -60,8 +61,8 @@ impl Api {
         let mut response = agent.get(&url).call().map_err(|error| {
             let cause = describe(error);
             anyhow!(
-                "cannot reach {url}: {cause}; start an aggregator with a table [web] there (`peernetd run FILE`), or give the address of one \
-                 with --url"
+                "cannot reach {url}: {cause}; start an aggregator with a table [web] there (`peernetd run FILE`), or give the \
+                 address of another dashboard with --url"
             )
         })?;
         let text = response
@@ -73,7 +74,7 @@ impl Api {
         if !status.is_success() {
             match serde_json::from_str::<Problem>(&text) {
                 Ok(problem) => bail!("{url}: {}", problem.detail),
-                Err(_) => bail!("{url} answers {status}; is it a dashboard of this version?"),
+                Err(_) => bail!("{url} answers {status}; does a dashboard of this version run there?"),
             }
         }
         serde_json::from_str(&text)
@@ -93,17 +94,20 @@ mod tests {
         let server = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
         let url = format!("http://{}", server.local_addr().expect("bound"));
         let answering = std::thread::spawn(move || {
-            let (mut peer, _) = server.accept().expect("asked");
-            let drops = std::iter::once("HTTP/1.1 200 OK\r\n").chain(std::iter::repeat("X-More: 1\r\n"));
+            let (mut peer, _) = server.accept().expect("the client connects");
+            let header_lines =
+                std::iter::once("HTTP/1.1 200 OK\r\n").chain(std::iter::repeat("X-More: 1\r\n"));
             // Sends until the client has gone.
-            for text in drops {
+            for text in header_lines {
                 if peer.write_all(text.as_bytes()).is_err() {
                     return;
                 }
                 std::thread::sleep(Duration::from_millis(50));
             }
         });
-        let error = Api { url }.request::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
+        let error = Api { url }
+            .request::<()>("/x", Duration::from_millis(300))
+            .expect_err("the answer is never complete");
         answering.join().expect("no panic");
         assert!(format!("{error:#}").contains("no complete answer within 0.3 s"), "{error:#}");
     }
@@ -113,7 +117,9 @@ mod tests {
         // The system accepts the connection for the server.
         let server = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
         let url = format!("http://{}", server.local_addr().expect("bound"));
-        let error = Api { url }.request::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
+        let error = Api { url }
+            .request::<()>("/x", Duration::from_millis(300))
+            .expect_err("the answer is never complete");
         let message = format!("{error:#}");
         assert!(message.starts_with("cannot reach") && message.contains("within 0.3 s"), "{message}");
     }

@@ -23,11 +23,13 @@ pub fn with_faults(system_clock: &SharedClock, faults: Option<&ClockFaultConfig>
     let Some(faults) = faults else { return Ok(Arc::clone(system_clock)) };
     let since = system_clock.wall();
     let identity = match &*system_clock.identity().clock {
-        // The drift starts from zero at each start, so each start needs an identity of its own.
+        // The artificial drift starts from zero at each start of the program. Two starts are therefore two clocks, and
+        // each gets a separate identity.
         ClockIdentity::SYSTEM => {
             let name = format!("clock-fault-{}-{:x}", std::process::id(), since.unix_nanos());
             ClockIdentity::from_system(&name)?
         }
+        // An identity from the configuration is kept.
         _ => system_clock.identity().clone(),
     };
     Ok(Arc::new(FaultyClock::new(Arc::clone(system_clock), identity, faults.clock_faults(since))))

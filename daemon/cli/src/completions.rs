@@ -11,7 +11,7 @@ use crate::Cli;
 /// Arguments of `peernet completions`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// Which shell.
+    /// Shell that will run the script.
     shell: Shell,
 }
 

@@ -1,9 +1,9 @@
-//! Exit codes as in sysexits(3), so that systemd and scripts can distinguish errors of the user from other failures.
+//! Exit codes as in sysexits(3), so that systemd and scripts can distinguish wrong input from other failures.
 
 use std::fmt;
 use std::process::ExitCode;
 
-/// Result of the program.
+/// Exit code of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Exit {
@@ -30,9 +30,9 @@ pub enum Exit {
 }
 
 impl Exit {
-    /// Converts this into the value that `main` returns. If a thread still uses ONNX Runtime, such as one that opens a
-    /// large model, the process ends here, without the destructors of libraries, which would run while that thread uses
-    /// the library. All output is written by then, because it is not buffered.
+    /// Converts the exit code into the value that `main` returns. If a thread still uses ONNX Runtime, such as a thread
+    /// that opens a large model, the process ends here without the destructors of libraries. These destructors would
+    /// otherwise run while the thread uses the library. No output is lost, because output is not buffered.
     pub fn into_exit_code(self) -> ExitCode {
         if peernet_inference::is_library_in_use() {
             #[expect(
@@ -72,19 +72,19 @@ impl fmt::Display for Failure {
 }
 
 /// Returns an error and its causes in one line. Many errors already contain the text of their cause, so a text that
-/// is contained in another one is left out.
+/// another text contains is left out.
 pub fn error_line(error: &anyhow::Error) -> String {
-    let mut parts: Vec<String> = Vec::new();
+    let mut texts: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {
-        if parts.iter().any(|text| text.contains(&cause)) {
+        if texts.iter().any(|text| text.contains(&cause)) {
             continue;
         }
-        if parts.last().is_some_and(|text| cause.starts_with(text)) {
-            parts.pop();
+        if texts.last().is_some_and(|text| cause.starts_with(text)) {
+            texts.pop();
         }
-        parts.push(cause);
+        texts.push(cause);
     }
-    parts.join(": ")
+    texts.join(": ")
 }
 
 #[cfg(test)]
@@ -95,12 +95,12 @@ mod tests {
 
     #[test]
     fn repeated_cause_is_printed_once() {
-        let cause = anyhow!("No such file").context("cannot open x: No such file; make it");
-        assert_eq!(error_line(&cause), "cannot open x: No such file; make it");
-        let cause =
+        let error = anyhow!("No such file").context("cannot open x: No such file; make it");
+        assert_eq!(error_line(&error), "cannot open x: No such file; make it");
+        let error =
             anyhow!("it is in use").context("cannot start it: it is in use").context("cannot start it");
-        assert_eq!(error_line(&cause), "cannot start it: it is in use");
-        let cause = anyhow!("the reason").context("what failed").context("what was wanted");
-        assert_eq!(error_line(&cause), "what was wanted: what failed: the reason");
+        assert_eq!(error_line(&error), "cannot start it: it is in use");
+        let error = anyhow!("the reason").context("what failed").context("what was wanted");
+        assert_eq!(error_line(&error), "what was wanted: what failed: the reason");
     }
 }

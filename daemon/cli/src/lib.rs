@@ -1,6 +1,6 @@
 //! The command `peernet`, and the parts that it shares with `peernetd`: clocks, exit codes, texts of errors about
-//! invalid values, output to the terminal, shortening of long texts, the form of log lines, requests to end, and the
-//! version.
+//! invalid values, output to the terminal, shortening of long texts, the form of log lines, reading of small files,
+//! renamed tables, requests to end, and the version.
 
 mod address;
 mod api;
@@ -9,7 +9,6 @@ pub mod clock;
 mod compare;
 mod completions;
 pub mod exit;
-pub mod expected;
 mod experiment;
 mod foreground;
 pub mod log;
@@ -30,6 +29,7 @@ pub mod shutdown_request;
 pub mod shutdown_signals;
 pub mod small_file;
 mod status;
+pub mod toml_errors;
 
 use std::process::ExitCode;
 
@@ -40,10 +40,10 @@ use clap::{Parser, Subcommand};
 /// Version of the program with the commit that it was built from.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("PEERNET_COMMIT"), ")");
 
-/// Names of the command line: our own and those of the paper's program.
+/// Names under which the program acts as the command line: `peernet` and those of the paper's program.
 pub const NAMES: [&str; 3] = ["peernet", "PEERNet", "peernet_cli"];
 
-/// PEERNet's command line: the experiments of the paper, measured links, a running aggregator's answers.
+/// Run the experiments of the paper, measure links, compare results, and query a running aggregator.
 #[derive(Debug, Parser)]
 #[command(
     name = "peernet",
@@ -52,12 +52,12 @@ pub const NAMES: [&str; 3] = ["peernet", "PEERNet", "peernet_cli"];
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
     arg_required_else_help = true,
-    after_help = "To begin: `peernetd run configs/cloud.toml` in one terminal, `peernet run configs/experiments/demo.toml` in another; the package has the files of configs/ in /usr/share/doc/peernet/examples/. `peernet COMMAND --help` has the options of a command, docs/cli.md all of them."
+    after_help = "To begin: `peernetd run configs/cloud.toml` in one terminal, `peernet run configs/experiments/demo.toml` in another; the package has the files of configs/ in /usr/share/doc/peernet/examples/. `peernet COMMAND --help` shows the options of one command, docs/cli.md those of all commands."
 )]
 struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
-    /// As the paper types it: `peernet --server …`, `peernet --client …`.
+    /// Options without a subcommand, as in the commands of the paper: `peernet --server …`, `peernet --client …`.
     #[command(flatten)]
     paper: Option<paper_commands::Arguments>,
 }
@@ -105,8 +105,8 @@ impl Command {
 /// Subcommands that only `peernetd` has.
 const DAEMON_COMMANDS: [&str; 5] = ["check", "backup", "doctor", "rebuild-rollups", "clear-host-secret"];
 
-/// Adds the name of the program with the command to an error about an unknown subcommand.
-fn with_program(mut error: clap::Error) -> clap::Error {
+/// Adds a tip to an error about a subcommand that `peernet` does not have, if `peernetd` has it.
+fn with_daemon_tip(mut error: clap::Error) -> clap::Error {
     let Some(ContextValue::String(unknown_command)) = error.get(ContextKind::InvalidSubcommand) else {
         return error;
     };
@@ -119,14 +119,14 @@ fn with_program(mut error: clap::Error) -> clap::Error {
 
 /// Runs the program `peernet`: parses the command line and executes the command.
 pub fn main() -> ExitCode {
-    let line = match Cli::try_parse() {
-        Ok(line) => line,
-        Err(error) => return output::report_parser_message(with_program(error)).into_exit_code(),
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return output::report_parser_message(with_daemon_tip(error)).into_exit_code(),
     };
-    let result = match line {
+    let result = match cli {
         Cli { command: Some(command), .. } => command.run(),
         Cli { paper: Some(arguments), .. } => paper_commands::run(&arguments),
-        // The parser requires one of the two.
+        // The parser requires a subcommand or the options of the paper, so this does not happen.
         Cli { .. } => Ok(()),
     };
     output::report_result(result).into_exit_code()
@@ -137,10 +137,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn command_of_daemon_is_reported_with_its_program() {
+    fn unknown_command_of_daemon_gets_tip_with_peernetd() {
         let error_text = |command: &str| {
-            let error = Cli::try_parse_from(["peernet", command]).expect_err("it is unknown");
-            with_program(error).to_string()
+            let error = Cli::try_parse_from(["peernet", command]).expect_err("peernet has no such command");
+            with_daemon_tip(error).to_string()
         };
         assert!(
             error_text("doctor").contains("tip: the daemon has this command: peernetd doctor"),

@@ -5,24 +5,24 @@ use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 
-/// Environment variable that sets the level.
+/// Environment variable that sets the level of the log.
 pub const VARIABLE: &str = "PEERNET_LOG";
 
 /// Formatter of lines such as `12:00:00 INFO agent: text key=value`, with a priority instead of the time under
 /// journald.
 #[derive(Debug)]
-pub struct Line {
-    journald: bool,
+pub struct LineFormat {
+    is_under_journald: bool,
 }
 
-impl Default for Line {
+impl Default for LineFormat {
     fn default() -> Self {
         // journald stamps each line itself and reads a leading <N> as the priority.
-        Self { journald: std::env::var_os("JOURNAL_STREAM").is_some() }
+        Self { is_under_journald: std::env::var_os("JOURNAL_STREAM").is_some() }
     }
 }
 
-impl<S, N> FormatEvent<S, N> for Line
+impl<S, N> FormatEvent<S, N> for LineFormat
 where
     S: Subscriber + for<'a> LookupSpan<'a>,
     N: for<'a> FormatFields<'a> + 'static,
@@ -38,7 +38,7 @@ where
         let source = source.strip_prefix("peernet_").unwrap_or(source);
         // The store is a part of the aggregator, so its log lines have the aggregator's name.
         let source = if source == "store" { "aggregator" } else { source };
-        if self.journald {
+        if self.is_under_journald {
             write!(writer, "<{}>", priority(level))?;
         } else {
             use tracing_subscriber::fmt::time::FormatTime;
@@ -53,7 +53,7 @@ where
     }
 }
 
-/// Returns the priority of syslog(3).
+/// Returns the priority that syslog(3) defines for a level.
 fn priority(level: Level) -> u8 {
     match level {
         Level::ERROR => 3,
@@ -63,6 +63,7 @@ fn priority(level: Level) -> u8 {
     }
 }
 
+/// Returns the escape sequence of the terminal for the colour of a level.
 fn colour(level: Level) -> &'static str {
     match level {
         Level::ERROR => "\x1b[31m",

@@ -2,12 +2,12 @@
 
 use peernet_networks::NetworkKind;
 
-/// A name of an unknown kind of network.
+/// A text that is not the name of a kind of network.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("there is {}", known_kinds())]
+#[error("the kinds are {}", known_kinds())]
 pub(crate) struct NetworkNameError;
 
-/// Returns a kind by its name in the paper's program.
+/// Returns the kind of network with this name.
 ///
 /// # Errors
 /// When no kind has this name.

@@ -1,4 +1,5 @@
-//! Output to the terminal. No other module writes there; everything else goes through the log.
+//! Output to the terminal. Other modules write there through these functions only, except for the log, the progress bar
+//! and the question whether an experiment is to start.
 
 use std::borrow::Cow;
 use std::fmt::Display;
@@ -21,7 +22,8 @@ pub fn print_to_stdout(text: impl Display) {
     record_write(write(&mut io::stdout().lock(), &text));
 }
 
-/// Prints a message of the command line's parser and returns the exit code: help that was asked for, or an error (64).
+/// Prints a message of the command line's parser and returns the exit code: 64 after an error, 0 after help
+/// that was asked for.
 pub fn report_parser_message(error: clap::Error) -> Exit {
     let error = with_short_values(error);
     let plain = error.render().to_string();
@@ -29,7 +31,8 @@ pub fn report_parser_message(error: clap::Error) -> Exit {
         match short::shorten_lines(&plain) {
             // If standard error cannot be written to, the error cannot be reported.
             Cow::Borrowed(_) => drop(error.print()),
-            // The message of the value's check repeats the value, so the text is shortened.
+            // The check of a value may repeat the value in its message, so the whole text is shortened. It loses its
+            // colours.
             Cow::Owned(short) => print_to_stderr(short.trim_end()),
         }
         return Exit::Usage;
@@ -38,7 +41,7 @@ pub fn report_parser_message(error: clap::Error) -> Exit {
     report_result(Ok(()))
 }
 
-/// Shortens the typed values in the error.
+/// Shortens the values of the command line that the error quotes.
 fn with_short_values(mut error: clap::Error) -> clap::Error {
     let short = |(kind, value): (ContextKind, &ContextValue)| match value {
         ContextValue::String(typed) => match short::shorten_value(typed) {
@@ -50,7 +53,7 @@ fn with_short_values(mut error: clap::Error) -> clap::Error {
     let shortened: Vec<(ContextKind, ContextValue)> = error.context().filter_map(short).collect();
     for (kind, value) in shortened {
         error.insert(kind, value);
-        // The suggestion repeats the value.
+        // The suggestion repeats the value in full.
         error.remove(ContextKind::Suggested);
     }
     error
@@ -72,6 +75,7 @@ pub fn with_output_errors(exit: Exit) -> Exit {
     if exit == Exit::Ok && IS_OUTPUT_LOST.load(Ordering::Relaxed) { Exit::Unwritten } else { exit }
 }
 
+/// Reports the first error of writing the result. [`with_output_errors`] then changes the exit code.
 fn record_write(result: io::Result<()>) {
     let Err(error) = result else { return };
     if !IS_OUTPUT_LOST.swap(true, Ordering::Relaxed) {
@@ -91,6 +95,7 @@ fn write(stream: &mut impl Write, text: &dyn Display) -> io::Result<()> {
     result.or_else(ignore_closed_reader)
 }
 
+/// Replaces the error about a pipe that the reader has closed by success.
 fn ignore_closed_reader(error: io::Error) -> io::Result<()> {
     if error.kind() == ErrorKind::BrokenPipe { Ok(()) } else { Err(error) }
 }
@@ -102,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn typed_text_is_echoed_in_one_short_line() {
+    fn typed_value_is_quoted_in_one_short_line() {
         let refused = |text: &str| Err::<String, _>(format!("{text:?} is none"));
         let command = Command::new("peernet").arg(Arg::new("set").long("set").value_parser(refused));
         let message = |word: &str| {
@@ -127,7 +132,8 @@ mod tests {
         drop(reader);
         assert_eq!(writer.write_all(b"x").map_err(|error| error.kind()), Err(ErrorKind::BrokenPipe));
         assert!(write(&mut writer, &"a result").is_ok());
-        let mut full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("there is one");
+        let mut full =
+            std::fs::OpenOptions::new().write(true).open("/dev/full").expect("Linux has this device");
         assert_eq!(write(&mut full, &"a result").map_err(|error| error.kind()), Err(ErrorKind::StorageFull));
     }
 }

@@ -14,7 +14,7 @@ use crate::api::Api;
 /// Arguments of `peernet recompute`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// Number of the run, as on its page.
+    /// Number of the run, as the dashboard shows it.
     run: i64,
     #[command(flatten)]
     api: Api,
@@ -25,6 +25,7 @@ pub(crate) struct Arguments {
 
 #[derive(Debug, Deserialize)]
 struct Recomputed {
+    /// Number of clock samples that were used. A clock sample covers one second of exchanges.
     samples: u64,
     /// Clocks by which delays were judged. Aggregators of releases before 0.3.0 do not report them and use wall clocks.
     #[serde(default = "wall_clocks")]
@@ -32,7 +33,7 @@ struct Recomputed {
     stages: Vec<Stage>,
 }
 
-/// Description of the run from its start.
+/// Facts of the run, as its start reported them.
 #[derive(Debug, Deserialize)]
 struct Run {
     facts: Vec<Fact>,
@@ -73,10 +74,10 @@ struct VerdictCount {
     count: u64,
 }
 
-/// Prints the delays before and after, side by side.
+/// Prints the delays as stored (`before`) and as computed again (`after`), in adjacent rows.
 ///
 /// # Errors
-/// When the aggregator does not answer, or has no such run.
+/// When the aggregator does not answer, or has no such run (69).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let path = format!("/api/v1/runs/{}/recomputed", arguments.run);
     if arguments.json {
@@ -126,7 +127,7 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
     let table = text(&header, &rows);
     let basis = match samples {
         // Checked first: delays by one clock need no exchanges, so the number of exchanges does not matter.
-        _ if is_exact(stages) => "both hosts use one clock, so its delays are exact".to_owned(),
+        _ if are_exact(stages) => "both hosts use one clock, so the delays are exact".to_owned(),
         0 => "no usable exchanges between the two hosts are stored".to_owned(),
         samples => format!(
             "computed again {} from {} of exchanges between the two hosts, during the run and after it",
@@ -151,7 +152,7 @@ fn describe_clocks(clocks: &[String]) -> String {
 }
 
 /// Returns whether all delays are exact.
-fn is_exact(stages: &[Stage]) -> bool {
+fn are_exact(stages: &[Stage]) -> bool {
     let has_exact_delays =
         |stage: &Stage| stage.after.half_width.as_ref().is_some_and(|width| width.max == 0.0);
     stages.iter().all(has_exact_delays)
@@ -202,7 +203,7 @@ mod tests {
                 },
             }],
         }))
-        .expect("as the API answers");
+        .expect("the form of the API's answer");
         let expected = "\
 delay           mean ± std ms  median ms  p95 ms  bound ms          verdicts
 upload  before              —          —       —         —  40 unsynchronised
@@ -243,6 +244,7 @@ run 7: computed again by free-running clocks from 60 seconds of exchanges betwee
         let fact = |(name, value): (&str, &str)| Fact { name: name.to_owned(), value: value.to_owned() };
         let facts =
             |facts: &[(&str, &str)]| clock_fault(&facts.iter().copied().map(fact).collect::<Vec<_>>());
+        // Earlier releases called a clock fault a rehearsal.
         assert_eq!(facts(&[("Sensor", "synthetic"), ("Rehearsals", "3")]), None);
         assert_eq!(
             facts(&[("Rehearsal of cloud", "offset +1000 ms"), ("Clock fault", "offset -5 ms")]).as_deref(),

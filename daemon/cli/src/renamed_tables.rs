@@ -21,13 +21,13 @@ pub struct RenamedTable {
 pub const RENAMED_TABLES: [RenamedTable; 1] =
     [RenamedTable { former: "rehearsal", current: "clock_fault", removed_in: "0.4.0" }];
 
-/// A document that has one table under its former and under its present name.
+/// A document that contains the same table twice: under its former name and under its present name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{former}: the table [{current}] is here as well, under its present name: remove [{former}]", former = .0.former, current = .0.current)]
+#[error("{former}: the file also has this table under its present name, [{current}]: remove [{former}]", former = .0.former, current = .0.current)]
 pub struct BothNames(RenamedTable);
 
 impl RenamedTable {
-    /// Returns the deprecation line.
+    /// Returns the text of the deprecation, in one line.
     #[must_use]
     pub fn deprecation(&self) -> String {
         let Self { former, current, removed_in } = self;
@@ -37,7 +37,8 @@ impl RenamedTable {
     }
 }
 
-/// Returns the present name of a table. The first former name in a process prints a deprecation line.
+/// Returns the present name of a table. A process prints a deprecation line when it reads a former name for the first
+/// time.
 pub(crate) fn current_name(table: &str) -> &str {
     static IS_ANNOUNCED: AtomicBool = AtomicBool::new(false);
     let Some(renamed) = RENAMED_TABLES.iter().find(|renamed| renamed.former == table) else { return table };
@@ -50,7 +51,7 @@ pub(crate) fn current_name(table: &str) -> &str {
 /// Gives the tables of a document their present names.
 ///
 /// # Errors
-/// If a table is there under both names.
+/// If the document contains a table under both names.
 pub(crate) fn rename_tables(document: &mut Table) -> Result<(), BothNames> {
     for renamed in RENAMED_TABLES {
         let Some(table) = document.remove(renamed.former) else { continue };
@@ -74,7 +75,7 @@ mod tests {
         assert_eq!((current_name("rehearsal"), current_name("clock")), ("clock_fault", "clock"));
 
         let mut both: Table = "[rehearsal]\n[clock_fault]\n".parse().expect("toml");
-        let error = rename_tables(&mut both).expect_err("the table is there twice");
-        assert!(error.to_string().starts_with("rehearsal: the table [clock_fault] is here"), "{error}");
+        let error = rename_tables(&mut both).expect_err("the document contains the table twice");
+        assert!(error.to_string().starts_with("rehearsal: the file also has this table"), "{error}");
     }
 }

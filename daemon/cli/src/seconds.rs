@@ -43,6 +43,9 @@ mod tests {
         ] {
             assert_eq!(seconds(text, 1.0).expect_err(text).to_string(), expected);
         }
-        assert_eq!(seconds("nan", 0.0).expect_err("no time").to_string(), "must be from 0 to 86400 seconds");
+        assert_eq!(
+            seconds("nan", 0.0).expect_err("it is not a number").to_string(),
+            "must be from 0 to 86400 seconds"
+        );
     }
 }

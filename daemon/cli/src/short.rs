@@ -1,4 +1,5 @@
-//! Shortening of texts that contain a value of the user, which may have thousands of characters and lines.
+//! Shortening of texts that quote a value from the command line or a file. Such a value may have thousands of characters
+//! and lines.
 
 use std::borrow::Cow;
 
@@ -11,6 +12,7 @@ const MAX_VALUE_CHARS: usize = 200;
 
 /// Shortens the overlong lines of a text in their middle.
 pub fn shorten_lines(text: &str) -> Cow<'_, str> {
+    // A line has at most as many characters as bytes, so this quick check finds every overlong line.
     if text.lines().all(|line| line.len() <= MAX_LINE_CHARS) {
         return Cow::Borrowed(text);
     }
@@ -34,14 +36,15 @@ pub fn shorten_label(text: &str) -> String {
 
 /// Shortens a text in its middle, because its start names the subject and its end the expected value.
 fn shorten(text: &str, max_chars: usize) -> Cow<'_, str> {
-    let all = text.chars().count();
-    if all <= max_chars {
+    let length = text.chars().count();
+    if length <= max_chars {
         return Cow::Borrowed(text);
     }
-    let (front, back) = (max_chars / 2, max_chars / 3);
-    let first: String = text.chars().take(front).collect();
-    let last: String = text.chars().skip(all - back).collect();
-    Cow::Owned(format!("{first} […{} characters…] {last}", all - front - back))
+    // The note in the middle fits into the remaining sixth.
+    let (start_chars, end_chars) = (max_chars / 2, max_chars / 3);
+    let start: String = text.chars().take(start_chars).collect();
+    let end: String = text.chars().skip(length - end_chars).collect();
+    Cow::Owned(format!("{start} […{} characters…] {end}", length - start_chars - end_chars))
 }
 
 #[cfg(test)]

@@ -12,19 +12,19 @@ const SAME_REQUEST_PERIOD: Duration = Duration::from_millis(500);
 /// Detection of signals that repeat a request.
 #[derive(Debug, Default)]
 pub struct ShutdownRequests {
-    last: Option<(SignalKind, Instant)>,
+    last_request: Option<(SignalKind, Instant)>,
 }
 
 impl ShutdownRequests {
-    /// Returns whether a signal that arrives at `now` is another request.
-    pub fn is_another(&mut self, kind: SignalKind, now: Instant) -> bool {
+    /// Records a signal that arrives at `now`. Returns whether it is a new request; otherwise it repeats the last request.
+    pub fn is_new_request(&mut self, kind: SignalKind, now: Instant) -> bool {
         let repeats = |(last_kind, last_at): (SignalKind, Instant)| {
             last_kind == kind && now - last_at < SAME_REQUEST_PERIOD
         };
-        if self.last.is_some_and(repeats) {
+        if self.last_request.is_some_and(repeats) {
             return false;
         }
-        self.last = Some((kind, now));
+        self.last_request = Some((kind, now));
         true
     }
 }
@@ -34,13 +34,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn equal_signals_within_moment_are_one_request() {
+    fn equal_signals_within_half_second_are_one_request() {
         let (mut shutdown_requests, begin) = (ShutdownRequests::default(), Instant::now());
-        let mut is_request = |kind, ms| shutdown_requests.is_another(kind, begin + Duration::from_millis(ms));
+        let mut is_request =
+            |kind, ms| shutdown_requests.is_new_request(kind, begin + Duration::from_millis(ms));
         let (terminate, interrupt) = (SignalKind::terminate(), SignalKind::interrupt());
         assert!(is_request(terminate, 0));
         assert!(!is_request(terminate, 0) && !is_request(terminate, 499));
-        assert!(is_request(terminate, 500), "somebody insists");
-        assert!(is_request(interrupt, 501), "another signal is another wish");
+        assert!(is_request(terminate, 500), "an equal signal after half a second is a new request");
+        assert!(is_request(interrupt, 501), "a signal of another kind is a new request");
     }
 }

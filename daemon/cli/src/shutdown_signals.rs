@@ -1,4 +1,4 @@
-//! Signals that request the end of a program, of `peernet` and of `peernetd`.
+//! Signals that request the end of `peernet` or `peernetd`.
 
 use std::io;
 
@@ -43,7 +43,7 @@ impl Signals {
                     (SignalKind::hangup(), "SIGHUP")
                 }
             };
-            if self.shutdown_requests.is_another(kind, Instant::now()) {
+            if self.shutdown_requests.is_new_request(kind, Instant::now()) {
                 return name;
             }
         }
@@ -65,5 +65,6 @@ fn is_ignored(signal: SignalKind) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or_default();
+    // Bit 0 stands for signal 1.
     mask >> (signal.as_raw_value() - 1) & 1 == 1
 }

@@ -91,16 +91,17 @@ struct HostState {
 
 #[derive(Debug, Deserialize)]
 struct Events {
+    /// Number of events that wait on the host for the aggregator.
     waiting: u64,
 }
 
 /// Length of the window that the table shows: long enough to be steady, short enough to be current.
 const WINDOW_S: u32 = 10;
 
-/// Prints both tables.
+/// Prints the table of the pipelines and the table of the hosts.
 ///
 /// # Errors
-/// When the aggregator does not answer.
+/// When the aggregator does not answer (69).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Pipelines { pipelines } = arguments.api.get("/api/v1/pipelines")?;
     let Hosts { hosts, clock_faults: faulty } = arguments.api.get("/api/v1/hosts")?;
@@ -203,7 +204,7 @@ fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
     ]
 }
 
-/// Removes the fractions of a second from a time; another text stays unchanged.
+/// Removes the fractions of a second from a time. A text that is not a time stays unchanged.
 fn to_the_second(moment: &str) -> String {
     let time = DateTime::parse_from_rfc3339(moment);
     time.map_or_else(|_| moment.to_owned(), |time| time.to_rfc3339_opts(SecondsFormat::Secs, true))
@@ -230,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn short_totals_and_large_counts_have_digits_of_pages() {
+    fn short_totals_and_large_counts_are_formatted_as_on_pages() {
         let pipeline: Pipeline = serde_json::from_value(json!({
             "host": "edge", "name": "p", "state": "running", "reason": null,
             "placement": { "kind": "local", "peer": null, "address": null, "model": "m" },

@@ -2,7 +2,7 @@
 
 use std::io::IsTerminal;
 
-use peernet_cli::log::{Line, VARIABLE};
+use peernet_cli::log::{LineFormat, VARIABLE};
 use serde::{Deserialize, Serialize};
 use tracing::Subscriber;
 use tracing_subscriber::filter::{EnvFilter, ParseError};
@@ -81,6 +81,6 @@ fn subscriber(filter: EnvFilter) -> impl Subscriber + Send + Sync + for<'a> Look
         // The subscriber prints its own errors to standard error, too, and this printing panics if the reader of
         // standard error is gone.
         .log_internal_errors(false)
-        .event_format(Line::default())
+        .event_format(LineFormat::default())
         .finish()
 }

@@ -13,10 +13,11 @@ use crate::seconds::{SecondsError, seconds};
 /// Arguments of `peernet calibrate`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// The agent at the other end, which needs a table [serve]: tcp://host:5551, or host.
+    /// Address of the agent at the other end of the link: tcp://host:5551, or only the host. The configuration of this
+    /// agent needs a table [serve].
     #[arg(value_parser = peer)]
     pub(super) peer: String,
-    /// Payload sizes, at least three: 100, 1kB, 1.2MB.
+    /// At least three payload sizes, such as 100,1kB,1.2MB.
     #[arg(
         long,
         value_delimiter = ',',
@@ -42,7 +43,7 @@ pub(crate) struct Arguments {
     /// An agent's configuration whose tables [clock], [probes] and [clock_fault] also apply here.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
-    /// Kind of network: zmq-tcp, zmq-udp or ros [default: the kind in the address; zmq-tcp if that is only a host].
+    /// Kind of network: zmq-tcp, zmq-udp or ros [default: the kind in the address; zmq-tcp if the address is only a host].
     #[arg(long, value_parser = network)]
     pub(super) network: Option<NetworkKind>,
     /// Do not show the progress.
@@ -50,7 +51,8 @@ pub(crate) struct Arguments {
     pub(super) quiet: bool,
 }
 
-/// Checks the address or host. The option `--network` may name the network of a host.
+/// Checks that the text is an address or a host. The default network is enough for this check, although `--network` may
+/// name another network for a host.
 fn peer(text: &str) -> Result<String, AddressError> {
     address(text, DEFAULT_PORT, NetworkKind::default()).map(|_| text.to_owned())
 }
@@ -123,12 +125,12 @@ mod tests {
     #[test]
     fn zero_repeats_are_refused() {
         assert_eq!(repeats("0"), Err(RepeatsError::Zero));
-        assert_eq!(repeats("-1").expect_err("none").to_string(), "not a whole number");
+        assert_eq!(repeats("-1").expect_err("it is negative").to_string(), "not a whole number");
         assert_eq!(repeats("12").map(NonZeroU64::get), Ok(12));
     }
 
     #[test]
-    fn sizes_are_read_with_and_without_unit_and_invalid_ones_refused() {
+    fn sizes_have_optional_unit_and_invalid_sizes_are_refused() {
         assert_eq!(
             ["100", "100B", "1kB", "1.2MB", " 4 MB"].map(size),
             [100, 100, 1_000, 1_200_000, 4_000_000].map(Ok)

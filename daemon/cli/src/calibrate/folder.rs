@@ -9,7 +9,7 @@ use peernet_networks::Address;
 
 use super::Arguments;
 
-/// A folder that exists and is known to be writable before anything is measured.
+/// A folder that exists before anything is measured.
 pub(super) struct Folder {
     path: PathBuf,
     /// `true` if the folder was created for this calibration.
@@ -17,7 +17,7 @@ pub(super) struct Folder {
 }
 
 impl Folder {
-    /// Creates the requested folder, or one named after peer and time.
+    /// Creates the folder of `--result-loc`, or a folder that is named after peer and time.
     ///
     /// # Errors
     /// When the folder is not empty (64) or cannot be created (73).
@@ -42,10 +42,10 @@ impl Folder {
         &self.path
     }
 
-    /// Removes the folder if it was created here, because there is nothing to keep.
+    /// Removes the folder if it was created for this calibration, because nothing was measured.
     pub(super) fn discard(self) {
         if self.is_created {
-            // Only an empty folder is removed; one that remains does no harm.
+            // A folder that is not empty is not removed. It does no harm.
             let _ = std::fs::remove_dir(self.path);
         }
     }

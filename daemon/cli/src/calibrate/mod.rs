@@ -33,24 +33,24 @@ use plan::Plan;
 ///
 /// # Errors
 /// When the peer cannot be reached or fails (69), the study has no result (69), the configuration is wrong (78), the
-/// results cannot be written (73), or the user ended it early (130).
+/// results cannot be written (73), or the user ended the calibration early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     start_log(LogDestination::StandardError)?;
     let plan = Plan::new(arguments).map_err(|error| Failure::new(Exit::Usage, error))?;
-    let state = LockedTempDir::new("agent")
+    let state_dir = LockedTempDir::new("agent")
         .context("cannot create a temporary folder; set TMPDIR to another folder")
         .map_err(unavailable)?;
-    let config = plan.agent(arguments.config.as_deref(), state.path())?;
+    let config = plan.agent(arguments.config.as_deref(), state_dir.path())?;
 
     let ready_agent = ReadyAgent::new(config)?;
     let started = ready_agent.system_clock.wall();
     let folder = Folder::make(arguments, &plan.peer, started)?;
 
     let mut observer = SweepObserver::new(&plan, ready_agent.clock.clone(), arguments.quiet);
-    let AgentResult { ended, name: edge, missed_events } = ready_agent.watch(&mut observer)?;
+    let AgentResult { end, name: edge, missed_events } = ready_agent.watch(&mut observer)?;
     let measurements = observer.measurements;
-    let failure = match &ended {
+    let failure = match &end {
         AgentEnd::Finished => None,
         AgentEnd::Interrupted => Some(Failure::new(
             Exit::Interrupted,
@@ -60,7 +60,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             Some(unavailable(anyhow!("{reason}")))
         }
     };
-    if measurements.samples.is_empty() || matches!(ended, AgentEnd::OwnReason(_)) {
+    if measurements.samples.is_empty() || matches!(end, AgentEnd::OwnReason(_)) {
         folder.discard();
         return match failure {
             Some(Failure { exit: Exit::Interrupted, .. }) => {
@@ -79,8 +79,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         version: VERSION.to_owned(),
         sizes_bytes: plan.sizes().to_vec(),
         repeats: arguments.repeats.get(),
-        interrupted: ended != AgentEnd::Finished,
-        ended: match &ended {
+        interrupted: end != AgentEnd::Finished,
+        ended: match &end {
             AgentEnd::Failed(reason) => Some(reason.clone()),
             _ => None,
         },
@@ -97,8 +97,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let names: Vec<_> = written_files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     print_to_stdout(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
     if missed_events > 0 {
+        let verb = if missed_events == 1 { "was" } else { "were" };
         print_to_stderr(format_args!(
-            "{} not recorded: this machine is too busy",
+            "{} {verb} not recorded: this machine is too busy",
             counted(missed_events, "iteration")
         ));
     }

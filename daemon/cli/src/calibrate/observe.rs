@@ -13,7 +13,7 @@ use super::plan::Plan;
 use super::sweep::SweepDisplay;
 use crate::foreground::{AgentEnd, PeerWait, PipelineActivity, RunObserver};
 
-/// Time to wait for an absent peer after the time for the sweep is over.
+/// Time for which an absent peer is waited for after the maximum duration of the sweep.
 const ABSENCE_TIMEOUT: Span = Span::from_seconds(10);
 
 /// The peer cannot answer payloads of one of the sizes; the text names the size and the reason.
@@ -41,11 +41,11 @@ pub(super) struct SweepObserver<'a> {
     pub(super) measurements: SweepMeasurements,
     started_at: MonoTime,
     peer_wait: PeerWait,
-    /// Kind of the incident if the peer was absent, or refused the session, at the first attempt.
-    refused_kind: Option<IncidentKind>,
+    /// Kind of the incident at the first attempt to connect, if the peer was absent or refused the session.
+    first_attempt_failure: Option<IncidentKind>,
     /// Sizes of which at least one payload was sent.
     tried_sizes: BTreeSet<u64>,
-    /// The peer's clock as last reported.
+    /// Last report about the peer's clock.
     cloud_clock: Option<HostClock>,
     /// `true` if the peer returned with another clock. Later measurements are then not part of the study.
     has_other_clock: bool,
@@ -61,7 +61,7 @@ impl<'a> SweepObserver<'a> {
             measurements: SweepMeasurements::default(),
             started_at: now,
             peer_wait: PeerWait::new(now),
-            refused_kind: None,
+            first_attempt_failure: None,
             tried_sizes: BTreeSet::new(),
             cloud_clock: None,
             has_other_clock: false,
@@ -124,21 +124,22 @@ impl RunObserver for SweepObserver<'_> {
                 let (payload, is_first) =
                     (sample.payload_bytes, self.tried_sizes.insert(sample.payload_bytes));
                 self.measurements.samples.push(sample);
-                // If the first payload of a size fails, all payloads of that size would fail.
+                // Whatever fails the first payload of a size, such as the peer's size limit, would fail all payloads of
+                // this size. The sweep therefore ends.
                 if let (true, Outcome::Failed(reason)) = (is_first, &iteration.outcome) {
                     return Some(AgentEnd::OwnReason(UnmeasurableSize(describe_unmeasurable(
                         payload, reason,
                     ))));
                 }
             }
-            Event::Clock(second) => self.measurements.clocks.push(*second),
+            Event::Clock(clock_sample) => self.measurements.clocks.push(*clock_sample),
             Event::RunEnded(run) => {
                 return Some(AgentEnd::from_run_end(run.reason, "sweep"));
             }
             Event::Incident(incident) => match incident.kind {
                 IncidentKind::PipelineFailed => return Some(AgentEnd::Failed(incident.text)),
                 IncidentKind::Disconnected | IncidentKind::Refused if self.measurements.cloud.is_none() => {
-                    self.refused_kind = Some(incident.kind);
+                    self.first_attempt_failure = Some(incident.kind);
                 }
                 IncidentKind::Connected if self.measurements.cloud.is_some() => {
                     return self.handle_reconnect(running.and_then(cloud_clock));
@@ -153,12 +154,13 @@ impl RunObserver for SweepObserver<'_> {
     fn poll_state(&mut self, running: &RunningAgent) -> Option<AgentEnd<UnmeasurableSize>> {
         let activity = PipelineActivity::current(running);
         let wait_reason = activity.wait_reason();
-        if let (Some(kind), Some(reason)) = (self.refused_kind, wait_reason) {
-            // The advice concerns a configuration, which does not exist here, and the model needs no loading.
+        if let (Some(kind), Some(reason)) = (self.first_attempt_failure, wait_reason) {
+            // The hint is left out: it names a key of a pipeline's configuration, which a calibration does not have, and
+            // the model `calibration` needs no loading.
             let reason = reason.strip_suffix(OpenError::LOADING_HINT).unwrap_or(reason);
             let advice = match kind {
                 IncidentKind::Refused => {
-                    "; calibration needs the model `calibration` of the peer, which [serve] calibration = true there offers"
+                    "; calibration needs the model `calibration`, which a peer serves if its configuration has [serve] calibration = true"
                 }
                 _ => "",
             };
@@ -181,7 +183,7 @@ impl RunObserver for SweepObserver<'_> {
     }
 }
 
-/// Returns the peer's clock as reported now.
+/// Returns the present report about the peer's clock.
 fn cloud_clock(running: &RunningAgent) -> Option<HostClock> {
     running.live_update().links.into_iter().next()?.cloud
 }
@@ -189,6 +191,6 @@ fn cloud_clock(running: &RunningAgent) -> Option<HostClock> {
 fn describe_unmeasurable(payload_bytes: u64, reason: &str) -> String {
     let payload = bytes(payload_bytes as f64).plain();
     format!(
-        "cannot measure payloads of {payload}: {reason}; remove that size from --sizes, or raise the limit of the peer ([serve] session)"
+        "cannot measure payloads of {payload}: {reason}; remove that size from --sizes, or raise the size limit of the peer ([serve] session)"
     )
 }

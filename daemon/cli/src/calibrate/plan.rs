@@ -13,12 +13,12 @@ use rand::seq::SliceRandom;
 use serde_json::json;
 
 use super::Arguments;
-use crate::foreground::tables;
+use crate::foreground::read_agent_tables;
 
 /// Maximum number of rounds that are shuffled. After these rounds the order repeats. The number is large enough that
 /// size and time are not correlated.
 const ROUNDS: u64 = 64;
-/// Seed of the order.
+/// Seed of the order. It is fixed, so that calibrations with equal sizes send them in the same order.
 const SEED: u64 = 1;
 /// Timeout of an answer in milliseconds: the largest payloads are slow over some links.
 const TIMEOUT_MS: u64 = 60_000;
@@ -102,7 +102,7 @@ impl Plan {
         self.iterations.saturating_add(self.warm_up)
     }
 
-    /// Returns the payload of an iteration, counted from 1.
+    /// Returns the payload of an iteration in bytes. `number` is counted from 1.
     pub(super) fn payload(&self, number: u64) -> u64 {
         let index = number.saturating_sub(1) % self.order.len() as u64;
         self.order[index as usize]
@@ -114,7 +114,7 @@ impl Plan {
     /// # Errors
     /// When the file cannot be read (66) or its tables are wrong (78).
     pub(super) fn agent(&self, file: Option<&Path>, state_dir: &Path) -> Result<AgentConfig, Failure> {
-        let mut config = tables(file)?;
+        let mut config = read_agent_tables(file)?;
         state_dir.clone_into(&mut config.agent.state_dir);
         let pipeline = serde_json::from_value(self.pipeline.clone()).context("cannot set up the sweep");
         config.pipelines = vec![pipeline.map_err(|error| Failure::new(Exit::Configuration, error))?];
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn each_round_has_all_sizes_in_own_order() {
+    fn each_round_has_all_sizes_in_another_order() {
         let plan = plan("cloud --sizes 1kB,100,1MB,100,10kB --repeats 50 --warm-up 1").expect("four sizes");
         assert_eq!(
             (plan.sizes(), plan.iterations, plan.all_iterations()),
@@ -156,8 +156,9 @@ mod tests {
             })
             .collect();
         assert!(rounds.len() == 51 && rounds.iter().all(|round| round == plan.sizes()));
-        let firsts: std::collections::BTreeSet<u64> = plan.order.chunks(4).map(|round| round[0]).collect();
-        assert_eq!(firsts.len(), 4, "no size always comes first");
+        let first_sizes: std::collections::BTreeSet<u64> =
+            plan.order.chunks(4).map(|round| round[0]).collect();
+        assert_eq!(first_sizes.len(), 4, "each size comes first in some round");
         assert_eq!((plan.payload(1), plan.payload(205)), (plan.order[0], plan.order[0]));
         assert!(
             super::Plan::new(

@@ -18,17 +18,17 @@ pub(super) struct SweepDisplay {
 struct SweepLimits {
     max_iterations: u64,
     max_seconds: f64,
-    /// Smallest and largest size, bytes.
-    extremes: (u64, u64),
+    /// Smallest and largest payload size, bytes.
+    size_range: (u64, u64),
 }
 
 impl SweepDisplay {
     pub(super) fn new(plan: &Plan, quiet: bool, now: MonoTime) -> Self {
         let sizes = plan.sizes();
-        let extremes =
+        let size_range =
             (sizes.first().copied().unwrap_or_default(), sizes.last().copied().unwrap_or_default());
         let limits =
-            SweepLimits { max_iterations: plan.all_iterations(), max_seconds: plan.seconds, extremes };
+            SweepLimits { max_iterations: plan.all_iterations(), max_seconds: plan.seconds, size_range };
         Self { progress: Progress::new(quiet, now), limits, started_at: now }
     }
 
@@ -50,14 +50,19 @@ impl SweepDisplay {
 }
 
 impl SweepLimits {
-    /// Describes the state, and returns the share that is done.
+    /// Describes the state. Also returns the fraction of the sweep that is done, from 0 to 1.
     fn describe(&self, samples: &[Sample], elapsed: f64) -> (String, f64) {
         let done_count = samples.len() as u64;
-        let share =
+        // The sweep ends at the limit that it reaches first, so the larger fraction counts.
+        let fraction_done =
             (done_count as f64 / self.max_iterations as f64).max(elapsed / self.max_seconds).clamp(0.0, 1.0);
-        let remaining_s = if share > 0.0 { elapsed * (1.0 - share) / share } else { self.max_seconds };
+        let remaining_s = if fraction_done > 0.0 {
+            elapsed * (1.0 - fraction_done) / fraction_done
+        } else {
+            self.max_seconds
+        };
         let rate = if elapsed > 0.0 { done_count as f64 / elapsed } else { 0.0 };
-        let (smallest, largest) = self.extremes;
+        let (smallest, largest) = self.size_range;
         let text = format!(
             "{} of {}, {} /s, upload {} at {}, {} at {}, {} left",
             count(done_count),
@@ -69,11 +74,11 @@ impl SweepLimits {
             bytes(largest as f64).plain(),
             roughly(remaining_s),
         );
-        (text, share)
+        (text, fraction_done)
     }
 }
 
-/// Formats the median delay of one payload's uploads so far.
+/// Formats the median delay of the uploads with this payload so far.
 fn describe_median(samples: &[Sample], payload_bytes: u64) -> String {
     let median = median_delay(Direction::Up, samples, payload_bytes);
     median.map_or_else(|| NONE.to_owned(), |median| format!("{} ms", milliseconds(median)))

@@ -23,7 +23,8 @@ pub(crate) struct CollectedResults {
     /// Sentences about excluded runs (unfinished runs, copies, unreadable results), and about experiments whose
     /// records cannot be read.
     pub(crate) notes: Vec<String>,
-    /// Failure of a command that has shown `runs` although other results cannot be read; `None` if all were read.
+    /// Failure with which a command ends after it has shown `runs`, because other results cannot be read. `None` if all
+    /// results can be read.
     pub(crate) unreadable: Option<Failure>,
 }
 
@@ -48,7 +49,8 @@ pub(crate) fn collect(
     let experiments = Experiments::find(all);
     let mut selected = SelectedResults::new(&results, &experiments);
     if let Some(baseline) =
-        // A baseline beside the named paths is added in front. A baseline among them keeps its place.
+        // A baseline that is not at the named paths is added in front. A baseline that is at one of these paths keeps its
+        // place.
         baseline
             .filter(|_| baseline_paths.iter().any(|path| !contains_same_path(&selected.paths, path)))
     {
@@ -141,8 +143,8 @@ fn read(
     }
 }
 
-/// Returns the failure for results that cannot be read, beside `read_count` results that can be read.
-fn unreadable_failure(failures: &[Failure], read_count: usize) -> Option<Failure> {
+/// Returns the failure for results that cannot be read. `readable_count` is the number of results that can be read.
+fn unreadable_failure(failures: &[Failure], readable_count: usize) -> Option<Failure> {
     let reasons: Vec<String> = failures.iter().map(ToString::to_string).collect();
     (!reasons.is_empty()).then(|| {
         Failure::new(
@@ -150,7 +152,7 @@ fn unreadable_failure(failures: &[Failure], read_count: usize) -> Option<Failure
             anyhow!(
                 "{} of {} cannot be read, so only the others are shown: {}",
                 reasons.len(),
-                counted((read_count + reasons.len()) as u64, "result"),
+                counted((readable_count + reasons.len()) as u64, "result"),
                 reasons.join("; ")
             ),
         )
@@ -299,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn path_without_results_is_described_as_it_is() {
+    fn path_without_results_is_reported_with_reason() {
         let reason = |path: &str| find(Path::new(path)).expect_err("no results").to_string();
         assert!(reason("/dev/null").ends_with("it is neither a folder nor a regular file"));
         assert!(reason("/nowhere").ends_with("it does not exist"));

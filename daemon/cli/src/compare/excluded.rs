@@ -47,15 +47,16 @@ impl ExclusionReasons {
     pub(super) fn notes(&self, runs: &[Loaded]) -> Vec<String> {
         let folder = |index: usize| runs[index].folder.display().to_string();
         let note = |kind: &str, describe: &dyn Fn(&Exclusion) -> Option<String>| {
-            let all: Vec<String> = (0..self.0.len())
+            let descriptions: Vec<String> = (0..self.0.len())
                 .filter_map(|index| {
                     Some(format!("{} ({})", folder(index), describe(self.0[index].as_ref()?)?))
                 })
                 .collect();
-            let more = all.len().saturating_sub(MAX_NAMED);
+            let more = descriptions.len().saturating_sub(MAX_NAMED);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-            let first_names = all.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
-            (!all.is_empty()).then(|| format!("excluded, {kind}: {first_names}{more}"))
+            let listed =
+                descriptions.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
+            (!descriptions.is_empty()).then(|| format!("excluded, {kind}: {listed}{more}"))
         };
         let unfinished = note("unfinished runs", &|exclusion| match exclusion {
             Exclusion::Unfinished(_) | Exclusion::OtherEdgeUnfinished(_) => Some(exclusion.describe(folder)),
@@ -101,32 +102,36 @@ mod tests {
     #[test]
     fn copies_of_a_run_are_compared_once() {
         let folder = tempfile::tempdir().expect("a folder");
-        let home = folder.path().join("rates");
-        let place = |name: &str| home.join("runs").join(name);
-        run(&place("007-a"), Some(ID));
+        let experiment_dir = folder.path().join("rates");
+        let run_dir = |name: &str| experiment_dir.join("runs").join(name);
+        run(&run_dir("007-a"), Some(ID));
         // The copy comes before the original in the order of names.
-        run(&place("000-copy"), Some(ID));
-        run(&place("008-b"), Some("94e108fc-ef56-4bf8-8876-6288987521aa"));
+        run(&run_dir("000-copy"), Some(ID));
+        run(&run_dir("008-b"), Some("94e108fc-ef56-4bf8-8876-6288987521aa"));
         for name in ["unknown-1", "unknown-2"] {
-            run(&place(name), None);
+            run(&run_dir(name), None);
         }
         let runs = json!([{ "folder": "007-a" }, { "folder": "008-b" }]);
         let states = json!([{ "stage": "finished" }, { "stage": "finished" }]);
         let plan = json!({ "configurations": [], "runs": runs });
         let record = json!({ "format": 1, "id": "x1", "name": "rates", "states": states, "plan": plan });
-        fs::write(home.join(RECORD), record.to_string()).expect("written");
+        fs::write(experiment_dir.join(RECORD), record.to_string()).expect("written");
 
-        let all = std::slice::from_ref(&home);
+        let all = std::slice::from_ref(&experiment_dir);
         let found = collect(all, None, &|_| true).expect("they are there");
         assert_eq!(names(&found), ["007-a", "008-b", "unknown-1", "unknown-2"]);
         let [note] = found.notes.as_slice() else { panic!("{:?}", found.notes) };
-        let copy = format!("{} (of {}).", place("000-copy").display(), place("007-a").display());
+        let copy = format!("{} (of {}).", run_dir("000-copy").display(), run_dir("007-a").display());
         assert!(note.starts_with("Excluded, copies of ") && note.ends_with(&copy), "{note}");
 
-        let found = collect(all, Some(&place("000-copy")), &|_| true).expect("they are there");
-        assert_eq!(names(&found), ["000-copy", "008-b", "unknown-1", "unknown-2"], "it was named");
+        let found = collect(all, Some(&run_dir("000-copy")), &|_| true).expect("they are there");
+        assert_eq!(
+            names(&found),
+            ["000-copy", "008-b", "unknown-1", "unknown-2"],
+            "the baseline is compared instead of the original"
+        );
         assert_eq!(found.baseline, [0]);
-        let found = collect(&[place("008-b")], None, &|_| true).expect("it is there");
+        let found = collect(&[run_dir("008-b")], None, &|_| true).expect("it is there");
         assert!(found.notes.is_empty(), "{:?}", found.notes);
     }
 }

@@ -78,7 +78,7 @@ struct RecordedState {
 #[derive(Clone, Copy)]
 pub(super) struct ExperimentRun<'a> {
     /// Folder of the experiment.
-    pub(super) home: &'a Path,
+    pub(super) experiment_dir: &'a Path,
     pub(super) experiment: &'a Experiment,
     run: &'a Run,
     state: &'a RecordedState,
@@ -100,12 +100,16 @@ impl Experiments {
         results: impl Iterator<Item = &'a Path>,
     ) -> Vec<String> {
         let results: Vec<PathBuf> = results.filter_map(|path| path.canonicalize().ok()).collect();
-        let unreadable = self.0.iter().filter_map(|(home, record)| Some((home, record.as_ref().err()?)));
-        let has_runs = |home: &Path| results.iter().any(|path| path.starts_with(home.join(RUNS)));
+        let unreadable = self
+            .0
+            .iter()
+            .filter_map(|(experiment_dir, record)| Some((experiment_dir, record.as_ref().err()?)));
+        let has_runs =
+            |experiment_dir: &Path| results.iter().any(|path| path.starts_with(experiment_dir.join(RUNS)));
         unreadable
-            .filter(|(home, _)| has_runs(home))
-            .map(|(home, error)| {
-                let (record, reason) = (home.join(RECORD), error.to_string());
+            .filter(|(experiment_dir, _)| has_runs(experiment_dir))
+            .map(|(experiment_dir, error)| {
+                let (record, reason) = (experiment_dir.join(RECORD), error.to_string());
                 let reason = printable_line(&reason);
                 format!("cannot read {}: {reason}; the states of its runs are unknown", record.display())
             })
@@ -122,12 +126,12 @@ impl Experiments {
     pub(super) fn run(&self, results: &Path) -> Option<ExperimentRun<'_>> {
         let path = results.canonicalize().ok()?;
         ancestor_folders(results).iter().find_map(|folder| {
-            let (home, record) = self.0.get_key_value(folder)?;
+            let (experiment_dir, record) = self.0.get_key_value(folder)?;
             let experiment = record.as_ref().ok()?;
-            let name = path.strip_prefix(home.join(RUNS)).ok()?.iter().next()?;
+            let name = path.strip_prefix(experiment_dir.join(RUNS)).ok()?.iter().next()?;
             let index = experiment.plan.runs.iter().position(|run| *run.folder == *name)?;
             let (run, state) = (&experiment.plan.runs[index], experiment.states.get(index)?);
-            Some(ExperimentRun { home, experiment, run, state })
+            Some(ExperimentRun { experiment_dir, experiment, run, state })
         })
     }
 }
@@ -138,7 +142,7 @@ impl Experiment {
         self.plan.runs.iter().zip(&self.states).map(|(run, state)| (&*run.folder, state.status))
     }
 
-    /// Returns the command that completes all of its runs.
+    /// Returns the command that completes the runs of the experiment.
     pub(super) fn remedy(&self) -> String {
         format!("`peernet run {}` with the same options", printable_line(&self.file))
     }
@@ -147,7 +151,7 @@ impl Experiment {
 impl ExperimentRun<'_> {
     /// Returns the folder of the run.
     pub(super) fn folder(&self) -> PathBuf {
-        self.home.join(RUNS).join(&self.run.folder)
+        self.experiment_dir.join(RUNS).join(&self.run.folder)
     }
 
     /// Returns the state of the run.

@@ -36,7 +36,7 @@ pub(crate) struct Arguments {
     out: Option<PathBuf>,
     /// Baseline of the comparison stage by stage: a run's folder or its data.csv, or a folder with several runs of one
     /// configuration, which are pooled [default: the best line, by its mean total; with more than two lines, only the
-    /// totals are compared with it]. With --format csv the table of differences replaces the other table.
+    /// totals are compared with it]. With --format csv, the table of differences replaces the table of runs.
     #[arg(long, value_name = "RUN")]
     baseline: Option<PathBuf>,
     /// Give each repeat of a configuration a separate line.
@@ -121,7 +121,7 @@ fn line_of(comparison: &Comparison, baseline: &[usize]) -> Result<usize, Failure
         lines => Err(Failure::new(
             Exit::Usage,
             anyhow!(
-                "--baseline: the folder contains {} that have {} lines in the table; give the folder of a run of one line",
+                "--baseline: the folder contains {} that have {} lines in the table; give the folder of runs that share one line",
                 counted(baseline.len() as u64, "run"),
                 lines.len()
             ),
@@ -144,7 +144,7 @@ fn missing_comparison_reason(comparison: &Comparison) -> Option<String> {
         [line] => line.runs.len(),
         _ => return None,
     };
-    let reason = if runs == 1 { "it is the only run" } else { "all runs belong to it" };
+    let reason = if runs == 1 { "the baseline is the only run" } else { "all runs belong to the baseline" };
     Some(format!("nothing is compared with the baseline: {reason}"))
 }
 
@@ -154,18 +154,18 @@ pub(crate) fn default_baseline(comparison: &Comparison) -> Option<usize> {
     (comparison.lines.len() == 2).then(|| comparison.best.unwrap_or(0))
 }
 
-/// Returns the differences of each other line from the line `first`, stage by stage.
+/// Returns the differences of each other line from the baseline, stage by stage.
 pub(crate) fn differences(
     comparison: &Comparison,
     runs: &[Loaded],
-    first: Option<usize>,
+    baseline_line: Option<usize>,
     seed: u64,
 ) -> Vec<Differences> {
-    let others = |first: usize| (0..comparison.lines.len()).filter(move |line| *line != first);
-    first
+    let others = |baseline: usize| (0..comparison.lines.len()).filter(move |line| *line != baseline);
+    baseline_line
         .into_iter()
-        .flat_map(|first| others(first).map(move |other| (first, other)))
-        .map(|(first, other)| Differences::between_lines(comparison, runs, first, other, seed))
+        .flat_map(|baseline| others(baseline).map(move |other| (baseline, other)))
+        .map(|(baseline, other)| Differences::between_lines(comparison, runs, baseline, other, seed))
         .collect()
 }
 
@@ -224,17 +224,17 @@ mod tests {
         assert_eq!((sentence.as_str(), reason), ("Baseline: 2 repeats: 2 runs, pooled.", None));
         let (sentence, reason) = describe(&[0, 1, 2]);
         assert_eq!(sentence, "Baseline: a: 3 runs, pooled.");
-        assert!(reason.expect("nothing is left").contains("all runs belong to it"));
+        assert!(reason.expect("no other run is left").contains("all runs belong to the baseline"));
         let apart = Comparison::with_repeats(&runs[..2], Repeats::Separate);
-        assert!(line_of(&apart, &[0, 1]).is_err(), "each has a line");
+        assert!(line_of(&apart, &[0, 1]).is_err(), "each repeat has a separate line");
         let differences = differences(&apart, &runs, default_baseline(&apart), SEED);
         assert_eq!(
             (differences.len(), difference_tables(&apart, &differences).len()),
             (1, 0),
-            "no table without a line"
+            "there is no table of lines without measurements"
         );
         let single = missing_comparison_reason(&Comparison::with_repeats(&runs[..1], Repeats::Pooled))
-            .expect("there is no other");
+            .expect("there is no run to compare with the baseline");
         assert!(single.contains("the only run"), "{single}");
     }
 }

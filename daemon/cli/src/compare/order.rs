@@ -10,7 +10,7 @@ use super::experiment::Experiments;
 
 /// Returns the indexes of the runs in the order of display. Runs of an experiment are in the [order of its
 /// file](compare_positions), as on the dashboard. Runs of an earlier version do not have the index of their
-/// configuration; it is taken from the record of the experiment, if that can be read.
+/// configuration. The index is then taken from the record of the experiment, if the record can be read.
 ///
 /// The runs of one experiment exchange positions among each other. All other results keep their positions.
 pub(super) fn declared_order(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_have_order_of_file() {
+    fn runs_have_order_of_experiment_file() {
         let experiment = tempfile::tempdir().expect("a folder");
         let folder = experiment.path().join("runs").join("1");
         std::fs::create_dir_all(&folder).expect("made");
@@ -83,12 +83,13 @@ mod tests {
             ]
         };
         assert_eq!(declared_order(&runs(Some(1), Some(0))), [3, 1, 4, 2, 0]);
-        // An earlier version recorded no positions: labels have their natural order, or that of the record of the
-        // experiment.
+        // An earlier version recorded no index of the configuration. Without a record of the experiment, labels have
+        // their natural order.
         assert_eq!(declared_order(&runs(None, None)), [0, 1, 3, 4, 2]);
         let configurations = ["b", "a"].map(|label| json!({ "labels": [["load", label]] }));
         let record =
             json!({ "format": 1, "id": "x1", "plan": { "configurations": configurations.as_slice() } });
+        // With a record, labels have the order of the record.
         std::fs::write(experiment.path().join(RECORD), record.to_string()).expect("written");
         assert_eq!(declared_order(&runs(None, None)), [3, 1, 4, 2, 0]);
         assert!(declared_order(&[]).is_empty());

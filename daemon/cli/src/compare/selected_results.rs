@@ -34,7 +34,7 @@ impl SelectedResults {
             found.iter().flat_map(|(named_path, paths)| paths.iter().map(move |path| (named_path, path)))
         {
             if let Some(run) = experiments.run(path).filter(|_| !is_named(named_path, path, experiments)) {
-                searched_experiments.entry(run.home).or_insert((named_path, run.experiment));
+                searched_experiments.entry(run.experiment_dir).or_insert((named_path, run.experiment));
                 if !run.state().is_finished() {
                     continue;
                 }
@@ -45,20 +45,26 @@ impl SelectedResults {
         }
         let selected_folders: Vec<PathBuf> =
             paths.iter().filter_map(|path| Some(experiments.run(path)?.folder())).collect();
-        let unselected = searched_experiments.into_iter().filter_map(|(home, (named_path, experiment))| {
-            let is_selected = |name: &str| selected_folders.contains(&home.join(RUNS).join(name));
-            let others = experiment.runs().filter(|(name, _)| !is_selected(name));
-            let without_runs = unfinished_runs_note(&experiment.name, others)?;
-            let (named_path, command) = (shorten_home(named_path, home), experiment.remedy());
-            let message =
-                format!("{} is shown {without_runs}; {command} completes these runs", named_path.display());
-            Some(UnselectedRuns { caveat: format!("Shown {without_runs}."), message })
-        });
+        let unselected =
+            searched_experiments.into_iter().filter_map(|(experiment_dir, (named_path, experiment))| {
+                let is_selected =
+                    |name: &str| selected_folders.contains(&experiment_dir.join(RUNS).join(name));
+                let other_runs = experiment.runs().filter(|(name, _)| !is_selected(name));
+                let without_runs = unfinished_runs_note(&experiment.name, other_runs)?;
+                let (named_path, command) =
+                    (shorten_experiment_dir(named_path, experiment_dir), experiment.remedy());
+                let message = format!(
+                    "{} is shown {without_runs}; {command} completes these runs",
+                    named_path.display()
+                );
+                Some(UnselectedRuns { caveat: format!("Shown {without_runs}."), message })
+            });
         Self { unselected: unselected.collect(), paths }
     }
 }
 
-/// Returns whether a path on the command line is the folder of these results, or a folder within the run's folder.
+/// Returns whether a path on the command line is the folder of the run that these results belong to, or is within that
+/// folder. Results without an experiment have only their own folder.
 pub(super) fn is_named(named_path: &Path, results: &Path, experiments: &Experiments) -> bool {
     let is_within =
         |folder: &Path| named_path.canonicalize().is_ok_and(|named_path| named_path.starts_with(folder));
@@ -68,14 +74,17 @@ pub(super) fn is_named(named_path: &Path, results: &Path, experiments: &Experime
     }
 }
 
-/// Shortens the absolute path of an experiment's folder: it starts with the path on the command line if possible.
-fn shorten_home(named_path: &Path, home: &Path) -> PathBuf {
-    let below =
-        named_path.canonicalize().ok().and_then(|full| Some(home.strip_prefix(full).ok()?.to_owned()));
+/// Shortens the absolute path of an experiment's folder: the returned path starts with the path on the command line if
+/// the experiment's folder is below that path.
+fn shorten_experiment_dir(named_path: &Path, experiment_dir: &Path) -> PathBuf {
+    let below = named_path
+        .canonicalize()
+        .ok()
+        .and_then(|full| Some(experiment_dir.strip_prefix(full).ok()?.to_owned()));
     match below {
         Some(below) if below.as_os_str().is_empty() => named_path.to_owned(),
         Some(below) => named_path.join(below),
-        None => home.to_owned(),
+        None => experiment_dir.to_owned(),
     }
 }
 
@@ -88,8 +97,8 @@ mod tests {
     use crate::compare::{CollectedResults, collect};
     use crate::experiment::RECORD;
 
-    /// An experiment of four runs, of which one is done and the last has not begun.
-    fn experiment(home: &Path) {
+    /// Writes the folder of an experiment with four runs: the first is finished, and the last has not begun.
+    fn experiment(experiment_dir: &Path) {
         let names = ["001-a", "002-a", "003-b", "004-b"];
         let runs: Vec<_> = names.iter().map(|name| json!({ "folder": name })).collect();
         let states = json!([
@@ -102,11 +111,11 @@ mod tests {
         let mut record = json!({ "format": 1, "id": "x1", "name": "rates", "file": "e.toml" });
         (record["states"], record["plan"]) = (states, plan);
         for name in &names[..3] {
-            let folder = home.join(RUNS).join(name);
+            let folder = experiment_dir.join(RUNS).join(name);
             std::fs::create_dir_all(&folder).expect("made");
             std::fs::write(folder.join("data.csv"), "iteration,inference\n1,0.1\n").expect("written");
         }
-        std::fs::write(home.join(RECORD), record.to_string()).expect("written");
+        std::fs::write(experiment_dir.join(RECORD), record.to_string()).expect("written");
     }
 
     fn names(found: &CollectedResults) -> Vec<String> {
@@ -121,40 +130,46 @@ mod tests {
     #[test]
     fn experiment_folder_selects_finished_runs_only() {
         let folder = tempfile::tempdir().expect("a folder");
-        let home = folder.path().join("all/rates");
-        experiment(&home);
-        // Wherever the search begins.
-        for place in [home.clone(), home.join(RUNS), folder.path().to_owned()] {
+        let experiment_dir = folder.path().join("all/rates");
+        experiment(&experiment_dir);
+        // The search may begin at the experiment's folder, below it or above it.
+        for place in [experiment_dir.clone(), experiment_dir.join(RUNS), folder.path().to_owned()] {
             let found = collect(&[place], None, &|_| true).expect("one is done");
             assert_eq!((names(&found), found.notes), (vec!["001-a".to_owned()], vec![CAVEAT.to_owned()]));
         }
-        let unfinished = home.join(RUNS).join("003-b");
-        let found = collect(&[home.clone(), unfinished.clone()], None, &|_| true).expect("two are wanted");
-        assert_eq!(names(&found), ["001-a", "003-b"], "what is named itself is wanted");
+        let unfinished = experiment_dir.join(RUNS).join("003-b");
+        let found =
+            collect(&[experiment_dir.clone(), unfinished.clone()], None, &|_| true).expect("two are wanted");
+        assert_eq!(names(&found), ["001-a", "003-b"], "a run whose own folder is named is compared");
         assert!(!found.notes.concat().contains("003-b"), "{:?}", found.notes);
-        let found = collect(&[unfinished.join("data.csv")], Some(&home.join("runs/002-a")), &|_| true);
+        let found =
+            collect(&[unfinished.join("data.csv")], Some(&experiment_dir.join("runs/002-a")), &|_| true);
         let found = found.expect("both are named");
         assert_eq!((names(&found).len(), found.notes.len()), (2, 0));
 
-        let found = collect(std::slice::from_ref(&home), Some(&home.join("runs/002-a")), &|_| true);
+        let found =
+            collect(std::slice::from_ref(&experiment_dir), Some(&experiment_dir.join("runs/002-a")), &|_| {
+                true
+            });
         let found = found.expect("one is done, one is named");
         assert_eq!((names(&found), found.baseline), (vec!["002-a".to_owned(), "001-a".to_owned()], vec![0]));
         assert!(!found.notes.concat().contains("002-a"), "{:?}", found.notes);
 
-        std::fs::remove_dir_all(home.join("runs/001-a")).expect("removed");
-        let nothing = collect(&[home], None, &|_| true).err().expect("nothing is left");
+        std::fs::remove_dir_all(experiment_dir.join("runs/001-a")).expect("removed");
+        let nothing = collect(&[experiment_dir], None, &|_| true).err().expect("nothing is left");
         assert!(nothing.to_string().contains("can be compared"), "{nothing}");
     }
 
     #[test]
     fn unreadable_experiment_record_is_reported() {
         let folder = tempfile::tempdir().expect("a folder");
-        let home = folder.path().join("rates");
-        experiment(&home);
-        let record = home.join(RECORD);
+        let experiment_dir = folder.path().join("rates");
+        experiment(&experiment_dir);
+        let record = experiment_dir.join(RECORD);
         let whole = std::fs::read_to_string(&record).expect("written");
         let notes = || {
-            let found = collect(std::slice::from_ref(&home), None, &|_| true).expect("three can be read");
+            let found =
+                collect(std::slice::from_ref(&experiment_dir), None, &|_| true).expect("three can be read");
             assert_eq!(names(&found), ["001-a", "002-a", "003-b"]);
             found.notes.concat()
         };
@@ -179,11 +194,11 @@ mod tests {
             assert!(notes.ends_with("; the states of its runs are unknown."), "{notes}");
         }
         std::fs::remove_file(&record).expect("removed");
-        assert_eq!(notes(), "", "results of other programs have none");
+        assert_eq!(notes(), "", "results without a record need no note");
         std::fs::create_dir(&record).expect("made");
         assert!(notes().contains("it is not a regular file"), "{}", notes());
         std::fs::remove_dir(&record).expect("removed");
-        // Nobody writes into it.
+        // No process writes into the pipe, so reading the pipe would wait for ever.
         mknodat(CWD, &record, FileType::Fifo, Mode::RUSR, 0).expect("a pipe");
         assert!(notes().contains("it is not a regular file"), "{}", notes());
     }
@@ -191,23 +206,27 @@ mod tests {
     #[test]
     fn excluded_runs_are_listed_with_advice() {
         let folder = tempfile::tempdir().expect("a folder");
-        let home = folder.path().join("rates");
-        experiment(&home);
-        let found = vec![(folder.path().to_owned(), vec![home.join("runs/001-a"), home.join("runs/002-a")])];
+        let experiment_dir = folder.path().join("rates");
+        experiment(&experiment_dir);
+        let found = vec![(
+            folder.path().to_owned(),
+            vec![experiment_dir.join("runs/001-a"), experiment_dir.join("runs/002-a")],
+        )];
         let experiments = Experiments::find(found[0].1.iter().map(PathBuf::as_path));
         let [unselected] =
             SelectedResults::new(&found, &experiments).unselected.try_into().expect("one experiment");
         assert!(
-            unselected.message.starts_with(&format!("{} is shown without", home.display())),
+            unselected.message.starts_with(&format!("{} is shown without", experiment_dir.display())),
             "{unselected:?}"
         );
         assert!(
             unselected.message.contains("; `peernet run e.toml` with the same options completes these runs"),
             "{unselected:?}"
         );
-        let failed = experiments.run(&home.join("runs/002-a/user-1"));
+        let failed = experiments.run(&experiment_dir.join("runs/002-a/user-1"));
         assert!(failed.is_none(), "there is no such folder");
-        let failed = experiments.run(&home.join("runs/002-a")).expect("it is one of its runs");
+        let failed =
+            experiments.run(&experiment_dir.join("runs/002-a")).expect("it is a run of the experiment");
         assert_eq!(failed.state().to_string(), "failed (the agent ended)");
     }
 }

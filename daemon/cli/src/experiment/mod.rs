@@ -7,15 +7,15 @@ pub(crate) use unfinished_runs::unfinished_runs_note;
 use peernet_analysis::run_selection::RunState;
 use serde::{Deserialize, Serialize};
 
-/// Version of the format that this program writes.
+/// Version of the format of [`RECORD`] that this program writes and reads.
 pub(crate) const FORMAT: u32 = 1;
 
-/// File with the progress of an experiment.
+/// Name of the file with the plan and the progress of an experiment.
 pub(crate) const RECORD: &str = "experiment.json";
 /// Maximum size of a record that is read, bytes. A record with the maximum number of runs, each of a different
 /// configuration, is smaller.
 pub(crate) const MAX_RECORD_BYTES: u64 = 256 << 20;
-/// Folder in an experiment's folder that has the folders of its runs.
+/// Name of the folder in an experiment's folder that contains the folders of the runs.
 pub(crate) const RUNS: &str = "runs";
 
 /// Status of a run, as stored in [`RECORD`].
@@ -48,6 +48,7 @@ impl RunStatus {
         }
     }
 
+    /// Returns whether the run was measured to its end, so that it is not repeated.
     pub(crate) fn is_done(self) -> bool {
         self.to_run_state(None).is_finished()
     }

@@ -9,11 +9,11 @@ use peernet_stream::EndReason;
 pub(crate) enum AgentEnd<OwnReason = Infallible> {
     /// Nothing remains to be done.
     Finished,
-    /// The user ended it.
+    /// The user ended the agent.
     Interrupted,
     /// The agent, or something that it needs, failed; the text is the reason.
     Failed(String),
-    /// A reason that the command itself handles.
+    /// A reason that only this command has.
     OwnReason(OwnReason),
 }
 

@@ -4,8 +4,8 @@
 pub(crate) fn command_line() -> String {
     let words = std::env::args_os().map(|word| {
         let word = word.to_string_lossy().into_owned();
-        let plain = |char: char| char.is_ascii_alphanumeric() || "-_./:=,@+%".contains(char);
-        if !word.is_empty() && word.chars().all(plain) {
+        let is_plain = |char: char| char.is_ascii_alphanumeric() || "-_./:=,@+%".contains(char);
+        if !word.is_empty() && word.chars().all(is_plain) {
             word
         } else {
             format!("'{}'", word.replace('\'', "'\\''"))

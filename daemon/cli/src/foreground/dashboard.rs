@@ -7,11 +7,12 @@ use peernet_networks::Address;
 /// Port of a dashboard unless its `[web] listen` sets another.
 const PORT: u16 = 8040;
 
-/// Returns a sentence about the dashboard that shows `subject`. `has_all` is `false` while events wait for delivery.
+/// Returns a sentence about the dashboard that shows `subject`. `is_delivered` is `false` while events of the run wait
+/// for delivery.
 ///
-/// Only the event port of the aggregator is known here, so the port of the dashboard is the usual one.
-pub(crate) fn dashboard_hint(subject: impl Display, aggregator: &Address, has_all: bool) -> String {
-    if !has_all {
+/// Only the aggregator's port for events is known here, so the sentence has the usual port of a dashboard.
+pub(crate) fn dashboard_hint(subject: impl Display, aggregator: &Address, is_delivered: bool) -> String {
+    if !is_delivered {
         let at = aggregator.authority();
         return format!(
             "{subject} will be on the dashboard of the aggregator at {at} once all events have been delivered"
@@ -27,10 +28,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn default_address_works_in_browser() {
+    fn address_of_dashboard_works_in_browser() {
         let message = |text: &str| dashboard_hint("it", &text.parse().expect("an address"), true);
-        let four = "see it on the dashboard of the aggregator at 10.77.0.2 (usually http://10.77.0.2:8040)";
-        assert_eq!(message("tcp://10.77.0.2:5650"), four);
+        let expected =
+            "see it on the dashboard of the aggregator at 10.77.0.2 (usually http://10.77.0.2:8040)";
+        assert_eq!(message("tcp://10.77.0.2:5650"), expected);
         assert!(message("tcp://[fd00::2]:5550").ends_with("at fd00::2 (usually http://[fd00::2]:8040)"));
     }
 

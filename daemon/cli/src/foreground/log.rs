@@ -1,4 +1,4 @@
-//! Output of custom code, remarks on connections, and with `PEERNET_LOG` the log.
+//! Log of a foreground run: output of custom code, remarks on connections, and with `PEERNET_LOG` all other lines.
 //!
 //! On a terminal, the lines are printed above the progress. A run of an experiment passes the lines to the program
 //! that shows the progress: on standard output, each line as a JSON string.
@@ -7,7 +7,7 @@ use std::fmt::{self, Write as _};
 use std::io::{self, Write};
 
 use crate::exit::{Exit, Failure};
-use crate::log::{Line, VARIABLE};
+use crate::log::{LineFormat, VARIABLE};
 use crate::output::print_to_stdout;
 use peernet_agent::REMARK_LOG_TARGET;
 use peernet_inference::bank::LOAD_LOG_TARGET;
@@ -22,7 +22,7 @@ use tracing_subscriber::util::SubscriberInitExt;
 use super::progress::without_progress_bar;
 
 /// Log targets of the lines of custom code.
-const USER_CODE_TARGETS: [&str; 2] = ["peernet_external::python", "peernet_external::exec"];
+const CUSTOM_CODE_TARGETS: [&str; 2] = ["peernet_external::python", "peernet_external::exec"];
 
 /// The process that shows the lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,7 +37,7 @@ pub(crate) enum LogDestination {
 const WARNING_TARGETS: [&str; 2] = [REMARK_LOG_TARGET, LOAD_LOG_TARGET];
 
 /// Installs the log. Unless `PEERNET_LOG` sets another level, the log contains only output of custom code, remarks on
-/// connections, and models that load for long.
+/// connections, and warnings about models that take long to load.
 ///
 /// # Errors
 /// When the variable does not contain a valid level (78).
@@ -53,16 +53,19 @@ pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
         .with_env_filter(filter)
         .with_writer(move || LogWriter(destination))
         .with_ansi(false);
-    // Internal errors of the log would be printed to standard error without hiding the progress bar.
-    let log = log.log_internal_errors(false).event_format(LogFormat { other: Line::default() }).finish();
+    // The log would print its internal errors to standard error without hiding the progress bar, so they are dropped.
+    let log = log
+        .log_internal_errors(false)
+        .event_format(LogFormat { line_format: LineFormat::default() })
+        .finish();
     log.try_init().map_err(|error| configuration_failure(error.into()))
 }
 
 /// Returns the level of the log that the user sees without `PEERNET_LOG`.
 fn default_level() -> String {
-    let user_code = USER_CODE_TARGETS.map(|target| format!(",{target}=info")).concat();
+    let custom_code = CUSTOM_CODE_TARGETS.map(|target| format!(",{target}=info")).concat();
     let warnings = WARNING_TARGETS.map(|target| format!(",{target}=warn")).concat();
-    format!("off{user_code}{warnings}")
+    format!("off{custom_code}{warnings}")
 }
 
 /// Writer of the log, which gets one whole line at a time.
@@ -91,7 +94,8 @@ impl Write for LogWriter {
 /// Formatter: `model my_model-Net: the line` for custom code, `warning: the text` for warnings, the log's form for the
 /// rest.
 struct LogFormat {
-    other: Line,
+    /// Format of the rest.
+    line_format: LineFormat,
 }
 
 impl<S, N> FormatEvent<S, N> for LogFormat
@@ -107,8 +111,8 @@ where
     ) -> fmt::Result {
         let target = event.metadata().target();
         let is_warning = WARNING_TARGETS.contains(&target);
-        if !is_warning && !USER_CODE_TARGETS.contains(&target) {
-            return self.other.format_event(context, writer, event);
+        if !is_warning && !CUSTOM_CODE_TARGETS.contains(&target) {
+            return self.line_format.format_event(context, writer, event);
         }
         let mut message = LogMessage::default();
         event.record(&mut message);
@@ -148,9 +152,9 @@ mod tests {
     use super::*;
 
     #[derive(Clone, Default)]
-    struct Lines(Arc<Mutex<Vec<u8>>>);
+    struct SharedBuffer(Arc<Mutex<Vec<u8>>>);
 
-    impl Write for Lines {
+    impl Write for SharedBuffer {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
             self.0.lock().expect("not poisoned").write(bytes)
         }
@@ -161,13 +165,13 @@ mod tests {
     }
 
     #[test]
-    fn slow_loading_is_shown_without_the_log() {
-        let lines = Lines::default();
+    fn slow_loading_is_shown_at_default_level() {
+        let lines = SharedBuffer::default();
         let writer = lines.clone();
         let log = tracing_subscriber::fmt()
             .with_env_filter(EnvFilter::new(default_level()))
             .with_writer(move || writer.clone())
-            .event_format(LogFormat { other: Line::default() })
+            .event_format(LogFormat { line_format: LineFormat::default() })
             .finish();
         tracing::subscriber::with_default(log, || {
             tracing::warn!(target: LOAD_LOG_TARGET, "model net is still loading");

@@ -3,7 +3,7 @@
 //!
 //! Three commands use this module: `calibrate` studies a link, `measure` records a run, and the paper's `--server`
 //! serves. The commands differ in their observer ([`RunObserver`]); starting, signals and stopping are the same. Events
-//! come from the agent's tap. The rest of the agent's state is read several times a second.
+//! come from the agent's tap, a channel to which the agent copies every event. The rest of the agent's state is read several times a second.
 
 mod agent_end;
 mod command_line;
@@ -26,7 +26,7 @@ pub(crate) use latency::describe_quantiles;
 pub(crate) use log::{LogDestination, start_log};
 pub(crate) use peer_wait::{PeerWait, PipelineActivity};
 pub(crate) use progress::Progress;
-pub(crate) use tables::tables;
+pub(crate) use tables::read_agent_tables;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -41,7 +41,8 @@ use peernet_stream::Event;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-/// Capacity of the channel of events from the agent. Events are processed as soon as they arrive.
+/// Capacity of the channel of events from the agent. Events are processed as soon as they arrive, so
+/// that the channel fills up only on a machine that is too busy.
 const EVENT_CAPACITY: usize = 16_384;
 /// Time between two reads of the agent's state.
 const POLL_INTERVAL: Duration = Duration::from_millis(250);
@@ -59,7 +60,7 @@ pub(crate) trait RunObserver {
         running: Option<&RunningAgent>,
     ) -> Option<AgentEnd<Self::OwnReason>>;
 
-    /// Reads the agent's state. It is called several times a second and after every answer to a peer. Returns a
+    /// Reads the agent's state. This method is called several times a second and after every answer to a peer. Returns a
     /// reason if the agent is to end.
     fn poll_state(&mut self, running: &RunningAgent) -> Option<AgentEnd<Self::OwnReason>>;
 
@@ -78,7 +79,7 @@ pub(crate) struct ReadyAgent {
 
 /// Result of an agent that has ended.
 pub(crate) struct AgentResult<OwnReason> {
-    pub(crate) ended: AgentEnd<OwnReason>,
+    pub(crate) end: AgentEnd<OwnReason>,
     /// The agent's name.
     pub(crate) name: String,
     /// Number of events that did not fit into the channel.
@@ -89,7 +90,7 @@ pub(crate) struct AgentResult<OwnReason> {
 const BLOCKING_THREADS_TIMEOUT: Duration = Duration::from_secs(1);
 
 impl ReadyAgent {
-    /// Checks everything that the configuration names.
+    /// Checks the configuration and everything that it names, and creates the clocks.
     ///
     /// # Errors
     /// When the clock cannot be read (69), or the configuration is wrong (78).
@@ -124,7 +125,8 @@ impl ReadyAgent {
             .context("cannot start the threads of the runtime")
             .map_err(|error| Failure::new(Exit::Unavailable, error))?;
         let result = runtime.block_on(watch(self.config, &self.clock, observer));
-        // Programs of sensors and actuators end on these threads. A thread that computes for minutes is not waited for.
+        // The threads that end the programs of sensors and actuators are waited for, but not a thread that computes for
+        // minutes.
         runtime.shutdown_timeout(BLOCKING_THREADS_TIMEOUT);
         result
     }
@@ -151,11 +153,11 @@ async fn watch<O: RunObserver>(
     let running = Agent::start_with_tap(config, VERSION, Arc::clone(clock), stop.clone(), tap).await;
     let running = running.map_err(|error| Failure::new(Exit::Unavailable, describe_start_error(error)))?;
     let name = running.name().to_string();
-    let mut served = running.served_counts();
+    let mut served_counts = running.served_counts();
     let mut poll = tokio::time::interval(POLL_INTERVAL);
     let mut is_interrupted = false;
-    let ended = loop {
-        let ended = tokio::select! {
+    let end = loop {
+        let end = tokio::select! {
             _ = signals.next() => {
                 is_interrupted = true;
                 Some(AgentEnd::Interrupted)
@@ -164,12 +166,12 @@ async fn watch<O: RunObserver>(
                 Some(event) => observer.handle_event(event, Some(&running)),
                 None => Some(AgentEnd::Failed("the agent ended by itself".to_owned())),
             },
-            // A server with few iterations should end at its last answer and not at the next tick.
-            Ok(()) = served.changed() => observer.poll_state(&running),
+            // With this branch, a server ends at its last answer and not up to a `POLL_INTERVAL` later.
+            Ok(()) = served_counts.changed() => observer.poll_state(&running),
             _ = poll.tick() => observer.poll_state(&running),
         };
-        if let Some(ended) = ended {
-            break ended;
+        if let Some(end) = end {
+            break end;
         }
     };
     observer.end_decided();
@@ -187,5 +189,5 @@ async fn watch<O: RunObserver>(
     while let Ok(event) = events.try_recv() {
         observer.handle_event(event, None);
     }
-    Ok(AgentResult { ended, name, missed_events })
+    Ok(AgentResult { end, name, missed_events })
 }

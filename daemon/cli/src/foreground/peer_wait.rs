@@ -4,10 +4,10 @@ use peernet_agent::RunningAgent;
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::PipelineState;
 
-/// Time of silence after which a message is shown.
+/// Time without an answer of the peer, or without a sample of the sensor, after which a message is shown.
 const SILENCE: Span = Span::from_seconds(3);
 /// Reason given for a peer that has sent nothing at all, not even a refusal.
-const UNKNOWN: &str = "neither a refusal nor a PEERNet message has arrived; check the address, which program listens there, and \
+const NO_MESSAGE_REASON: &str = "neither a refusal nor a PEERNet message has arrived; check the address, which program listens there, and \
      whether it hangs";
 
 /// Current activity of a pipeline.
@@ -30,6 +30,7 @@ impl PipelineActivity {
         match (pipeline.state, running.sensor_busy_since(&pipeline.pipeline)) {
             (PipelineState::Waiting(reason), _) => Self::Away(Some(reason)),
             (PipelineState::Starting, Some(since)) => Self::Preparing(since),
+            // A starting pipeline whose sensor is ready waits for its peer.
             (PipelineState::Starting, None) => Self::Away(None),
             (_, Some(since)) => Self::Sensing(since),
             (_, None) => Self::Running,
@@ -44,15 +45,15 @@ impl PipelineActivity {
         }
     }
 
-    /// Describes a slow sensor for the user.
-    pub(crate) fn slow_sensor(&self, now: MonoTime) -> Option<String> {
+    /// Describes a sensor that is slow at `now`; `None` if the sensor is not slow.
+    pub(crate) fn describe_slow_sensor(&self, now: MonoTime) -> Option<String> {
         let (since, problem) = match self {
             Self::Preparing(since) => (*since, "the sensor is not ready after"),
             Self::Sensing(since) => (*since, "the sensor gave no sample for"),
             Self::Away(_) | Self::Running => return None,
         };
-        let slow = now - since;
-        (slow > SILENCE).then(|| format!("{problem} {:.0} s", slow.seconds()))
+        let wait = now - since;
+        (wait > SILENCE).then(|| format!("{problem} {:.0} s", wait.seconds()))
     }
 }
 
@@ -94,7 +95,8 @@ impl PeerWait {
         }
     }
 
-    /// Describes for the user that the peer called `name` is away or silent. `wait_reason` is the pipeline's reason.
+    /// Describes that the peer called `name` is away or silent; `None` if the peer is neither. `wait_reason` is the reason
+    /// for which the pipeline waits.
     pub(crate) fn describe_trouble(
         &self,
         name: &str,
@@ -103,14 +105,14 @@ impl PeerWait {
         timeout: Span,
     ) -> Option<String> {
         let (absence, silence) = (now - self.last_present, now - self.last_answer);
-        let (seconds, timeout) = (absence.seconds(), timeout.seconds());
+        let (absence_s, timeout_s) = (absence.seconds(), timeout.seconds());
         match wait_reason {
             Some(reason) if absence <= SILENCE => {
                 Some(format!("{name} is away ({reason}); waiting for it to answer"))
             }
-            Some(reason) => {
-                Some(format!("{name} is away ({reason}); waiting for {seconds:.0} s, at most {timeout:.0} s"))
-            }
+            Some(reason) => Some(format!(
+                "{name} is away ({reason}); waiting for {absence_s:.0} s, at most {timeout_s:.0} s"
+            )),
             None if silence > SILENCE => {
                 Some(format!("no answer from {name} for {:.0} s", silence.seconds()))
             }
@@ -126,10 +128,10 @@ impl PeerWait {
         timeout: Span,
     ) -> Option<String> {
         let absence = now - self.last_present;
-        // Without a reason the first attempt to connect has not ended yet. It gets at least the time `SILENCE`, even
-        // if the timeout is shorter.
+        // Without a reason, the first attempt to connect has not ended yet. This attempt gets at least the time `SILENCE`,
+        // even if the timeout is shorter.
         let timeout = if wait_reason.is_none() { timeout.max(SILENCE) } else { timeout };
-        let reason = wait_reason.unwrap_or(UNKNOWN);
+        let reason = wait_reason.unwrap_or(NO_MESSAGE_REASON);
         let text = || format!("gave up after {:.0} s without an answer: {reason}", absence.seconds());
         (absence > timeout).then(text)
     }
@@ -161,6 +163,7 @@ mod tests {
             (None, at(21))
         );
     }
+
     #[test]
     fn connected_peer_is_not_given_up() {
         let at = |seconds: i64| MonoTime::from_nanos(seconds * 1_000_000_000);
@@ -171,13 +174,22 @@ mod tests {
         assert_eq!(peer_wait.timeout_reason(None, at(50), timeout), None, "a model may take its time");
         let sensing = PipelineActivity::Sensing(at(51));
         peer_wait.update(&sensing, at(60));
-        assert_eq!(sensing.slow_sensor(at(60)).as_deref(), Some("the sensor gave no sample for 9 s"));
         assert_eq!(
-            (peer_wait.describe_trouble("cloud", None, at(60), timeout), sensing.slow_sensor(at(52))),
+            sensing.describe_slow_sensor(at(60)).as_deref(),
+            Some("the sensor gave no sample for 9 s")
+        );
+        assert_eq!(
+            (
+                peer_wait.describe_trouble("cloud", None, at(60), timeout),
+                sensing.describe_slow_sensor(at(52))
+            ),
             (None, None)
         );
         let preparing = PipelineActivity::Preparing(at(0));
-        assert_eq!(preparing.slow_sensor(at(9)).as_deref(), Some("the sensor is not ready after 9 s"));
+        assert_eq!(
+            preparing.describe_slow_sensor(at(9)).as_deref(),
+            Some("the sensor is not ready after 9 s")
+        );
         peer_wait.update(&PipelineActivity::Away(None), at(64));
         assert!(
             peer_wait

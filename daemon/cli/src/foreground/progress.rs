@@ -29,10 +29,11 @@ pub(super) fn without_progress_bar<T>(write: impl FnOnce() -> T) -> T {
 /// Display of progress on standard error.
 pub(crate) struct Progress {
     display: DisplayKind,
+    /// Time of the last printed line, or of the start.
     printed_at: MonoTime,
     /// `true` if there was trouble at the last update.
     has_trouble: bool,
-    /// Reason of trouble that was printed last.
+    /// Last printed reason of trouble.
     last_reason: Option<String>,
     /// `true` once [`print_once`](Self::print_once) has printed its line.
     has_printed_once: bool,
@@ -61,7 +62,8 @@ impl Progress {
         Self { display, printed_at: now, has_trouble: false, last_reason: None, has_printed_once: false }
     }
 
-    /// Shows the text and the share (0 to 1) that `state` returns. If there is `trouble`, it replaces the text.
+    /// Shows the text and the fraction done (0 to 1) that `state` returns. If there is `trouble`, `trouble` replaces the
+    /// text.
     pub(crate) fn show(
         &mut self,
         now: MonoTime,
@@ -73,8 +75,8 @@ impl Progress {
         match &self.display {
             DisplayKind::Nothing => {}
             DisplayKind::Bar(bar) => {
-                let (text, share) = state();
-                bar.set_position((share.clamp(0.0, 1.0) * STEPS as f64) as u64);
+                let (text, fraction_done) = state();
+                bar.set_position((fraction_done.clamp(0.0, 1.0) * STEPS as f64) as u64);
                 bar.set_message(printable_line(&trouble.unwrap_or(text)).into_owned());
             }
             DisplayKind::Lines if now - self.printed_at < LINE_INTERVAL && !is_new_trouble => {}

@@ -22,7 +22,7 @@ impl AgentEnd {
     }
 
     /// Returns the failure of a run without any rows.
-    pub(super) fn without_rows(self) -> Failure {
+    pub(super) fn failure_without_rows(self) -> Failure {
         match self {
             Self::Finished => unavailable("nothing was measured: the sensor has no samples"),
             Self::Interrupted => {
@@ -48,7 +48,7 @@ impl AgentEnd {
                 "{} measured but not recorded: this machine is too busy",
                 counted(unseen, "iteration")
             )),
-            Self::Finished => incomplete(failed_text(rows)?),
+            Self::Finished => incomplete(describe_failed_iterations(rows)?),
             Self::OwnReason(never) => match *never {},
         }
     }
@@ -57,7 +57,7 @@ impl AgentEnd {
 /// Returns a clause about the failed iterations. An iteration has failed if it has no answer, or if its answer was
 /// not acted on. Failed warm-up iterations, which statistics exclude, count only if no other iteration failed. `None`
 /// if none failed.
-fn failed_text(rows: &Rows) -> Option<String> {
+fn describe_failed_iterations(rows: &Rows) -> Option<String> {
     let counts = Counts::from_rows(rows, 0);
     let in_warm_up = counts.all_failed() == 0;
     let failed = || rows.iter().filter(|row| row.warm_up() == in_warm_up && row.outcome() != Outcome::Ok);
@@ -134,7 +134,7 @@ mod tests {
     fn exit_code_reports_result() {
         let answered = Rows::from_iter([row(1, Outcome::Ok)]);
         assert!(AgentEnd::Finished.failure(&answered, 0).is_none());
-        let code = |ended: AgentEnd| ended.failure(&answered, 0).map(|failure| failure.exit);
+        let code = |end: AgentEnd| end.failure(&answered, 0).map(|failure| failure.exit);
         assert_eq!(code(AgentEnd::Interrupted), Some(Exit::Interrupted));
         assert_eq!(code(AgentEnd::Failed("x".into())), Some(Exit::Incomplete));
 
@@ -166,7 +166,7 @@ mod tests {
             "{unseen}"
         );
 
-        assert_eq!(AgentEnd::Failed("x".into()).without_rows().exit, Exit::Unavailable);
-        assert_eq!(AgentEnd::Interrupted.without_rows().exit, Exit::Interrupted);
+        assert_eq!(AgentEnd::Failed("x".into()).failure_without_rows().exit, Exit::Unavailable);
+        assert_eq!(AgentEnd::Interrupted.failure_without_rows().exit, Exit::Interrupted);
     }
 }

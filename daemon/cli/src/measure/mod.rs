@@ -46,9 +46,9 @@ use recorder::RunRecorder;
 use results::{Results, WrittenFiles};
 
 /// A run with rows.
-pub(crate) struct Measured {
+pub(crate) struct MeasuredRun {
     /// Reason why the agent ended.
-    pub(crate) ended: AgentEnd,
+    pub(crate) end: AgentEnd,
     /// Rows, one per iteration.
     pub(crate) rows: Rows,
     /// Everything else about the run.
@@ -61,14 +61,14 @@ pub(crate) struct Measured {
     trouble: Option<String>,
 }
 
-impl Measured {
+impl MeasuredRun {
     /// Returns the failure of a run with results, if any.
     pub(crate) fn failure(&self) -> Option<Failure> {
         let unwritten = |trouble: &String| Failure::new(Exit::Unwritten, anyhow!("{trouble}"));
         self.trouble
             .as_ref()
             .map(unwritten)
-            .or_else(|| self.ended.failure(&self.rows, self.record.counts.unseen))
+            .or_else(|| self.end.failure(&self.rows, self.record.counts.unseen))
     }
 }
 
@@ -81,7 +81,7 @@ impl Measured {
 pub(crate) fn measure(
     request: &RunRequest,
     progress_display: &mut dyn ProgressDisplay,
-) -> Result<Measured, Failure> {
+) -> Result<MeasuredRun, Failure> {
     let pipeline = request.pipeline()?;
     let state_dir = AgentStateDir::for_agent(&request.agent.agent)?;
     let mut config = request.agent.clone();
@@ -104,33 +104,29 @@ pub(crate) fn measure(
     let result = ready.watch(&mut recorder);
     let recorded = recorder.finish();
     progress_display.wait_for_other_edges();
-    let (AgentResult { ended, name, missed_events }, recorded) = match (result, recorded) {
+    let (AgentResult { end, name, missed_events }, recorded) = match (result, recorded) {
         (Ok(result), recorded) => (result, recorded),
         (Err(failure), recorded) if recorded.rows.is_empty() => {
             results.discard();
             return Err(failure);
         }
         (Err(failure), recorded) => (
-            AgentResult {
-                ended: AgentEnd::Failed(failure.to_string()),
-                name: String::new(),
-                missed_events: 0,
-            },
+            AgentResult { end: AgentEnd::Failed(failure.to_string()), name: String::new(), missed_events: 0 },
             recorded,
         ),
     };
     if recorded.rows.is_empty() {
         results.discard();
-        return Err(ended.without_rows());
+        return Err(end.failure_without_rows());
     }
-    let mut record = record::run_record(request, &recorded, &ended, name, missed_events);
+    let mut record = record::run_record(request, &recorded, &end, name, missed_events);
     record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..free_space });
     record.trust = Some(Report::new(&TrustInput::from_run(&record, &recorded.rows)));
     let WrittenFiles { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);
     let is_written = !files.is_empty();
     // If the rows did not fit on the disk, the earlier results may have been restored to the folder. Then nothing is
     // added to them.
-    match is_written.then(|| study(&record, &recorded.rows, &folder)).transpose() {
+    match is_written.then(|| write_sensor_study(&record, &recorded.rows, &folder)).transpose() {
         Ok(written) => files.extend(written.flatten()),
         Err(error) => trouble = trouble.or_else(|| Some(error.to_string())),
     }
@@ -149,11 +145,11 @@ pub(crate) fn measure(
             }
         }
     }
-    Ok(Measured { ended, rows: recorded.rows, record, folder, files, trouble })
+    Ok(MeasuredRun { end, rows: recorded.rows, record, folder, files, trouble })
 }
 
 /// Writes the study of a run that measures only a sensor.
-fn study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Option<PathBuf>, WriteError> {
+fn write_sensor_study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Option<PathBuf>, WriteError> {
     if !record.is_sensor_only() {
         return Ok(None);
     }

@@ -96,7 +96,7 @@ impl PreviousResultsGuard {
         }
         // If the earlier rows were not moved yet, `data.csv` here is still the earlier one and keeps its name.
         let renamed_rows = if previous_results.join(DATA).is_file() {
-            keep_measured(results_dir, KILLED_ROWS).map_err(failed)?
+            rename_rows(results_dir, KILLED_ROWS).map_err(failed)?
         } else {
             None
         };
@@ -115,7 +115,7 @@ impl PreviousResultsGuard {
     /// Returns the new name; `None` if there are no rows or nothing will be restored.
     pub(super) fn keep_rows(&self) -> Option<String> {
         self.moved_results.as_ref()?;
-        keep_measured(&self.results_dir, UNFINISHED_ROWS).unwrap_or_else(|error| {
+        rename_rows(&self.results_dir, UNFINISHED_ROWS).unwrap_or_else(|error| {
             print_to_stderr(format_args!("cannot rename the new data.csv: {error}"));
             None
         })
@@ -222,7 +222,7 @@ fn rename_if_exists(from: &Path, to: &Path) -> std::io::Result<()> {
 }
 
 /// Renames the rows of a run without results, `killed.csv` for `killed`, if there are any.
-fn keep_measured(results_dir: &Path, stem: &str) -> std::io::Result<Option<String>> {
+fn rename_rows(results_dir: &Path, stem: &str) -> std::io::Result<Option<String>> {
     let data = results_dir.join(DATA);
     // The first line is the header.
     let has_rows = File::open(&data).map(|file| BufReader::new(file).lines().nth(1).is_some());

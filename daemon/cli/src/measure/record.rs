@@ -25,7 +25,7 @@ use crate::foreground::AgentEnd;
 pub(super) fn run_record(
     request: &RunRequest,
     recorded: &RecordedRun,
-    ended: &AgentEnd,
+    end: &AgentEnd,
     edge: String,
     missed_events: u64,
 ) -> RunRecord {
@@ -55,7 +55,7 @@ pub(super) fn run_record(
         run: description.map(|run| run.run),
         started: description.map(|run| to_utc(run.started)),
         ended: recorded.ended_at.map(to_utc),
-        reason: ended.reason(),
+        reason: end.reason(),
         version: VERSION.to_owned(),
         command: request.command.clone(),
         folder: std::env::current_dir().map(|folder| folder.display().to_string()).unwrap_or_default(),
@@ -80,7 +80,7 @@ pub(super) fn run_record(
         }),
         facts,
         pipeline: pipeline.map_or(Value::Null, json),
-        agent: agent(&config),
+        agent: agent_tables(&config),
         experiment: pipeline.and_then(|pipeline| pipeline.experiment.clone()),
         user: request.user,
         peer_timeout_s: Some(request.peer_timeout().seconds()),
@@ -113,7 +113,7 @@ fn sha256(facts: &[(String, String)]) -> Option<String> {
 
 /// Returns the agent's tables without the pipeline, which is recorded separately, and without the folder of this
 /// run's state.
-fn agent(config: &AgentConfig) -> Value {
+fn agent_tables(config: &AgentConfig) -> Value {
     let mut tables = json(config);
     if let Value::Object(tables) = &mut tables {
         tables.remove("pipeline");

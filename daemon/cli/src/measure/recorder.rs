@@ -277,7 +277,7 @@ impl RunObserver for RunRecorder<'_> {
         let write_error =
             self.writer.write_error().map(|error| format!("{error}; the rows are kept in memory"));
         let now = self.clock.mono();
-        let slow = activity.slow_sensor(now);
+        let slow = activity.describe_slow_sensor(now);
         let peer = match &self.peer {
             Some(peer) => peer,
             // A local model may compute on a server, which is waited for like a peer. Loading a model may take any

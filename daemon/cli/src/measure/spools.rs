@@ -59,22 +59,22 @@ fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
     }
     // The database file itself is renamed last. If the program is killed before that, the next start continues with
     // the renaming.
-    for end in ["-wal", "-reserve", ""] {
-        match fs::rename(with_end(&old, end), with_end(spool, end)) {
+    for suffix in ["-wal", "-reserve", ""] {
+        match fs::rename(with_suffix(&old, suffix), with_suffix(spool, suffix)) {
             Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
             _ => {}
         }
     }
-    for end in ["-shm", "-lock"] {
+    for suffix in ["-shm", "-lock"] {
         // An obsolete file that remains does no harm.
-        let _ = fs::remove_file(with_end(&old, end));
+        let _ = fs::remove_file(with_suffix(&old, suffix));
     }
     Ok(())
 }
 
-fn with_end(path: &Path, end: &str) -> PathBuf {
+fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
     let mut path = path.as_os_str().to_owned();
-    path.push(end);
+    path.push(suffix);
     path.into()
 }
 
@@ -195,7 +195,7 @@ mod tests {
     }
 
     /// Leaves a spool as a killed program does, with a part of it in the write-ahead log.
-    async fn killed(folder: &Path) {
+    async fn leave_spool_of_killed_program(folder: &Path) {
         let elsewhere = tempfile::tempdir().expect("a folder");
         let file = elsewhere.path().join(OLD_SPOOL);
         let options = SqliteConnectOptions::new().filename(&file).create_if_missing(true);
@@ -204,8 +204,9 @@ mod tests {
         let make = "CREATE TABLE batch (number INTEGER PRIMARY KEY, events INTEGER NOT NULL);\
                     INSERT INTO batch VALUES (1, 40), (2, 2);";
         sqlx::raw_sql(make).execute(&mut connection).await.expect("writable");
-        for end in ["", "-wal", "-shm"] {
-            fs::copy(with_end(&file, end), with_end(&folder.join(OLD_SPOOL), end)).expect("it is there");
+        for suffix in ["", "-wal", "-shm"] {
+            fs::copy(with_suffix(&file, suffix), with_suffix(&folder.join(OLD_SPOOL), suffix))
+                .expect("it is there");
         }
         connection.close().await.expect("closes");
     }
@@ -213,7 +214,7 @@ mod tests {
     #[tokio::test]
     async fn spool_of_older_version_keeps_waiting_events() {
         let folder = tempfile::tempdir().expect("a folder");
-        killed(folder.path()).await;
+        leave_spool_of_killed_program(folder.path()).await;
         let agent = File::create(folder.path().join(AGENT_LOCK)).expect("writable");
         agent.try_lock().expect("it is free");
         spool(folder.path(), "tcp://lab:5550");
@@ -221,7 +222,7 @@ mod tests {
         agent.unlock().expect("let go");
         // Another program was killed after it had started the takeover.
         let taken = folder.path().join("spool-lab:5550.sqlite");
-        fs::rename(with_end(&folder.path().join(OLD_SPOOL), "-wal"), with_end(&taken, "-wal"))
+        fs::rename(with_suffix(&folder.path().join(OLD_SPOOL), "-wal"), with_suffix(&taken, "-wal"))
             .expect("movable");
         assert_eq!(spool(folder.path(), "tcp://lab:5550"), taken);
         let descriptions = describe_undelivered(folder.path()).await;

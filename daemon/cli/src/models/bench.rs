@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use super::WantedModel;
 use super::input::Input;
-use super::running::{LoadedModel, Options};
+use super::loaded_model::{LoadedModel, Options};
 use crate::foreground::Progress;
 
 /// Stages of a model, in their order.
@@ -36,7 +36,7 @@ pub(super) struct Arguments {
     /// Number of measured samples; p99 needs 300, p95 60.
     #[arg(long, value_name = "N", default_value = "300")]
     iterations: NonZeroU64,
-    /// Number of warm-up samples before them, which are not measured.
+    /// Number of warm-up samples before them, which are not results.
     #[arg(long, value_name = "N", default_value = "10")]
     warm_up: u64,
     /// A picture or a folder of pictures, used in turn [default: the model's own, else generated pixels].
@@ -51,10 +51,10 @@ pub(super) struct Arguments {
 }
 
 /// Measurements, in seconds and bytes.
-struct Measured {
+struct BenchResults {
     device: String,
     input: String,
-    loaded_in: f64,
+    load_s: f64,
     stages: Vec<(&'static str, SortedValues)>,
     /// Memory of the whole process before the model was loaded, and at the end.
     memory: [Option<u64>; 2],
@@ -75,18 +75,18 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let stages = measure(arguments, &loaded_model, &input)?;
     let memory = ProcessMemory::read();
     let resident = |memory: ProcessMemory| memory.resident;
-    let measured = Measured {
+    let results = BenchResults {
         device: loaded_model.pool().device(),
         input: input.description,
-        loaded_in: loaded_model.pool().load_duration().seconds(),
+        load_s: loaded_model.pool().load_duration().seconds(),
         stages,
         memory: [memory_before.map(resident), memory.map(resident)],
         peak: memory.map(|memory| memory.peak),
     };
     if arguments.json {
-        print_to_stdout(object(model.name.as_str(), &measured));
+        print_to_stdout(json_object(model.name.as_str(), &results));
     } else {
-        show(model.name.as_str(), arguments, &measured);
+        show(model.name.as_str(), arguments, &results);
     }
     Ok(())
 }
@@ -101,14 +101,14 @@ fn measure(
     let mut durations: [Vec<f64>; 4] = Default::default();
     // Samples are used in turn; there is at least one.
     for (done, sample) in (0..all).zip(input.samples.iter().cycle()) {
-        // Measured outside of the model, because the stages do not contain the time to hand over the sample.
+        // BenchResults outside of the model, because the stages do not contain the time to hand over the sample.
         let started_at = loaded_model.clock().mono();
         let (answer, tree) = loaded_model.infer(sample.clone());
         let total = (loaded_model.clock().mono() - started_at).seconds();
         answer.map_err(|error| Failure::new(Exit::Unavailable, error))?;
         if done >= arguments.warm_up {
             for (values, stage) in durations.iter_mut().zip(STAGES) {
-                values.extend(seconds(&tree, stage));
+                values.extend(stage_seconds(&tree, stage));
             }
             durations[3].push(total);
         }
@@ -120,20 +120,20 @@ fn measure(
     Ok(names.zip(durations).map(|(name, values)| (name, values.into_iter().collect())).collect())
 }
 
-fn seconds(tree: &Tree, stage: &str) -> Option<f64> {
+fn stage_seconds(tree: &Tree, stage: &str) -> Option<f64> {
     tree.find(&[stage]).and_then(|(_, node)| node.measure.value())
 }
 
-fn show(name: &str, arguments: &Arguments, measured: &Measured) {
+fn show(name: &str, arguments: &Arguments, results: &BenchResults) {
     let threads = arguments.options.intra_threads;
     print_to_stdout(format_args!(
         "{name} on {}, {} within an operator, one sample at a time",
-        measured.device,
+        results.device,
         counted(threads.get() as u64, "thread")
     ));
     print_to_stdout(format_args!(
         "{} samples after {} of warm-up: {}",
-        arguments.iterations, arguments.warm_up, measured.input
+        arguments.iterations, arguments.warm_up, results.input
     ));
     print_to_stdout("");
     let row = |(stage, values): &(&str, SortedValues)| {
@@ -142,19 +142,19 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
         [vec![(*stage).to_owned()], cells.into()].concat()
     };
     let header = ["stage", "p50 ms", "p95 ms", "p99 ms"];
-    print_to_stdout(text(&header, &measured.stages.iter().map(row).collect::<Vec<_>>()));
+    print_to_stdout(text(&header, &results.stages.iter().map(row).collect::<Vec<_>>()));
     let size_text =
         |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |count| bytes(count as f64).plain());
-    print_to_stdout(format_args!("loaded in {} ms", milliseconds(measured.loaded_in)));
+    print_to_stdout(format_args!("loaded in {} ms", milliseconds(results.load_s)));
     print_to_stdout(format_args!(
         "memory of this process: {} before, {} with the model, {} at most; the memory of an accelerator is not included",
-        size_text(measured.memory[0]),
-        size_text(measured.memory[1]),
-        size_text(measured.peak)
+        size_text(results.memory[0]),
+        size_text(results.memory[1]),
+        size_text(results.peak)
     ));
 }
 
-fn object(name: &str, measured: &Measured) -> Value {
+fn json_object(name: &str, results: &BenchResults) -> Value {
     let stage = |(stage, values): &(&str, SortedValues)| {
         let quantiles = QUANTILES.map(|(name, quantile)| (name.to_owned(), json!(quantile(values))));
         let mut figures = serde_json::Map::from_iter(quantiles);
@@ -163,12 +163,12 @@ fn object(name: &str, measured: &Measured) -> Value {
     };
     json!({
         "model": name,
-        "device": measured.device,
-        "input": measured.input,
-        "loaded_in": measured.loaded_in,
-        "seconds": serde_json::Map::from_iter(measured.stages.iter().map(stage)),
+        "device": results.device,
+        "input": results.input,
+        "loaded_in": results.load_s,
+        "seconds": serde_json::Map::from_iter(results.stages.iter().map(stage)),
         "memory_bytes": {
-            "before": measured.memory[0], "with_model": measured.memory[1], "peak": measured.peak,
+            "before": results.memory[0], "with_model": results.memory[1], "peak": results.peak,
         },
     })
 }
@@ -178,7 +178,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tail_needs_samples() {
+    fn p99_needs_more_than_100_samples() {
         let few: SortedValues = (0..100).map(f64::from).collect();
         assert_eq!(QUANTILES.map(|(_, quantile)| quantile(&few).is_some()), [true, true, false]);
     }

@@ -8,7 +8,7 @@ use anyhow::anyhow;
 use peernet_statistics::number::{counted, fixed};
 
 use super::input::Input;
-use super::running::{LoadedModel, Options};
+use super::loaded_model::{LoadedModel, Options};
 use super::tally::{Tally, describe};
 use super::{WantedModel, describe_hash_mismatch, failure};
 

@@ -26,7 +26,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     let models = folders.list();
     if arguments.json {
-        print_to_stdout(Value::from_iter(models.iter().map(object)));
+        print_to_stdout(Value::from_iter(models.iter().map(json_object)));
         return Ok(());
     }
     if models.is_empty() {
@@ -65,7 +65,7 @@ fn problem(model: &ModelOnDisk) -> Option<String> {
     }
 }
 
-fn object(model: &ModelOnDisk) -> Value {
+fn json_object(model: &ModelOnDisk) -> Value {
     json!({
         "model": model.name.to_string(),
         "folder": model.folder.display().to_string(),

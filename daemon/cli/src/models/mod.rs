@@ -4,7 +4,7 @@ mod bench;
 mod check;
 mod input;
 mod list;
-mod running;
+mod loaded_model;
 mod show;
 mod tally;
 

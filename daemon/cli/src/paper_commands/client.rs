@@ -18,8 +18,8 @@ use serde_json::json;
 use super::client_progress::ClientProgress;
 use super::devices::Devices;
 use super::{Arguments, sensor};
-use crate::foreground::{command_line, dashboard_hint, tables};
-use crate::measure::{AgentStateDir, Measured, RunRequest, measure, undelivered};
+use crate::foreground::{command_line, dashboard_hint, read_agent_tables};
+use crate::measure::{AgentStateDir, MeasuredRun, RunRequest, measure, undelivered};
 
 /// Number of iterations at the start of a run that the plots of the paper's program leave out.
 const WARM_UP_ITERATIONS: u64 = 5;
@@ -76,7 +76,7 @@ fn run_request(arguments: &Arguments, devices: &Devices) -> Result<RunRequest, F
     let pipeline: PipelineConfig = serde_json::from_value(with_arguments(pipeline))
         .context("cannot set up the pipeline")
         .map_err(|error| Failure::new(Exit::Software, error))?;
-    let mut agent = tables(arguments.config.as_deref())?;
+    let mut agent = read_agent_tables(arguments.config.as_deref())?;
     agent.agent.name = Some(arguments.name.clone());
     agent.agent.aggregator.clone_from(&arguments.aggregator);
     agent.pipelines = vec![pipeline];
@@ -101,7 +101,7 @@ fn run_request(arguments: &Arguments, devices: &Devices) -> Result<RunRequest, F
 }
 
 /// Prints the results, their folder and their files.
-fn print_results(measured: &Measured) {
+fn print_results(measured: &MeasuredRun) {
     print_to_stdout(summary::text(&Summary::from_rows(&measured.rows).with_record(&measured.record)));
     if let Some(trust) = &measured.record.trust {
         print_to_stdout(format_args!("\n{}", trust.text()));
@@ -124,8 +124,8 @@ fn print_streaming_state(
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let undelivered = runtime.block_on(undelivered(state_dir.folder()));
     let name = &arguments.name;
-    let has_all = !undelivered.iter().any(|events| events.is_for(aggregator));
-    print_to_stdout(dashboard_hint(format_args!("host {name}, pipeline {name},"), aggregator, has_all));
+    let is_delivered = !undelivered.iter().any(|events| events.is_for(aggregator));
+    print_to_stdout(dashboard_hint(format_args!("host {name}, pipeline {name},"), aggregator, is_delivered));
     undelivered.iter().for_each(print_to_stderr);
     Ok(())
 }

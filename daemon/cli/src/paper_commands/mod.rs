@@ -10,8 +10,8 @@ mod devices;
 mod encoding;
 mod model;
 mod sensor;
+mod serve_observer;
 mod server;
-mod serving;
 
 pub(crate) use arguments::Arguments;
 pub(crate) use devices::{DeviceAddresses, addresses};
@@ -38,7 +38,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Returns the command of `exec:COMMAND`, or `None` for another form.
-fn program(text: &str) -> Result<Option<&str>, Failure> {
+fn exec_command(text: &str) -> Result<Option<&str>, Failure> {
     match text.strip_prefix("exec:") {
         Some(command) if command.trim().is_empty() => {
             Err(Failure::new(Exit::Usage, anyhow!("{text:?} names no program: write exec:COMMAND")))

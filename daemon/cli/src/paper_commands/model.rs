@@ -46,7 +46,7 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
         if device_option.is_some() { CommonSettings { device: device.to_owned(), ..common } } else { common }
     };
     let timeout_ms = arguments.timeout_ms().and_then(NonZeroU64::new);
-    Ok(match super::program(model_name)? {
+    Ok(match super::exec_command(model_name)? {
         Some(command) => ModelConfig::program(common_settings(program_of(command)), command, timeout_ms),
         None if model_name.contains("::") => {
             ModelConfig::python_object(common_settings(model_name), model_name, arguments.pickle, timeout_ms)

@@ -87,7 +87,7 @@ fn check(config: SensorConfig) -> Result<SensorConfig, Failure> {
 
 /// Makes the sensor of a custom object or program, which may be run because this command line names it.
 fn external_sensor(object: &str, pickle: bool) -> Result<SensorConfig, Failure> {
-    Ok(match super::program(object)? {
+    Ok(match super::exec_command(object)? {
         Some(command) => SensorConfig::program(command),
         None => SensorConfig::python_object(object, pickle),
     })

@@ -9,9 +9,9 @@ use peernet_agent::config::ServeConfig;
 use peernet_networks::{Address, SessionSettings};
 
 use super::devices::Devices;
-use super::serving::ServeObserver;
+use super::serve_observer::ServeObserver;
 use super::{Arguments, model};
-use crate::foreground::{AgentEnd, ReadyAgent, tables};
+use crate::foreground::{AgentEnd, ReadyAgent, read_agent_tables};
 use crate::measure::AgentStateDir;
 
 /// Serves until enough answers are given, no more requests will come, or Ctrl-C.
@@ -20,7 +20,7 @@ use crate::measure::AgentStateDir;
 /// When the model does not exist (66), cannot run (69), or the port is in use (69); when clients have ended their
 /// runs without all iterations (75); when the user ended it early (130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
-    let mut config = tables(arguments.config.as_deref())?;
+    let mut config = read_agent_tables(arguments.config.as_deref())?;
     let model = model::from_arguments(arguments, &config.onnxruntime)?;
     let name = model.name().clone();
     config.agent.name = Some(arguments.name.clone());
@@ -36,19 +36,19 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let state_dir = AgentStateDir::for_agent(&config.agent)?;
     state_dir.configure(&mut config)?;
     let ready = ReadyAgent::new(config)?;
-    let mut serving = ServeObserver::new(name, arguments, ready.clock.clone());
-    let result = ready.watch(&mut serving).map_err(|Failure { exit, error }| {
+    let mut observer = ServeObserver::new(name, arguments, ready.clock.clone());
+    let result = ready.watch(&mut observer).map_err(|Failure { exit, error }| {
         let file = arguments.network_config.display();
         Failure::new(
             exit,
             error.context(format!("cannot serve at {}", describe_address(&devices.address, &file))),
         )
     })?;
-    if serving.has_answers() || matches!(result.ended, AgentEnd::Finished | AgentEnd::Interrupted) {
-        print_to_stderr(serving.summary());
+    if observer.has_answers() || matches!(result.end, AgentEnd::Finished | AgentEnd::Interrupted) {
+        print_to_stderr(observer.summary());
     }
-    match result.ended {
-        AgentEnd::Finished => match serving.shortfall() {
+    match result.end {
+        AgentEnd::Finished => match observer.shortfall() {
             None => Ok(()),
             Some(text) => Err(Failure::new(Exit::Incomplete, anyhow!("{text}"))),
         },

@@ -19,7 +19,7 @@ const MACHINE_KEYS: [&str; 4] =
 /// A problem and the configurations that have it.
 struct Problem {
     text: String,
-    is_machine_key: bool,
+    concerns_machine: bool,
     /// Labels of the first configuration with the problem; empty without axes.
     first_labels: String,
     /// Number of configurations with the problem.
@@ -61,7 +61,7 @@ pub(super) fn configurations(
         // A configuration may have the same problem in two places.
         let mut seen_texts = BTreeSet::new();
         for problem in Agent::check(&agent, clock) {
-            let is_machine_key = MACHINE_KEYS.contains(&problem.key.as_str())
+            let concerns_machine = MACHINE_KEYS.contains(&problem.key.as_str())
                 || problem.key.starts_with("model[") && problem.key.ends_with(']')
                 || MACHINE_KEYS.iter().any(|key| problem.key.starts_with(&format!("{key}.")));
             let text = with_experiment_keys(&problem.to_string());
@@ -72,7 +72,7 @@ pub(super) fn configurations(
                 Some(known) => known.configurations += 1,
                 None => problems.push(Problem {
                     text,
-                    is_machine_key,
+                    concerns_machine,
                     first_labels: shorten_label(&describe_labels(&configuration.labels)),
                     configurations: 1,
                 }),
@@ -80,7 +80,7 @@ pub(super) fn configurations(
         }
     }
     let (machine, file_wide): (Vec<Problem>, Vec<Problem>) =
-        problems.into_iter().partition(|problem| problem.is_machine_key);
+        problems.into_iter().partition(|problem| problem.concerns_machine);
     let describe = |problem: &Problem| problem.describe(configurations.len());
     let (machine_problems, file_problems): (Vec<String>, Vec<String>) =
         (machine.iter().map(describe).collect(), file_wide.iter().map(describe).collect());
@@ -100,7 +100,7 @@ mod tests {
     fn configurations_are_named_unless_all_have_the_problem() {
         let problem = |configurations| Problem {
             text: "model[1]: missing".to_owned(),
-            is_machine_key: true,
+            concerns_machine: true,
             first_labels: "GPU = here".to_owned(),
             configurations,
         };

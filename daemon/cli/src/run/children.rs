@@ -18,9 +18,9 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
-use super::ending::Ending;
+use super::end_requests::EndRequests;
 use super::exit_reason::exit_reason;
-use super::silence::Silence;
+use super::silence_detector::SilenceDetector;
 use crate::foreground::Signals;
 use crate::measure::{MEASUREMENT_ENDED, ProgressReport, RunRequest};
 
@@ -37,7 +37,7 @@ const OUTPUT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Result of several concurrent processes.
 pub(super) struct ProcessResults {
     /// Results, one for each request.
-    pub(super) exits: Vec<ProcessResult>,
+    pub(super) results: Vec<ProcessResult>,
     /// `true` if the user requested the end.
     pub(super) interrupted: bool,
 }
@@ -64,7 +64,7 @@ pub(super) enum ChildEvent<'a> {
     /// Output of custom code in the process of this index, or its log.
     Line(usize, &'a str),
     /// Announcement of how long the processes may still take to end.
-    Ending(&'a str),
+    EndAnnouncement(&'a str),
 }
 
 /// A line of a process's standard output.
@@ -90,7 +90,7 @@ pub(super) async fn execute(
     mut show: impl FnMut(ChildEvent<'_>),
 ) -> ProcessResults {
     let (sender, mut receiver) = mpsc::channel(OUTPUT_CAPACITY);
-    let mut silence = Silence::new(requests.len());
+    let mut silence_detector = SilenceDetector::new(requests.len());
     let mut reports: Vec<Option<ProgressReport>> = vec![None; requests.len()];
     let mut handle = |index: usize, output: ChildOutput, show: &mut dyn FnMut(ChildEvent<'_>)| match output {
         ChildOutput::ProgressReport(report) => {
@@ -100,37 +100,37 @@ pub(super) async fn execute(
         ChildOutput::Line(line) => show(ChildEvent::Line(index, &line)),
         ChildOutput::MeasurementEnded => {}
     };
-    let mut exits: Vec<Option<ProcessResult>> = vec![None; requests.len()];
+    let mut results: Vec<Option<ProcessResult>> = vec![None; requests.len()];
     let mut pids: Vec<Option<Pid>> = Vec::new();
     let mut measuring = MeasuringProcesses::default();
-    let mut waiting = FuturesUnordered::new();
+    let mut process_ends = FuturesUnordered::new();
     for (index, request) in requests.iter().enumerate() {
         match Child::start(index, request, sender.clone()).await {
             Ok(mut child) => {
                 pids.push(child.pid);
                 measuring.inputs.push(child.input.take());
                 measuring.indexes.insert(index);
-                waiting.push(async move { (index, child.wait_for_end().await) });
+                process_ends.push(async move { (index, child.wait_for_end().await) });
             }
             Err(error) => {
                 pids.push(None);
-                exits[index] = Some(ProcessResult { code: None, reason: Some(format!("{error:#}")) });
+                results[index] = Some(ProcessResult { code: None, reason: Some(format!("{error:#}")) });
             }
         }
     }
-    let mut ending = Ending::default();
+    let mut end_requests = EndRequests::default();
     loop {
         tokio::select! {
-            ended = waiting.next() => {
-                let Some((index, exited)) = ended else { break };
+            ended = process_ends.next() => {
+                let Some((index, result)) = ended else { break };
                 pids[index] = None;
-                exits[index] = Some(exited);
+                results[index] = Some(result);
                 measuring.remove(index);
             }
             Some((index, output)) = receiver.recv() => {
                 match output {
                     ChildOutput::MeasurementEnded => measuring.remove(index),
-                    ChildOutput::ProgressReport(_) => silence.end(index),
+                    ChildOutput::ProgressReport(_) => silence_detector.record_report(index),
                     ChildOutput::Line(_) => {}
                 }
                 handle(index, output, &mut show);
@@ -138,18 +138,18 @@ pub(super) async fn execute(
             _ = signals.next() => {
                 // Processes that have measured write their results now, even if another one hangs.
                 measuring.inputs.clear();
-                let (signal, message) = ending.request(Instant::now());
-                show(ChildEvent::Ending(&message));
+                let (signal, message) = end_requests.request(Instant::now());
+                show(ChildEvent::EndAnnouncement(&message));
                 send(&pids, signal);
             }
-            () = silence.wait() => {
-                for index in silence.newly_silent(Instant::now(), &measuring.indexes) {
-                    show(ChildEvent::Line(index, &Silence::text()));
+            () = silence_detector.wait() => {
+                for index in silence_detector.newly_silent(Instant::now(), &measuring.indexes) {
+                    show(ChildEvent::Line(index, &SilenceDetector::message()));
                 }
             }
-            () = ending.wait_for_deadline() => {
-                show(ChildEvent::Ending("killing the processes that did not end in time"));
-                send(&pids, ending.take_kill_signal());
+            () = end_requests.wait_for_deadline() => {
+                show(ChildEvent::EndAnnouncement("killing the processes that did not end in time"));
+                send(&pids, end_requests.take_kill_signal());
             }
         }
     }
@@ -158,8 +158,8 @@ pub(super) async fn execute(
     }
     let without_result = || ProcessResult { code: None, reason: None };
     ProcessResults {
-        exits: exits.into_iter().map(|exit| exit.unwrap_or_else(without_result)).collect(),
-        interrupted: ending.is_requested(),
+        results: results.into_iter().map(|result| result.unwrap_or_else(without_result)).collect(),
+        interrupted: end_requests.is_requested(),
     }
 }
 

@@ -50,23 +50,23 @@ pub(super) async fn warn_if_unreachable(aggregators: &[&Address]) {
 /// # Errors
 /// When there is no folder for the state of the hosts (69).
 pub(super) async fn deliver(plan: &Plan, signals: &mut Signals, quiet: bool) -> Result<(), Failure> {
-    let mut waiting = Vec::new();
+    let mut hosts_with_events = Vec::new();
     for host in hosts(plan)? {
         // A spool that cannot be read is skipped: `describe_undelivered` reports it when the command ends.
         if host.spool.exists() && pending_events(&host.spool).await.is_ok_and(|events| events > 0) {
-            waiting.push(host);
+            hosts_with_events.push(host);
         }
     }
-    let mut unreachable: Vec<&Address> = Vec::new();
-    let mut announced: Vec<&Address> = Vec::new();
-    for host in &waiting {
+    let mut unreachable_aggregators: Vec<&Address> = Vec::new();
+    let mut reached_aggregators: Vec<&Address> = Vec::new();
+    for host in &hosts_with_events {
         let aggregator = &host.aggregator;
-        if unreachable.contains(&aggregator) {
+        if unreachable_aggregators.contains(&aggregator) {
             continue;
         }
-        if !announced.contains(&aggregator) {
+        if !reached_aggregators.contains(&aggregator) {
             if reach_aggregator(aggregator).await.is_err() {
-                unreachable.push(aggregator);
+                unreachable_aggregators.push(aggregator);
                 continue;
             }
             if !quiet {
@@ -74,7 +74,7 @@ pub(super) async fn deliver(plan: &Plan, signals: &mut Signals, quiet: bool) -> 
                     "delivering the events that wait for the aggregator at {aggregator}"
                 ));
             }
-            announced.push(aggregator);
+            reached_aggregators.push(aggregator);
         }
         tokio::select! {
             result = deliver_events_of(host) => result.err().iter().for_each(print_to_stderr),

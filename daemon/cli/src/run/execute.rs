@@ -74,7 +74,9 @@ impl Execution<'_> {
                 ChildEvent::Line(user, line) if requests.len() > 1 => {
                     return progress.print_line(format_args!("user {}: {line}", user + 1));
                 }
-                ChildEvent::Line(_, line) | ChildEvent::Ending(line) => return progress.print_line(line),
+                ChildEvent::Line(_, line) | ChildEvent::EndAnnouncement(line) => {
+                    return progress.print_line(line);
+                }
                 ChildEvent::ProgressReport(reports) => combine(reports),
             };
             let Some(report) = report else { return };
@@ -150,8 +152,9 @@ pub(super) fn run_result(
     process_results: &ProcessResults,
     seconds: f64,
 ) -> RunResult {
-    let first_failure = process_results.exits.iter().enumerate().find(|(_, exit)| !exit.is_successful());
-    let Some((user, exit)) = first_failure else {
+    let first_failure =
+        process_results.results.iter().enumerate().find(|(_, result)| !result.is_successful());
+    let Some((user, result)) = first_failure else {
         return RunResult { status: RunStatus::Finished, exit: Some(0), reason: None, seconds };
     };
     // The results decide, as they do for the aggregator: all iterations may have been tried although some failed, and
@@ -164,9 +167,9 @@ pub(super) fn run_result(
         RunStatus::Failed
     };
     let user_prefix =
-        if process_results.exits.len() > 1 { format!("user {}: ", user + 1) } else { String::new() };
-    let reason = exit.reason.as_ref().map(|reason| format!("{user_prefix}{reason}"));
-    RunResult { status, exit: exit.code, reason, seconds }
+        if process_results.results.len() > 1 { format!("user {}: ", user + 1) } else { String::new() };
+    let reason = result.reason.as_ref().map(|reason| format!("{user_prefix}{reason}"));
+    RunResult { status, exit: result.code, reason, seconds }
 }
 
 /// Combines the progress of several users (edges at the same time): the sums of their counts, and their totals together.

@@ -7,7 +7,7 @@ use std::process::ExitStatus;
 use crate::exit::Exit;
 
 /// Exit codes of a failure, which is printed in one line. Libraries may have printed other lines before it.
-const ONE_LINE_EXITS: [Exit; 7] = [
+const FAILURE_EXITS: [Exit; 7] = [
     Exit::Data,
     Exit::NoInput,
     Exit::Unavailable,
@@ -35,7 +35,7 @@ pub(super) fn exit_reason(status: ExitStatus, error_lines: &VecDeque<String>) ->
 /// lines: it is the whole output.
 fn message(error_lines: &VecDeque<String>, code: Option<i32>) -> Option<String> {
     let ends_with_failure =
-        code.is_some_and(|code| ONE_LINE_EXITS.iter().any(|exit| code == i32::from(*exit as u8)));
+        code.is_some_and(|code| FAILURE_EXITS.iter().any(|exit| code == i32::from(*exit as u8)));
     let lines: Vec<&str> =
         error_lines.iter().map(|line| line.trim_end()).filter(|line| !line.is_empty()).collect();
     let first = match ends_with_failure {

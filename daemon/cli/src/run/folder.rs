@@ -80,7 +80,7 @@ impl Folder {
     /// Returns the folder of a run's results. If the run has several users (edges at the same time), returns the folder
     /// of each user's results.
     pub(super) fn results(&self, plan: &Plan, run: &Run) -> Vec<PathBuf> {
-        let folder = self.run(run);
+        let folder = self.run_dir(run);
         match plan.configuration(run).users {
             1 => vec![folder],
             users => (1..=users).map(|user| folder.join(format!("user-{user}"))).collect(),
@@ -148,7 +148,7 @@ impl Folder {
     /// # Errors
     /// When something cannot be removed (73).
     pub(super) fn remove(&self, run: &Run) -> Result<(), Failure> {
-        let folder = self.run(run);
+        let folder = self.run_dir(run);
         match fs::remove_dir_all(&folder) {
             Err(error) if error.kind() != ErrorKind::NotFound => Err(cannot_remove(&folder, &error)),
             _ => Ok(()),
@@ -163,7 +163,7 @@ impl Folder {
         let _ = fs::remove_dir(&self.path);
     }
 
-    fn run(&self, run: &Run) -> PathBuf {
+    fn run_dir(&self, run: &Run) -> PathBuf {
         self.path.join(RUNS).join(&run.folder)
     }
 }

@@ -12,7 +12,7 @@ mod arguments;
 mod check;
 mod children;
 mod delivery;
-mod ending;
+mod end_requests;
 mod estimate;
 mod execute;
 mod exit_reason;
@@ -24,8 +24,8 @@ mod plan;
 mod plan_differences;
 mod relative_paths;
 mod report;
-mod sensors;
-mod silence;
+mod sensors_table;
+mod silence_detector;
 mod state;
 mod table;
 mod trial;
@@ -173,7 +173,7 @@ async fn execute_experiment(
         return Err(failure);
     }
     let Some(folder) = folder else { return Ok(()) };
-    if !to_do.is_empty() && !arguments.yes && !is_confirmed(&mut signals).await {
+    if !to_do.is_empty() && !arguments.yes && !confirm(&mut signals).await {
         discard(Some(folder), &record);
         return Err(Failure::new(Exit::Interrupted, anyhow!("not started")));
     }
@@ -203,8 +203,8 @@ async fn execute_experiment(
     let aggregators = aggregators(&record.plan, &record.plan.runs);
     for aggregator in &aggregators {
         let runs = format_args!("the runs of experiment {}", record.plan.name);
-        let has_all = !undelivered.iter().any(|events| events.is_for(aggregator));
-        print_to_stdout(dashboard_hint(runs, aggregator, has_all));
+        let is_delivered = !undelivered.iter().any(|events| events.is_for(aggregator));
+        print_to_stdout(dashboard_hint(runs, aggregator, is_delivered));
     }
     delivery::describe_undelivered(&undelivered, &aggregators).iter().for_each(print_to_stderr);
     // Runs that were finished by an earlier command count, too, so that repeating a command gives the same exit code.
@@ -218,10 +218,10 @@ async fn execute_experiment(
             "not all figures of the experiment are drawn; the tables are complete, and `peernet plot {path_text}` draws the figures"
         ));
         // A failure of the runs is reported, too; the exit code of the figures takes precedence.
-        verdict(&record, &selected_runs, interrupted).err().iter().for_each(print_to_stderr);
+        result_of_runs(&record, &selected_runs, interrupted).err().iter().for_each(print_to_stderr);
         return Err(Failure::new(Exit::Unwritten, error));
     }
-    verdict(&record, &selected_runs, interrupted)
+    result_of_runs(&record, &selected_runs, interrupted)
 }
 
 /// Removes everything of an experiment that is restarted.
@@ -258,11 +258,11 @@ fn estimates(record: &Record, trial_results: &TrialResults) -> Estimates {
 /// Returns a failure with the reasons of all failed trials and their configurations; `None` if no trial failed.
 fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Option<Failure> {
     let (_, first) = trial_results.unavailable.first()?;
-    let is_wrong = |exit: &ProcessResult| exit.code == Some(i32::from(Exit::Configuration as u8));
+    let is_wrong = |result: &ProcessResult| result.code == Some(i32::from(Exit::Configuration as u8));
     let exit = if is_wrong(first) { Exit::Configuration } else { Exit::Unavailable };
     let mut reasons: Vec<&str> = Vec::new();
-    let reason = |exit: &ProcessResult| match &exit.reason {
-        Some(reason) if is_wrong(exit) => {
+    let reason = |result: &ProcessResult| match &result.reason {
+        Some(reason) if is_wrong(result) => {
             format!("{}: {}", file.display(), check::with_experiment_keys(reason))
         }
         Some(reason) => reason.clone(),
@@ -271,7 +271,7 @@ fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Opti
     let all: Vec<(String, String)> = trial_results
         .unavailable
         .iter()
-        .map(|(configuration, exit)| (reason(exit), configuration.clone()))
+        .map(|(configuration, result)| (reason(result), configuration.clone()))
         .collect();
     for (reason, _) in &all {
         if !reasons.contains(&reason.as_str()) {
@@ -294,7 +294,7 @@ fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Opti
 }
 
 /// Asks for confirmation if standard input is a terminal.
-async fn is_confirmed(signals: &mut Signals) -> bool {
+async fn confirm(signals: &mut Signals) -> bool {
     // Scripts cannot answer.
     if !std::io::stdin().is_terminal() {
         return true;
@@ -342,7 +342,7 @@ fn summary(record: &Record) -> String {
 }
 
 /// Returns the failure for the selected runs, if any.
-fn verdict(record: &Record, selected_runs: &[Run], interrupted: bool) -> Result<(), Failure> {
+fn result_of_runs(record: &Record, selected_runs: &[Run], interrupted: bool) -> Result<(), Failure> {
     let states = || selected_runs.iter().filter_map(|run| record.states.get(run.number - 1));
     let failed = states().filter(|state| state.status == RunStatus::Failed).count();
     let finished = || states().filter(|state| state.status == RunStatus::Finished);

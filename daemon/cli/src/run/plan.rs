@@ -21,9 +21,9 @@ use serde_json::Value;
 use super::file::{Configuration, Experiment, Order};
 
 /// Maximum length of a label in a folder's name.
-const MAX_LABEL: usize = 24;
+const MAX_LABEL_CHARS: usize = 24;
 /// Maximum length of a folder's name without its number and repeat.
-const MAX_NAME: usize = 120;
+const MAX_NAME_CHARS: usize = 120;
 
 /// The runs in order, and all data from which they are derived.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -193,9 +193,9 @@ pub(super) fn describe_labels(labels: &[(String, String)]) -> String {
 fn name_suffix(labels: &[(String, String)]) -> String {
     let plain_char =
         |char: char| if char.is_ascii_alphanumeric() || "._".contains(char) { char } else { '-' };
-    let label = |label: &String| label.chars().take(MAX_LABEL).map(plain_char).collect::<String>();
+    let label = |label: &String| label.chars().take(MAX_LABEL_CHARS).map(plain_char).collect::<String>();
     let mut name: String = labels.iter().map(|(_, text)| format!("-{}", label(text))).collect();
-    name.truncate(MAX_NAME);
+    name.truncate(MAX_NAME_CHARS);
     name
 }
 

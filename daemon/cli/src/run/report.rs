@@ -20,7 +20,7 @@ use peernet_stream::Grade;
 
 use super::folder::Folder;
 use super::plan::Run;
-use super::sensors::Sensors;
+use super::sensors_table::SensorsTable;
 use super::state::Record;
 use crate::compare::{default_baseline, difference_tables, differences, join_texts};
 use crate::experiment::unfinished_runs_note;
@@ -46,7 +46,7 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
     // The runs are in the order of the file, not in the order in which they were measured.
     runs.sort_by_key(|run| (run.configuration, run.repeat));
     let loaded = runs.iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
-    let (sensors, trust) = (Sensors::from_runs(&record.plan, &runs, &loaded), trust(&loaded));
+    let (sensors, trust) = (SensorsTable::from_runs(&record.plan, &runs, &loaded), trust(&loaded));
     let all: Vec<Loaded> = loaded.into_iter().flatten().collect();
     let users = Users::from_runs(&all);
     let mut comparison = Comparison::new(&all);

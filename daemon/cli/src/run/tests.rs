@@ -343,9 +343,10 @@ fn exit_code_reports_failed_and_incomplete_runs() {
         record.start_run(run);
         record.end_run(run, result_with(RunStatus::Finished));
     }
-    assert!(verdict(&record, &runs, false).is_ok());
+    assert!(result_of_runs(&record, &runs, false).is_ok());
     record.end_run(&runs[1], RunResult { exit: Some(75), ..result_with(RunStatus::Finished) });
-    let code = |record: &Record, interrupted| verdict(record, &runs, interrupted).expect_err("not well");
+    let code =
+        |record: &Record, interrupted| result_of_runs(record, &runs, interrupted).expect_err("not well");
     assert!(code(&record, false).to_string().contains("1 run with failed iterations"));
     record.end_run(&runs[0], result_with(RunStatus::Failed));
     let failed = code(&record, false);
@@ -370,7 +371,7 @@ fn run_without_figures_is_finished() {
         code: Some(73),
         reason: Some("not all figures are drawn: the disk is full".to_owned()),
     };
-    let process_results = ProcessResults { exits: vec![unwritten], interrupted: false };
+    let process_results = ProcessResults { results: vec![unwritten], interrupted: false };
     let status = || run_result(&folder, &record, run, &process_results, 1.0).status;
     assert_eq!(status(), RunStatus::Failed, "there are no results");
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
@@ -391,7 +392,7 @@ fn run_stopped_after_its_results_is_finished() {
     let record = record(temporary.path());
     let run = &record.plan.runs[0];
     let killed = ProcessResult { code: None, reason: None };
-    let process_results = ProcessResults { exits: vec![killed], interrupted: true };
+    let process_results = ProcessResults { results: vec![killed], interrupted: true };
     let status = || run_result(&folder, &record, run, &process_results, 1.0).status;
     assert_eq!(status(), RunStatus::Interrupted, "there are no results");
     write_results(&folder.results(&record.plan, run)[0], &record.plan.experiment_position(run, &record.id));

@@ -78,11 +78,11 @@ pub(super) async fn configurations(
         let descriptions = || configurations.iter().map(|index| describe_configuration(plan, *index));
         let state = format!("trying {} of {}: {}", done + 1, trials.len(), describe_group(descriptions()));
         let peer = peer_address(request);
-        if let Some((address, exit)) = unreachable.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
+        if let Some((address, result)) = unreachable.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
             if !quiet {
                 progress.print_line(format_args!("{state}: skipped, {address} is unreachable"));
             }
-            results.unavailable.extend(descriptions().map(|description| (description, exit.clone())));
+            results.unavailable.extend(descriptions().map(|description| (description, result.clone())));
             continue;
         }
         if !quiet {
@@ -93,7 +93,7 @@ pub(super) async fn configurations(
         let requests = [RunRequest { folder: results_dir.clone(), ..request.clone() }];
         let share = done as f64 / trials.len() as f64;
         let mut process_results = children::execute(&requests, signals, |event| match event {
-            ChildEvent::Line(_, line) | ChildEvent::Ending(line) => progress.print_line(line),
+            ChildEvent::Line(_, line) | ChildEvent::EndAnnouncement(line) => progress.print_line(line),
             ChildEvent::ProgressReport(reports) => {
                 let (now, trouble) =
                     (clock.mono(), reports.iter().flatten().find_map(|report| report.trouble.clone()));
@@ -108,9 +108,9 @@ pub(super) async fn configurations(
         }
         let loaded = ResultFolder::open(&results_dir).ok();
         let duration_s = (clock.mono() - began).seconds();
-        match process_results.exits.pop() {
-            Some(exit) if exit.is_successful() || has_answer(&exit, loaded.as_ref()) => {
-                if let Some(reason) = exit.reason.filter(|_| !quiet) {
+        match process_results.results.pop() {
+            Some(result) if result.is_successful() || has_answer(&result, loaded.as_ref()) => {
+                if let Some(reason) = result.reason.filter(|_| !quiet) {
                     progress.print_line(format_args!(
                         "{state}: {reason}; runs count failed iterations and go on"
                     ));
@@ -119,14 +119,14 @@ pub(super) async fn configurations(
                 let pace = pace(loaded.as_ref().map_or(&no_rows, |loaded| &loaded.rows), duration_s);
                 configurations.iter().for_each(|index| results.paces[*index] = pace);
             }
-            Some(exit) => {
-                let exit = describe_failure(request, exit);
+            Some(result) => {
+                let result = describe_failure(request, result);
                 // A trial that took as long as the timeout failed because it waited for the peer; a shorter one
                 // failed for another reason, which says nothing about the peer.
                 if duration_s >= request.peer_timeout_s.unwrap_or(PEER_TIMEOUT_S) {
-                    unreachable.extend(peer.map(|peer| (peer, exit.clone())));
+                    unreachable.extend(peer.map(|peer| (peer, result.clone())));
                 }
-                results.unavailable.extend(descriptions().map(|description| (description, exit.clone())));
+                results.unavailable.extend(descriptions().map(|description| (description, result.clone())));
             }
             None => {}
         }
@@ -186,7 +186,7 @@ fn peer_address(request: &RunRequest) -> Option<Address> {
 }
 
 /// Adds to the failure of a sensor that the trial had no actuator, on which the sensor may depend.
-fn describe_failure(request: &RunRequest, exit: ProcessResult) -> ProcessResult {
+fn describe_failure(request: &RunRequest, result: ProcessResult) -> ProcessResult {
     let has_actuator = request.tried_actuator.as_ref().is_some_and(ActuatorKind::acts);
     let explain = |reason: String| match reason.contains(SENSOR) && has_actuator {
         true => format!(
@@ -195,7 +195,7 @@ fn describe_failure(request: &RunRequest, exit: ProcessResult) -> ProcessResult 
         ),
         false => reason,
     };
-    ProcessResult { reason: exit.reason.map(explain), ..exit }
+    ProcessResult { reason: result.reason.map(explain), ..result }
 }
 
 /// Makes the request for a trial: the configuration with few iterations, without an actuator and without an aggregator.
@@ -231,8 +231,8 @@ fn trial_request(plan: &Plan, configuration: &Configuration) -> RunRequest {
 
 /// Returns whether a trial succeeded in part: some of its iterations have an answer and some failed. The configuration can
 /// be measured then, because failed iterations are part of a result.
-fn has_answer(exit: &ProcessResult, loaded: Option<&Loaded>) -> bool {
-    let is_incomplete = exit.code == Some(i32::from(Exit::Incomplete as u8));
+fn has_answer(result: &ProcessResult, loaded: Option<&Loaded>) -> bool {
+    let is_incomplete = result.code == Some(i32::from(Exit::Incomplete as u8));
     is_incomplete && loaded.is_some_and(|loaded| loaded.rows.iter().any(|row| row.is_in_statistics()))
 }
 

@@ -10,8 +10,8 @@ use peernet_agent::config::{
     SpoolConfig,
 };
 use peernet_aggregator::{Aggregator, AggregatorConfig};
-use peernet_cli::expected::describe_error;
 use peernet_cli::renamed_tables::{RENAMED_TABLES, RenamedTable};
+use peernet_cli::toml_errors::describe_error;
 use peernet_cli::{clock, small_file};
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_inference::{BankConfig, ModelConfig, OnnxRuntimeConfig};

@@ -226,7 +226,7 @@ fn name_axes(problem: ConfigurationError, combination: &Combination<'_>) -> Conf
                 .sets
                 .iter()
                 // An unknown field is named in the text only, in backticks as serde writes it.
-                .any(|(set, _)| set.touches(&field) || text.contains(&format!("`{}`", set.key())))
+                .any(|(set, _)| set.overlaps(&field) || text.contains(&format!("`{}`", set.key())))
         })
         .map(|(axis, value)| format!("{} = {}", axis.name, value.label))
         .collect();

@@ -22,14 +22,14 @@ enum Step {
 pub(in crate::run) enum FieldError {
     #[error("{0:?} is not the path of a field; write it as pipeline.placement.model")]
     Path(String),
-    #[error("{path:?} is not the path of a field: {place:?} is not an index of a list; indices start at 0")]
-    Index { path: String, place: String },
+    #[error("{path:?} is not the path of a field: {index:?} is not an index of a list; indices start at 0")]
+    Index { path: String, index: String },
     #[error("there is no {field}: {list} has {count} entries, and indices start at 0")]
     NoEntry { field: Field, list: Field, count: usize },
-    #[error("there is no {field}: {place} is not a table")]
-    NoTable { field: Field, place: Field },
-    #[error("there is no {field}: {place} is not a list")]
-    NoList { field: Field, place: Field },
+    #[error("there is no {field}: {parent} is not a table")]
+    NoTable { field: Field, parent: Field },
+    #[error("there is no {field}: {parent} is not a list")]
+    NoList { field: Field, parent: Field },
 }
 
 impl Field {
@@ -50,7 +50,7 @@ impl Field {
             for index in indices.split_terminator(']') {
                 let number = index.strip_prefix('[').and_then(|number| number.parse().ok());
                 let number = number
-                    .ok_or_else(|| FieldError::Index { path: text.to_owned(), place: format!("{index}]") })?;
+                    .ok_or_else(|| FieldError::Index { path: text.to_owned(), index: format!("{index}]") })?;
                 steps.push(Step::Index(number));
             }
         }
@@ -75,14 +75,14 @@ impl Field {
     }
 
     /// Returns whether one of the two paths is a prefix of the other.
-    pub(super) fn touches(&self, other: &Self) -> bool {
+    pub(super) fn overlaps(&self, other: &Self) -> bool {
         self.0.iter().zip(&other.0).all(|(a, b)| a == b)
     }
 
     /// Returns whether setting this field overwrites the other field, either directly or because this field contains
     /// it.
     pub(super) fn covers(&self, other: &Self) -> bool {
-        self.0.len() <= other.0.len() && self.touches(other)
+        self.0.len() <= other.0.len() && self.overlaps(other)
     }
 
     /// Sets the field to a value and creates missing tables on the way.
@@ -110,10 +110,10 @@ impl Field {
                     list.get_mut(*index).ok_or_else(no_entry)?
                 }
                 (Step::Key(_), _) => {
-                    return Err(FieldError::NoTable { field: self.clone(), place: path_so_far() });
+                    return Err(FieldError::NoTable { field: self.clone(), parent: path_so_far() });
                 }
                 (Step::Index(_), _) => {
-                    return Err(FieldError::NoList { field: self.clone(), place: path_so_far() });
+                    return Err(FieldError::NoList { field: self.clone(), parent: path_so_far() });
                 }
             };
         }
@@ -171,8 +171,8 @@ mod tests {
     #[test]
     fn fields_overlap_if_one_contains_the_other() {
         let field = |text| Field::read(text).expect("a path");
-        assert!(field("a.b").touches(&field("a.b.c")) && field("a.b.c").touches(&field("a.b")));
-        assert!(!field("a.b").touches(&field("a.c")) && !field("a[0]").touches(&field("a[1]")));
+        assert!(field("a.b").overlaps(&field("a.b.c")) && field("a.b.c").overlaps(&field("a.b")));
+        assert!(!field("a.b").overlaps(&field("a.c")) && !field("a[0]").overlaps(&field("a[1]")));
         assert!(field("a.b").covers(&field("a.b.c")) && !field("a.b.c").covers(&field("a.b")));
         assert_eq!((field("a.b[1]").table(), field("a.b[1]").key()), ("a", "b"));
     }

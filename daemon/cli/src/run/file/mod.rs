@@ -7,22 +7,22 @@ mod axis;
 mod configuration;
 mod experiment;
 mod field;
+mod field_override;
 mod matrix;
 mod peers;
-mod set;
 
 pub(super) use axis::Axis;
 pub(super) use configuration::Configuration;
 pub(super) use experiment::{Experiment, Order};
-pub(super) use set::FieldOverride;
+pub(super) use field_override::FieldOverride;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use crate::expected::describe_error;
 use crate::renamed_tables::rename_tables;
 use crate::small_file;
+use crate::toml_errors::describe_error;
 use anyhow::{Context, anyhow};
 use peernet_analysis::record::NetworkConfig;
 use toml::{Table, Value};

@@ -2,23 +2,24 @@
 
 use toml::de::Error;
 
-/// Words for serde's names of types. The range of a number is reported by a later check.
-const WORDS: [(&str, &str); 3] =
+/// Prefixes of serde's names of types, such as `u64` and `a nonzero u64`, and the words for these types. A later check
+/// reports the range of a number.
+const TYPE_WORDS: [(&str, &str); 3] =
     [("a nonzero ", "a whole number above 0"), ("u", "a whole number from 0"), ("i", "a whole number")];
 
-/// Returns the text of the error in words for users.
+/// Returns the text of the error with words instead of names of Rust types.
 pub fn describe_error(error: &Error) -> String {
     let text = error.message();
-    let Some((problem, kind)) = text.rsplit_once(", expected ") else { return text.to_owned() };
-    if kind.starts_with("struct ") {
+    let Some((problem, type_name)) = text.rsplit_once(", expected ") else { return text.to_owned() };
+    if type_name.starts_with("struct ") {
         return format!("{problem}, expected a table");
     }
-    for (prefix, words) in WORDS {
-        if kind.strip_prefix(prefix).is_some_and(is_size_or_type) {
+    for (prefix, words) in TYPE_WORDS {
+        if type_name.strip_prefix(prefix).is_some_and(is_size_or_type) {
             return format!("{problem}, expected {words}");
         }
     }
-    if matches!(kind, "f32" | "f64") { format!("{problem}, expected a number") } else { text.to_owned() }
+    if matches!(type_name, "f32" | "f64") { format!("{problem}, expected a number") } else { text.to_owned() }
 }
 
 /// Returns whether `rest` is the `64` of `u64`, the `size` of `usize`, or the whole type after `a nonzero`.
@@ -36,7 +37,7 @@ mod tests {
     use super::*;
 
     #[derive(Debug, Deserialize)]
-    #[expect(dead_code, reason = "only what cannot be read is looked at")]
+    #[expect(dead_code, reason = "the test looks at errors only, and no value is read")]
     struct Numbers {
         threads: Option<NonZeroUsize>,
         milliseconds: Option<u64>,

@@ -12,14 +12,14 @@ const NOTE: &str = "Milliseconds. Period: from one sample to the next, mean ± s
 const UNNUMBERED: &str = " A sensor that does not number its samples cannot tell which it dropped (—).";
 
 /// Table with a line for each edge that measured only a sensor.
-pub(super) struct Sensors {
+pub(super) struct SensorsTable {
     table: Table,
     note: String,
     /// `true` if all runs measure only a sensor.
     pub(super) covers_all_runs: bool,
 }
 
-impl Sensors {
+impl SensorsTable {
     /// Makes the table of the edges that measured only a sensor; `None` if there are none.
     pub(super) fn from_runs(plan: &Plan, runs: &[&Run], loaded: &[Vec<Loaded>]) -> Option<Self> {
         let edges: Vec<(&Run, &Loaded)> =

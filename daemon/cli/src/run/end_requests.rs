@@ -14,12 +14,12 @@ const SECOND_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The user's requests to end and their deadlines.
 #[derive(Debug, Default)]
-pub(super) struct Ending {
+pub(super) struct EndRequests {
     requests: u32,
     deadline: Option<Instant>,
 }
 
-impl Ending {
+impl EndRequests {
     /// Handles a request. Returns the signal for the processes and a text for the user.
     pub(super) fn request(&mut self, now: Instant) -> (Signal, String) {
         self.requests += 1;
@@ -74,27 +74,27 @@ mod tests {
 
     #[test]
     fn each_request_shortens_deadline() {
-        let (mut ending, began) = (Ending::default(), Instant::now());
+        let (mut end_requests, began) = (EndRequests::default(), Instant::now());
         let at = |seconds: u64| began + Duration::from_secs(seconds);
-        assert!(!ending.is_requested());
-        let (signal, message) = ending.request(at(0));
+        assert!(!end_requests.is_requested());
+        let (signal, message) = end_requests.request(at(0));
         assert!(signal == Signal::INT && message.contains("1 min"), "{message}");
-        assert_eq!((ending.is_requested(), ending.deadline), (true, Some(at(60))));
-        let (signal, message) = ending.request(at(53));
+        assert_eq!((end_requests.is_requested(), end_requests.deadline), (true, Some(at(60))));
+        let (signal, message) = end_requests.request(at(53));
         assert!(
             signal == Signal::TERM && message.contains("within 7.0 s"),
             "not more than was promised: {message}"
         );
-        assert_eq!(ending.deadline, Some(at(60)));
-        assert_eq!(ending.request(at(54)).0, Signal::KILL);
-        assert_eq!(ending.deadline, None);
+        assert_eq!(end_requests.deadline, Some(at(60)));
+        assert_eq!(end_requests.request(at(54)).0, Signal::KILL);
+        assert_eq!(end_requests.deadline, None);
     }
 
     #[test]
     fn deadline_after_second_request_is_short() {
-        let (mut ending, began) = (Ending::default(), Instant::now());
-        ending.request(began);
-        ending.request(began + Duration::from_secs(1));
-        assert_eq!(ending.deadline, Some(began + Duration::from_secs(11)));
+        let (mut end_requests, began) = (EndRequests::default(), Instant::now());
+        end_requests.request(began);
+        end_requests.request(began + Duration::from_secs(1));
+        assert_eq!(end_requests.deadline, Some(began + Duration::from_secs(11)));
     }
 }

@@ -9,20 +9,20 @@ use tokio::time::Instant;
 const SILENCE: Duration = Duration::from_secs(30);
 
 /// Detects processes that report no progress. A process reports it several times a second, also while it waits.
-pub(super) struct Silence {
+pub(super) struct SilenceDetector {
     /// Time of the last report of each process; `None` if its silence was already shown.
     last_reports: Vec<Option<Instant>>,
     next_check: Instant,
 }
 
-impl Silence {
+impl SilenceDetector {
     pub(super) fn new(processes: usize) -> Self {
         let now = Instant::now();
         Self { last_reports: vec![Some(now); processes], next_check: now + SILENCE }
     }
 
     /// Notes a report of a process.
-    pub(super) fn end(&mut self, index: usize) {
+    pub(super) fn record_report(&mut self, index: usize) {
         self.last_reports[index] = Some(Instant::now());
     }
 
@@ -42,7 +42,7 @@ impl Silence {
     }
 
     /// Returns the text about a silent process, for its user.
-    pub(super) fn text() -> String {
+    pub(super) fn message() -> String {
         format!(
             "its process has reported no progress for {} s: it is stopped, or this machine is overloaded; Ctrl-C ends the run",
             SILENCE.as_secs()
@@ -56,17 +56,17 @@ mod tests {
 
     #[test]
     fn silent_process_is_returned_once_until_it_reports() {
-        let mut silence = Silence::new(3);
+        let mut detector = SilenceDetector::new(3);
         let start = Instant::now();
         let measuring = BTreeSet::from([0, 2]);
-        assert_eq!(silence.newly_silent(start + SILENCE / 2, &measuring), [0; 0]);
+        assert_eq!(detector.newly_silent(start + SILENCE / 2, &measuring), [0; 0]);
         assert_eq!(
-            silence.newly_silent(start + SILENCE * 2, &measuring),
+            detector.newly_silent(start + SILENCE * 2, &measuring),
             [0, 2],
             "process 1 does not measure"
         );
-        assert_eq!(silence.newly_silent(start + SILENCE * 3, &measuring), [0; 0]);
-        silence.end(2);
-        assert_eq!(silence.newly_silent(start + SILENCE * 4, &measuring), [2]);
+        assert_eq!(detector.newly_silent(start + SILENCE * 3, &measuring), [0; 0]);
+        detector.record_report(2);
+        assert_eq!(detector.newly_silent(start + SILENCE * 4, &measuring), [2]);
     }
 }

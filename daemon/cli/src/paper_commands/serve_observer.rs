@@ -197,8 +197,8 @@ impl RunObserver for ServeObserver {
 
     fn poll_state(&mut self, running: &RunningAgent) -> Option<AgentEnd<LoadError>> {
         // The observer polls the load, so that signals are handled while a large model is loaded.
-        if let Some(ended) = self.load(running) {
-            return Some(ended);
+        if let Some(end) = self.load(running) {
+            return Some(end);
         }
         let served = running.served_counts().borrow().clone();
         let inference =
