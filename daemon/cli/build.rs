@@ -1,5 +1,6 @@
 //! Adds the commit to `--version`: the commit in `PEERNET_COMMIT`, which packagers set, otherwise the commit of the git
-//! checkout, otherwise the text `commit unknown`. `-dirty` means that the sources of the program differ from the commit.
+//! checkout, otherwise the text `commit unknown`. `-dirty` means that the sources of the program differ from the
+//! commit.
 
 use std::path::PathBuf;
 use std::process::Command;

@@ -1,5 +1,5 @@
-//! Shortening of texts that quote a value from the command line or a file. Such a value may have thousands of characters
-//! and lines.
+//! Shortening of texts that quote a value from the command line or a file. Such a value may have thousands of
+//! characters and lines.
 
 use std::borrow::Cow;
 

@@ -16,7 +16,8 @@ pub struct ShutdownRequests {
 }
 
 impl ShutdownRequests {
-    /// Records a signal that arrives at `now`. Returns whether it is a new request; otherwise it repeats the last request.
+    /// Records a signal that arrives at `now`. Returns whether it is a new request; otherwise it repeats the last
+    /// request.
     pub fn is_new_request(&mut self, kind: SignalKind, now: Instant) -> bool {
         let repeats = |(last_kind, last_at): (SignalKind, Instant)| {
             last_kind == kind && now - last_at < SAME_REQUEST_PERIOD

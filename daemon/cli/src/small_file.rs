@@ -10,9 +10,9 @@ pub const MAX_BYTES: u64 = 1 << 20;
 
 /// Reads a regular file or a pipe of at most `max_bytes` bytes.
 ///
-/// A device, a terminal or a recording that is named by mistake could be read without an end, so the kind of file and the
-/// size are limited. A pipe is `<(…)` or
-/// `/dev/stdin` of a shell; it can be read once, and is read until its writer has closed it.
+/// A device, a terminal or a recording that is named by mistake could be read without an end, so the kind of file and
+/// the size are limited. A pipe is `<(…)` or `/dev/stdin` of a shell; it can be read once, and is read until its writer
+/// has closed it.
 ///
 /// # Errors
 /// When the file cannot be read, is neither file nor pipe, is larger, or is not UTF-8.

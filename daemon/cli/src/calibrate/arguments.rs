@@ -43,7 +43,8 @@ pub(crate) struct Arguments {
     /// An agent's configuration whose tables [clock], [probes] and [clock_fault] also apply here.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
-    /// Kind of network: zmq-tcp, zmq-udp or ros [default: the kind in the address; zmq-tcp if the address is only a host].
+    /// Kind of network: zmq-tcp, zmq-udp or ros [default: the kind in the address; zmq-tcp if the address is only a
+    /// host].
     #[arg(long, value_parser = network)]
     pub(super) network: Option<NetworkKind>,
     /// Do not show the progress.

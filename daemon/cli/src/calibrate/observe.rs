@@ -155,8 +155,8 @@ impl RunObserver for SweepObserver<'_> {
         let activity = PipelineActivity::current(running);
         let wait_reason = activity.wait_reason();
         if let (Some(kind), Some(reason)) = (self.first_attempt_failure, wait_reason) {
-            // The hint is left out: it names a key of a pipeline's configuration, which a calibration does not have, and
-            // the model `calibration` needs no loading.
+            // The hint is left out: it names a key of a pipeline's configuration, which a calibration does not have,
+            // and the model `calibration` needs no loading.
             let reason = reason.strip_suffix(OpenError::LOADING_HINT).unwrap_or(reason);
             let advice = match kind {
                 IncidentKind::Refused => {

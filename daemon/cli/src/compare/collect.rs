@@ -49,8 +49,8 @@ pub(crate) fn collect(
     let experiments = Experiments::find(all);
     let mut selected = SelectedResults::new(&results, &experiments);
     if let Some(baseline) =
-        // A baseline that is not at the named paths is added in front. A baseline that is at one of these paths keeps its
-        // place.
+        // A baseline that is not at the named paths is added in front. A baseline that is at one of these paths keeps
+        // its place.
         baseline
             .filter(|_| baseline_paths.iter().any(|path| !contains_same_path(&selected.paths, path)))
     {

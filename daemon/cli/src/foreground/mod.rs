@@ -3,7 +3,8 @@
 //!
 //! Three commands use this module: `calibrate` studies a link, `measure` records a run, and the paper's `--server`
 //! serves. The commands differ in their observer ([`RunObserver`]); starting, signals and stopping are the same. Events
-//! come from the agent's tap, a channel to which the agent copies every event. The rest of the agent's state is read several times a second.
+//! come from the agent's tap, a channel to which the agent copies every event. The rest of the agent's state is read
+//! several times a second.
 
 mod agent_end;
 mod command_line;
@@ -60,8 +61,8 @@ pub(crate) trait RunObserver {
         running: Option<&RunningAgent>,
     ) -> Option<AgentEnd<Self::OwnReason>>;
 
-    /// Reads the agent's state. This method is called several times a second and after every answer to a peer. Returns a
-    /// reason if the agent is to end.
+    /// Reads the agent's state. This method is called several times a second and after every answer to a peer. Returns
+    /// a reason if the agent is to end.
     fn poll_state(&mut self, running: &RunningAgent) -> Option<AgentEnd<Self::OwnReason>>;
 
     /// Handles the decision to end. Work in progress is still waited for.

@@ -95,8 +95,8 @@ impl PeerWait {
         }
     }
 
-    /// Describes that the peer called `name` is away or silent; `None` if the peer is neither. `wait_reason` is the reason
-    /// for which the pipeline waits.
+    /// Describes that the peer called `name` is away or silent; `None` if the peer is neither. `wait_reason` is the
+    /// reason for which the pipeline waits.
     pub(crate) fn describe_trouble(
         &self,
         name: &str,
@@ -128,8 +128,8 @@ impl PeerWait {
         timeout: Span,
     ) -> Option<String> {
         let absence = now - self.last_present;
-        // Without a reason, the first attempt to connect has not ended yet. This attempt gets at least the time `SILENCE`,
-        // even if the timeout is shorter.
+        // Without a reason, the first attempt to connect has not ended yet. This attempt gets at least the time
+        // `SILENCE`, even if the timeout is shorter.
         let timeout = if wait_reason.is_none() { timeout.max(SILENCE) } else { timeout };
         let reason = wait_reason.unwrap_or(NO_MESSAGE_REASON);
         let text = || format!("gave up after {:.0} s without an answer: {reason}", absence.seconds());

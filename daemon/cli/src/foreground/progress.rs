@@ -62,8 +62,8 @@ impl Progress {
         Self { display, printed_at: now, has_trouble: false, last_reason: None, has_printed_once: false }
     }
 
-    /// Shows the text and the fraction done (0 to 1) that `state` returns. If there is `trouble`, `trouble` replaces the
-    /// text.
+    /// Shows the text and the fraction done (0 to 1) that `state` returns. If there is `trouble`, `trouble` replaces
+    /// the text.
     pub(crate) fn show(
         &mut self,
         now: MonoTime,

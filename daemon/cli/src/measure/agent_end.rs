@@ -44,10 +44,11 @@ impl AgentEnd {
             Self::Failed(reason) => {
                 incomplete(format!("{reason}; the results contain the measurements until then"))
             }
-            Self::Finished if unseen > 0 => incomplete(format!(
-                "{} measured but not recorded: this machine is too busy",
-                counted(unseen, "iteration")
-            )),
+            Self::Finished if unseen > 0 => {
+                let verb = if unseen == 1 { "was" } else { "were" };
+                let iterations = counted(unseen, "iteration");
+                incomplete(format!("{iterations} {verb} measured but not recorded: this machine is too busy"))
+            }
             Self::Finished => incomplete(describe_failed_iterations(rows)?),
             Self::OwnReason(never) => match *never {},
         }
@@ -62,9 +63,9 @@ fn describe_failed_iterations(rows: &Rows) -> Option<String> {
     let in_warm_up = counts.all_failed() == 0;
     let failed = || rows.iter().filter(|row| row.warm_up() == in_warm_up && row.outcome() != Outcome::Ok);
     let first = failed().next()?;
-    let are_actions =
+    let are_actuator_failures =
         failed().all(|row| row.reason().is_some_and(|reason| reason.starts_with(ACTUATOR_FAILED)));
-    let cause = if are_actions { " (the actuator failed to act on the answer)" } else { "" };
+    let cause = if are_actuator_failures { " (the actuator failed to act on the answer)" } else { "" };
     let (all, kind) =
         if in_warm_up { (counts.warm_up, "warm-up iteration") } else { (counts.measured(), "iteration") };
     Some(format!(
@@ -92,9 +93,12 @@ const ACTUATOR_FAILED: &str = "the actuator failed: ";
 /// Removes the repetition of the exception at the end of its traceback.
 fn without_repetition(reason: &str) -> &str {
     let exception = reason.split_once(TRACEBACK).map_or("", |(exception, _)| exception.trim_end());
-    // The agent names the part that raised the exception.
+    // The agent puts the part of the pipeline that failed before the exception: `the sensor failed: …`.
     let raised = exception.split_once(" failed: ").map(|(_, raised)| raised);
-    let shortened = [Some(exception), raised].into_iter().flatten().find_map(|end| reason.strip_suffix(end));
+    let shortened = [Some(exception), raised]
+        .into_iter()
+        .flatten()
+        .find_map(|repetition| reason.strip_suffix(repetition));
     shortened.map_or(reason, str::trim_end)
 }
 
@@ -151,7 +155,7 @@ mod tests {
         assert_eq!((failure.exit, failure.to_string().as_str()), (Exit::Incomplete, text));
 
         let lost = Rows::from_iter([row(1, Outcome::Lost)]);
-        let failure = AgentEnd::Finished.failure(&lost, 0).expect("it has none").to_string();
+        let failure = AgentEnd::Finished.failure(&lost, 0).expect("the iteration has no answer").to_string();
         assert!(failure.starts_with("1 of 1 iteration failed; iteration 1 was lost"), "{failure}");
 
         let first_is_late = [warm_up(1, Outcome::Timeout), warm_up(2, Outcome::Ok), row(3, Outcome::Ok)];
@@ -162,7 +166,7 @@ mod tests {
         let unseen = AgentEnd::Finished.failure(&answered, 3_000).expect("some are missing");
         assert!(
             unseen.exit == Exit::Incomplete
-                && unseen.to_string().starts_with("3,000 iterations measured but not recorded"),
+                && unseen.to_string().starts_with("3,000 iterations were measured but not recorded"),
             "{unseen}"
         );
 

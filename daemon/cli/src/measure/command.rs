@@ -94,8 +94,8 @@ impl ProgressDisplay for JsonProgress {
             return;
         }
         print_to_stdout(MEASUREMENT_ENDED);
-        // The parent sends nothing, so this reads until it closes the pipe. After an error there is nothing to wait
-        // for.
+        // The parent sends nothing more, so reading ends when the parent closes the pipe. After an error there is
+        // nothing to wait for.
         if let Err(error) = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink()) {
             tracing::debug!(%error, "cannot wait for the other edges of the run");
         }

@@ -45,7 +45,7 @@ use crate::foreground::{AgentEnd, AgentResult, ReadyAgent};
 use recorder::RunRecorder;
 use results::{Results, WrittenFiles};
 
-/// A run with rows.
+/// Results of a run that has at least one row.
 pub(crate) struct MeasuredRun {
     /// Reason why the agent ended.
     pub(crate) end: AgentEnd,
@@ -110,6 +110,7 @@ pub(crate) fn measure(
             results.discard();
             return Err(failure);
         }
+        // The agent failed after iterations were recorded, so the run has results.
         (Err(failure), recorded) => (
             AgentResult { end: AgentEnd::Failed(failure.to_string()), name: String::new(), missed_events: 0 },
             recorded,
@@ -125,13 +126,13 @@ pub(crate) fn measure(
     let WrittenFiles { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);
     let is_written = !files.is_empty();
     // If the rows did not fit on the disk, the earlier results may have been restored to the folder. Then nothing is
-    // added to them.
+    // added to the earlier results.
     match is_written.then(|| write_sensor_study(&record, &recorded.rows, &folder)).transpose() {
         Ok(written) => files.extend(written.flatten()),
         Err(error) => trouble = trouble.or_else(|| Some(error.to_string())),
     }
     if request.plots && !is_written {
-        // Figures would use the space that the rows did not get.
+        // The disk has no space for the rows, so it has none for figures.
         trouble = trouble.map(|trouble| format!("{trouble}; no figure is drawn"));
     } else if request.plots {
         match figures::of_run(&record, &recorded.rows, &folder) {

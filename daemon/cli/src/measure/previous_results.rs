@@ -1,8 +1,8 @@
 //! Safe replacement of earlier results: they are kept until the new results are complete.
 //!
 //! A run can be killed at any moment. `run.json` shows the state: it is the first file that is moved away, the last
-//! file that is restored, and the last important file that a new run writes. If it is in the folder, the results
-//! there are complete and the moved results are obsolete.
+//! file that is restored, and the last important file that a new run writes. If `run.json` is in
+//! the folder of the results, the results there are complete and the moved results are obsolete.
 
 use std::fs::{File, read_dir, remove_file, rename};
 use std::io::{BufRead, BufReader, ErrorKind};
@@ -18,12 +18,13 @@ use tempfile::TempDir;
 const PREFIX: &str = ".replaced-";
 /// The file that marks results as complete.
 const RECORD: &str = "run.json";
+/// The file with the rows.
 const DATA: &str = "data.csv";
 /// Beginnings of the names of files with rows of runs without results.
 const ROWS_WITHOUT_RESULTS: [&str; 2] = [KILLED_ROWS, UNFINISHED_ROWS];
-/// Beginning of the file name of the rows of a killed run.
+/// Beginning of the name of a file with the rows of a killed run.
 const KILLED_ROWS: &str = "killed";
-/// Beginning of the file name of the rows of a run whose results did not fit on the disk.
+/// Beginning of the name of a file with the rows of a run whose results did not fit on the disk.
 const UNFINISHED_ROWS: &str = "unfinished";
 
 /// Results that were moved away. Dropping it restores them.
@@ -61,7 +62,7 @@ impl PreviousResultsGuard {
         Ok(guard)
     }
 
-    /// Returns whether a run that has moved results here was killed, or is still running.
+    /// Returns whether the folder contains moved results, because the run that moved them was killed or still runs.
     pub(super) fn has_leftovers(results_dir: &Path) -> bool {
         leftover_folders(results_dir).next().is_some()
     }
@@ -84,8 +85,8 @@ impl PreviousResultsGuard {
             let text = format!("cannot restore the results of {}", previous_results.display());
             unwritten(anyhow::Error::new(error).context(text))
         };
-        // If the killed run wrote this record, its results are complete. Otherwise no file was moved yet, because the record is
-        // moved first.
+        // Either the killed run wrote this record, so that its results are complete, or no file was moved yet, because
+        // the record is moved first.
         if results_dir.join(RECORD).is_file() {
             std::fs::remove_dir_all(previous_results).map_err(failed)?;
             print_to_stderr(format_args!(
@@ -94,7 +95,8 @@ impl PreviousResultsGuard {
             ));
             return Ok(());
         }
-        // If the earlier rows were not moved yet, `data.csv` here is still the earlier one and keeps its name.
+        // If the earlier rows were not moved yet, `data.csv` in this folder still has the earlier rows and keeps its
+        // name.
         let renamed_rows = if previous_results.join(DATA).is_file() {
             rename_rows(results_dir, KILLED_ROWS).map_err(failed)?
         } else {
@@ -201,7 +203,7 @@ fn leftover_folders(results_dir: &Path) -> impl Iterator<Item = PathBuf> {
 /// Returns the names of the replaced files in a folder, in the order in which they are moved away.
 fn replaced_file_names(dir: &Path) -> Vec<String> {
     let mut names: Vec<String> = ResultFolder::replaced_files(dir).collect();
-    // The record first: without it the results count as incomplete from the first rename on.
+    // The record is moved first: without a record the results count as incomplete from the first rename on.
     names.sort_by_key(|name| name != RECORD);
     names
 }
@@ -221,7 +223,8 @@ fn rename_if_exists(from: &Path, to: &Path) -> std::io::Result<()> {
     }
 }
 
-/// Renames the rows of a run without results, `killed.csv` for `killed`, if there are any.
+/// Renames `data.csv`, if it has rows, to a free name that begins with `stem`: `killed.csv`, `killed-2.csv`. Returns
+/// the new name; `None` if there are no rows.
 fn rename_rows(results_dir: &Path, stem: &str) -> std::io::Result<Option<String>> {
     let data = results_dir.join(DATA);
     // The first line is the header.
@@ -279,7 +282,7 @@ mod tests {
             }
             guard
         };
-        // All rows are elsewhere.
+        // Without `keep_rows`, the new rows are removed: they were written to another folder.
         assert_eq!(begin().restore(), "; the previous results are restored");
         assert_eq!(
             (names(results_dir.path()), read(DATA).as_str()),
@@ -295,11 +298,11 @@ mod tests {
         let guard = PreviousResultsGuard::move_away(empty.path()).expect("nothing to move");
         std::fs::write(empty.path().join(DATA), "iteration\n1\n").expect("writable");
         assert_eq!((guard.keep_rows(), guard.restore()), (None, String::new()));
-        assert_eq!(names(empty.path()), [DATA], "there were none");
+        assert_eq!(names(empty.path()), [DATA], "without earlier results the new rows keep their name");
     }
 
-    /// Leaves a folder as a killed run does: without dropping anything.
-    fn killed(results_dir: &Path, measured: &str) {
+    /// Leaves a folder as a killed run does, which drops no guard.
+    fn leave_folder_of_killed_run(results_dir: &Path, measured: &str) {
         let mut guard = PreviousResultsGuard::move_away(results_dir).expect("moved");
         let _ = guard.moved_results.take().map(TempDir::keep);
         std::fs::write(results_dir.join(DATA), measured).expect("writable");
@@ -322,7 +325,7 @@ mod tests {
             std::fs::write(results_dir.path().join(name), "earlier").expect("writable");
         }
         assert!(!PreviousResultsGuard::has_leftovers(results_dir.path()));
-        killed(results_dir.path(), "iteration\n");
+        leave_folder_of_killed_run(results_dir.path(), "iteration\n");
         assert!(PreviousResultsGuard::has_leftovers(results_dir.path()));
         PreviousResultsGuard::recover(results_dir.path()).expect("recovered");
         assert_eq!(
@@ -330,7 +333,7 @@ mod tests {
             (vec![DATA.to_owned(), RECORD.to_owned()], "earlier".to_owned())
         );
         for (name, rows) in [("killed.csv", "iteration\n1\n"), ("killed-2.csv", "iteration\n1\n2")] {
-            killed(results_dir.path(), rows);
+            leave_folder_of_killed_run(results_dir.path(), rows);
             PreviousResultsGuard::recover(results_dir.path()).expect("recovered");
             assert_eq!((read(DATA).as_str(), read(name).as_str()), ("earlier", rows));
         }
@@ -348,7 +351,7 @@ mod tests {
         assert_eq!(
             names(results_dir.path()),
             [DATA, "killed-by-me.csv", RECORD],
-            "later ones take all places"
+            "the new results replace everything except the user's own file"
         );
         assert_eq!(previous_results_folder(results_dir.path()), None);
     }
@@ -357,7 +360,7 @@ mod tests {
     fn run_killed_after_completion_has_replaced_results() {
         let results_dir = tempfile::tempdir().expect("a folder");
         std::fs::write(results_dir.path().join(DATA), "earlier").expect("writable");
-        killed(results_dir.path(), "later");
+        leave_folder_of_killed_run(results_dir.path(), "later");
         std::fs::write(results_dir.path().join(RECORD), "later").expect("writable");
         PreviousResultsGuard::recover(results_dir.path()).expect("recovered");
         assert_eq!(names(results_dir.path()), [DATA, RECORD]);

@@ -118,7 +118,7 @@ fn agent_tables(config: &AgentConfig) -> Value {
     if let Value::Object(tables) = &mut tables {
         tables.remove("pipeline");
         if let Some(Value::Object(agent)) = tables.get_mut("agent") {
-            // The folder depends on the user and is no setting of the measurement.
+            // The folder depends on the person who starts the run, and is no setting of the measurement.
             agent.remove("state_dir");
         }
     }

@@ -16,7 +16,7 @@ use super::agent_end::describe_failure;
 use super::{Phase, ProgressDisplay, ProgressReport};
 use crate::foreground::{AgentEnd, PeerWait, PipelineActivity, RunObserver};
 
-/// Observer of the agent.
+/// Observer of the agent that records the run.
 pub(super) struct RunRecorder<'a> {
     clock: SharedClock,
     progress_display: &'a mut dyn ProgressDisplay,
@@ -26,7 +26,7 @@ pub(super) struct RunRecorder<'a> {
     pipeline: Slug,
     /// Name of the peer, or its address until its name is known. `None` for a run without a peer.
     peer: Option<String>,
-    /// `true` if the peer refused the first attempt.
+    /// `true` if the peer refused a session before the run began.
     is_refused: bool,
     recorded: RecordedRun,
     writer: RowWriter,
@@ -77,7 +77,8 @@ impl RunProgress {
         }
     }
 
-    /// Returns the number of iterations, if it limits the run.
+    /// Returns the number of iterations after which the run ends, with the warm-up; `None` if only a time limits the
+    /// run.
     fn iterations(&self) -> Option<u64> {
         let limit_with_warm_up = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
         let total = self.limit.total.map(std::num::NonZero::get);
@@ -85,6 +86,8 @@ impl RunProgress {
         limit_with_warm_up.into_iter().chain(total).min()
     }
 
+    /// Returns whether all iterations are finished. Only `limit.total` is compared, because the number of warm-up
+    /// iterations may be unknown here.
     fn is_complete(&self) -> bool {
         self.limit.total.is_some_and(|total| self.done >= total.get())
     }
@@ -94,9 +97,11 @@ impl RunProgress {
         let (done, iterations) = (self.done, self.iterations());
         let elapsed = self.started_at.map_or(0.0, |started_at| (now - started_at).seconds());
         let rate = if elapsed > 0.0 { done as f64 / elapsed } else { 0.0 };
-        let by_count = iterations.filter(|_| rate > 0.0).map(|all| all.saturating_sub(done) as f64 / rate);
-        let by_time = self.limit.duration_s.filter(|_| self.started_at.is_some());
-        let by_time = by_time.map(|seconds| (seconds - elapsed).max(0.0));
+        // The run ends at the limit that it reaches first.
+        let left_by_count_s =
+            iterations.filter(|_| rate > 0.0).map(|all| all.saturating_sub(done) as f64 / rate);
+        let left_by_time_s = self.limit.duration_s.filter(|_| self.started_at.is_some());
+        let left_by_time_s = left_by_time_s.map(|seconds| (seconds - elapsed).max(0.0));
         ProgressReport {
             phase,
             done,
@@ -106,7 +111,7 @@ impl RunProgress {
             iterations,
             rate,
             totals: self.totals.clone(),
-            left_s: by_count.into_iter().chain(by_time).reduce(f64::min),
+            left_s: left_by_count_s.into_iter().chain(left_by_time_s).reduce(f64::min),
             trouble,
         }
     }
@@ -120,7 +125,7 @@ pub(super) struct RecordedRun {
     pub(super) units: Units,
     /// Description of the run from its start.
     pub(super) description: Option<RunDescription>,
-    /// Time of its end by the edge's wall clock.
+    /// Time of the run's end by the edge's wall clock.
     pub(super) ended_at: Option<WallTime>,
     /// The host that runs the sensor.
     pub(super) edge: Option<HostDescription>,
@@ -181,7 +186,7 @@ impl<'a> RunRecorder<'a> {
     /// Records the hosts. It is called again after a reconnection, because the peer may be another program then.
     fn record_hosts(&mut self, running: Option<&RunningAgent>) {
         let cloud = running.and_then(|running| running.serving_cloud(&self.pipeline));
-        // A session that has ended has no cloud any more; the last known one stays in the record.
+        // An ended session has no cloud any more. The last known cloud stays in the record.
         self.recorded.cloud = cloud.or(self.recorded.cloud.take());
         let Some(live) = running.map(RunningAgent::live_update) else { return };
         let words = |clock: HostClock| Some(clock.text).filter(|text| !text.is_empty());
@@ -193,7 +198,7 @@ impl<'a> RunRecorder<'a> {
     }
 
     fn record_row(&mut self, row: &Row) {
-        // A failure is an answer, too.
+        // A peer answers with the error if its model fails, so a failed iteration counts as an answer, too.
         if matches!(row.outcome, Outcome::Ok | Outcome::Failed) {
             self.peer_wait.record_answer(self.clock.mono());
         }
@@ -234,7 +239,7 @@ impl RunObserver for RunRecorder<'_> {
                 return Some(AgentEnd::from_run_end(run.reason, "run"));
             }
             Event::Incident(incident) => match incident.kind {
-                // Later incidents are part of the run's end, or ignored.
+                // After the start, the event of the run's end reports a failed pipeline, and refusals are ignored.
                 IncidentKind::PipelineFailed if self.recorded.description.is_none() => {
                     return Some(AgentEnd::Failed(incident.text));
                 }
@@ -280,8 +285,8 @@ impl RunObserver for RunRecorder<'_> {
         let slow = activity.describe_slow_sensor(now);
         let peer = match &self.peer {
             Some(peer) => peer,
-            // A local model may compute on a server, which is waited for like a peer. Loading a model may take any
-            // time.
+            // A local model may compute on a server, which is waited for like a peer. Without a reason to wait, the
+            // pipeline runs or loads its model, which may take any time.
             None if reason.is_some() => "the server of the model",
             None => {
                 self.peer_wait.record_answer(now);
@@ -292,6 +297,7 @@ impl RunObserver for RunRecorder<'_> {
         };
         self.peer_wait.update(&activity, now);
         let trouble = match (&self.progress.started_at, reason) {
+            // Before the start of the run, no request is open whose answer could be late.
             (None, None) => None,
             _ => self.peer_wait.describe_trouble(peer, reason, now, self.peer_timeout),
         };

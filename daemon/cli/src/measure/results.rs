@@ -12,14 +12,16 @@ use super::previous_results::PreviousResultsGuard;
 
 /// A folder that exists and is known to be writable before anything is measured.
 pub(super) struct Results {
-    /// Earlier results to be replaced. They are restored before other programs may use the folder.
+    /// Earlier results to be replaced.
+    // This field is declared before `folder`, so that it is dropped first: the earlier results are restored before the
+    // lock is released and other programs may use the folder.
     previous_results: Option<PreviousResultsGuard>,
     folder: ResultFolder,
     /// `true` if the folder was created for this run.
     is_created: bool,
 }
 
-/// Place of the written results.
+/// Written results of a run.
 pub(super) struct WrittenFiles {
     pub(super) folder: PathBuf,
     pub(super) files: Vec<PathBuf>,
@@ -62,7 +64,7 @@ impl Results {
         self.folder.writer().map_err(failure)
     }
 
-    /// Removes what was created, because there is nothing to keep. Earlier results are restored.
+    /// Removes everything that was created for the run, because nothing was measured. Earlier results are restored.
     pub(super) fn discard(self) {
         // A file that remains does no harm.
         let _ = std::fs::remove_file(self.path().join("data.csv"));

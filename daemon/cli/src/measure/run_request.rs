@@ -43,8 +43,8 @@ pub(crate) struct RunRequest {
     /// Longest wait for an absent peer, before the run and during it; seconds. Default: 90.
     #[serde(default, rename = "patience_s", skip_serializing_if = "Option::is_none")]
     pub(crate) peer_timeout_s: Option<f64>,
-    /// Actuator of the runs of which this is a trial. It is created and dropped before the trial, which runs without
-    /// an actuator.
+    /// Actuator of the runs, if this request is for their trial. It is created and dropped before the trial, which runs
+    /// without an actuator.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) tried_actuator: Option<ActuatorConfig>,
 }

@@ -12,9 +12,9 @@ use peernet_agent::spool::{SpoolReadError, pending_events};
 use peernet_networks::Address;
 use peernet_statistics::number::counted;
 
-/// The single spool of earlier versions.
+/// File name of the single spool that earlier versions used for all aggregators.
 const OLD_SPOOL: &str = "spool.sqlite";
-/// File that an agent locks while it runs.
+/// Name of the file that an agent locks while it runs.
 pub(crate) const AGENT_LOCK: &str = "lock";
 /// Parts of a spool's file name before and after the aggregator's address.
 const SPOOL_PREFIX: (&str, &str) = ("spool-", ".sqlite");
@@ -36,7 +36,7 @@ pub(crate) fn spool_file(folder: &Path, aggregator: &Address) -> PathBuf {
 
 /// Returns an aggregator's address as part of a spool's file name.
 fn spool_name(aggregator: &Address) -> String {
-    // Users use these names of the local machine interchangeably.
+    // People use these names of the local machine interchangeably.
     match aggregator.host().as_str() {
         "127.0.0.1" | "::1" => format!("localhost:{}", aggregator.port()),
         _ => aggregator.authority().to_ascii_lowercase(),
@@ -116,7 +116,7 @@ impl UndeliveredEvents {
 }
 
 impl fmt::Display for UndeliveredEvents {
-    /// Writes a sentence.
+    /// Writes a sentence with the number of events, the aggregator and the spool, or with the error.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { aggregator, file, events } = self;
         let file = file.display();
@@ -164,7 +164,7 @@ mod tests {
     use super::*;
 
     fn spool(folder: &Path, address: &str) -> PathBuf {
-        prepare(folder, &address.parse().expect("an address")).expect("nothing stands in the way")
+        prepare(folder, &address.parse().expect("an address")).expect("the spool can be prepared")
     }
 
     #[test]
@@ -218,8 +218,8 @@ mod tests {
         let agent = File::create(folder.path().join(AGENT_LOCK)).expect("writable");
         agent.try_lock().expect("it is free");
         spool(folder.path(), "tcp://lab:5550");
-        assert!(folder.path().join(OLD_SPOOL).exists(), "an agent is at work with it");
-        agent.unlock().expect("let go");
+        assert!(folder.path().join(OLD_SPOOL).exists(), "a spool that an agent uses is not renamed");
+        agent.unlock().expect("it was locked");
         // Another program was killed after it had started the takeover.
         let taken = folder.path().join("spool-lab:5550.sqlite");
         fs::rename(with_suffix(&folder.path().join(OLD_SPOOL), "-wal"), with_suffix(&taken, "-wal"))
@@ -236,7 +236,7 @@ mod tests {
         assert!(undelivered_in_spool(&folder.path().join("none"), &here).await.is_none());
         assert!(!folder.path().join(OLD_SPOOL).exists());
         assert_ne!(spool(folder.path(), "tcp://other:5550"), taken);
-        assert!(taken.exists(), "it stays that of the first");
+        assert!(taken.exists(), "the spool still belongs to the first aggregator");
     }
 
     #[tokio::test]

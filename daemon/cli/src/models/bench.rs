@@ -33,16 +33,16 @@ pub(super) struct Arguments {
     model: WantedModel,
     #[command(flatten)]
     options: Options,
-    /// Number of measured samples; p99 needs 300, p95 60.
+    /// Number of measured samples; p95 needs at least 60 samples, p99 at least 300.
     #[arg(long, value_name = "N", default_value = "300")]
     iterations: NonZeroU64,
-    /// Number of warm-up samples before them, which are not results.
+    /// Number of warm-up samples before the measured samples.
     #[arg(long, value_name = "N", default_value = "10")]
     warm_up: u64,
-    /// A picture or a folder of pictures, used in turn [default: the model's own, else generated pixels].
+    /// A picture or a folder of pictures, used in turn [default: the model's own pictures, otherwise generated pixels].
     #[arg(long, value_name = "PATH")]
     pictures: Option<PathBuf>,
-    /// Print JSON; seconds and bytes.
+    /// Print JSON, in seconds and bytes.
     #[arg(long)]
     json: bool,
     /// Do not show the progress.
@@ -58,6 +58,7 @@ struct BenchResults {
     stages: Vec<(&'static str, SortedValues)>,
     /// Memory of the whole process before the model was loaded, and at the end.
     memory: [Option<u64>; 2],
+    /// Largest memory of the process.
     peak: Option<u64>,
 }
 
@@ -98,10 +99,11 @@ fn measure(
 ) -> Result<Vec<(&'static str, SortedValues)>, Failure> {
     let all = arguments.warm_up.saturating_add(arguments.iterations.get());
     let mut progress = Progress::new(arguments.quiet, loaded_model.clock().mono());
+    // The durations of each stage, and last the duration of the whole call.
     let mut durations: [Vec<f64>; 4] = Default::default();
     // Samples are used in turn; there is at least one.
     for (done, sample) in (0..all).zip(input.samples.iter().cycle()) {
-        // BenchResults outside of the model, because the stages do not contain the time to hand over the sample.
+        // Measured outside of the model, because the stages do not contain the time to hand over the sample.
         let started_at = loaded_model.clock().mono();
         let (answer, tree) = loaded_model.infer(sample.clone());
         let total = (loaded_model.clock().mono() - started_at).seconds();

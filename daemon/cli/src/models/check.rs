@@ -19,7 +19,7 @@ pub(super) struct Arguments {
     model: WantedModel,
     #[command(flatten)]
     options: Options,
-    /// A picture, or a folder of pictures with or without a labels.csv, instead of the model's own.
+    /// A picture, or a folder of pictures with or without a labels.csv, instead of the model's own pictures.
     #[arg(long, value_name = "PATH")]
     pictures: Option<PathBuf>,
 }

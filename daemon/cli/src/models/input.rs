@@ -36,16 +36,17 @@ impl Input {
         }
     }
 
-    /// Creates a sample that the model accepts. Pictures are pixels, so that nothing has to be decoded; other parts are arrays of zeros.
+    /// Creates a sample that the model accepts. Pictures are pixels, so that nothing has to be decoded. Other parts of
+    /// the payload are arrays of zeros.
     pub(super) fn generated(model: &ModelOnDisk) -> Result<Self, Failure> {
         let sample = model.example_sample().map_err(failure)?;
-        let size = |part: &Part| match (&part.description.media, &part.description.shape[..]) {
+        let describe_part = |part: &Part| match (&part.description.media, &part.description.shape[..]) {
             (MediaType::Pixels(_), [height, width, _]) => format!("generated pixels, {width} × {height}"),
             (_, shape) => {
                 format!("zeros, {}", shape.iter().map(u32::to_string).collect::<Vec<_>>().join(" × "))
             }
         };
-        let parts = sample.parts.iter().map(size).collect::<Vec<_>>().join("; ");
+        let parts = sample.parts.iter().map(describe_part).collect::<Vec<_>>().join("; ");
         let description = format!("{parts}: preprocessing has nothing to decode");
         Ok(Self { samples: vec![sample], description })
     }

@@ -1,4 +1,4 @@
-//! A loaded model with its stages, timed as by an agent.
+//! A loaded model, whose stages are timed as in an agent.
 
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
@@ -63,8 +63,8 @@ impl LoadedModel {
         let reply = Box::new(move |result| drop(sender.send(result)));
         let recorder = Recorder::new(Arc::clone(&self.clock), self.host);
         let received = self.clock.mono();
-        if let Err(refused) = self.pool.submit(Job::for_whole_answer(sample, recorder, received, reply)) {
-            return (Err(refused.reason), refused.job.recorder.finish());
+        if let Err(rejected) = self.pool.submit(Job::for_whole_answer(sample, recorder, received, reply)) {
+            return (Err(rejected.reason), rejected.job.recorder.finish());
         }
         match receiver.recv() {
             Ok(finished) => (finished.result, finished.recorder.finish()),

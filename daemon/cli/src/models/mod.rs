@@ -43,7 +43,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.command {
         Command::List(arguments) => list::run(arguments),
         Command::Show(arguments) => show::run(arguments),
-        // These two load a model, which may take long.
+        // These commands load a model. The log warns if loading takes long.
         Command::Check(arguments) => {
             start_log(LogDestination::StandardError)?;
             check::run(arguments)

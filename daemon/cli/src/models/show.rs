@@ -53,7 +53,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     ]);
     // The hash of the card is shown only if it does not match.
     lines.extend(card.provenance.into_iter().filter(|(key, _)| key != "sha256").map(explain_value));
-    lines.extend(mismatch.map(|text| ("but".to_owned(), text)));
+    lines.extend(mismatch.map(|text| ("warning".to_owned(), text)));
     for (key, value) in lines.iter().filter(|(_, value)| !value.trim().is_empty()) {
         let value = value.lines().map(str::trim).collect::<Vec<_>>().join(" ");
         print_to_stdout(format_args!("{:<14}{}", printable_line(key), printable_line(value.trim())));
@@ -61,7 +61,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Adds to the accuracy in the card what it is a share of.
+/// Explains the accuracy in the card: which share of which samples it is. Other values stay unchanged.
 fn explain_value((key, value): (String, String)) -> (String, String) {
     if key != "accuracy" {
         return (key, value);

@@ -20,12 +20,15 @@ struct Classification {
     score: f64,
 }
 
-/// Counts of right answers.
+/// Comparison of all answers so far with their labels.
 pub(super) struct Tally {
     /// The model's classes in the form in which they are compared.
     classes: HashSet<String>,
+    /// Number of classifications that agree with their label.
     right: u64,
+    /// Number of classifications whose label is a class of the model.
     labelled: u64,
+    /// Number of labels that are not classes of the model.
     unknown_labels: u64,
     /// Labelled and found objects of each picture that has boxes.
     pictures: Vec<PictureObjects>,
@@ -46,8 +49,8 @@ impl Tally {
         }
     }
 
-    /// Compares an answer with its label. An answer that is no classification, detection or segmentation is not
-    /// counted.
+    /// Compares an answer with the label of its picture. An answer that is no classification, detection or segmentation
+    /// is not counted.
     ///
     /// # Errors
     /// If the label names a mask that cannot be read.
@@ -70,7 +73,7 @@ impl Tally {
         if let Some(expected) = ObjectsLabel::parse(label) {
             let mut objects = expected.objects.iter();
             if objects.any(|object| !self.classes.contains(&normalized_label(&object.label))) {
-                // An object of a class that the model does not have cannot be found.
+                // The model cannot find an object of an unknown class, so the picture would be scored too low.
                 self.unknown_labels += 1;
             } else {
                 self.pictures.extend(PictureObjects::read(label, json));
@@ -154,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn classes_are_counted_by_label() {
+    fn classifications_are_compared_with_labels() {
         let mut tally = Tally::new(&["good".to_owned(), "hole missing".to_owned()]);
         assert_eq!(tally.text(), "");
         for label in ["good", "Hole_Missing", "bent"] {

@@ -29,8 +29,8 @@ pub(crate) struct Arguments {
     /// This device's name in the network configuration.
     #[arg(long, value_name = "DEVICE")]
     pub(super) name: Slug,
-    /// Kind of network: zmq-tcp, zmq-udp or ros [default: the kind in the server's address; zmq-tcp if that is only a
-    /// host name].
+    /// Kind of network: zmq-tcp, zmq-udp or ros [default: the kind in the server's address; zmq-tcp if the address is
+    /// only a host name].
     #[arg(long, value_parser = network)]
     pub(super) network: Option<NetworkKind>,
     /// Network configuration, YAML: `devices:` name → host name or IP address, `server:` name of the device that

@@ -6,7 +6,7 @@ use peernet_stream::{Condition, Grade};
 use crate::foreground::{Progress, describe_condition};
 use crate::measure::{Phase, ProgressDisplay, ProgressReport};
 
-/// A bar, or lines without a terminal.
+/// Display of a client's progress: a bar on a terminal, otherwise lines.
 pub(crate) struct ClientProgress {
     clock: SharedClock,
     progress: Progress,

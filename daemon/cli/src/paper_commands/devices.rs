@@ -54,10 +54,11 @@ impl File {
         Ok(parsed)
     }
 
-    /// Returns the address of the device `name`; `text` is what the file says about it. A host name without a network is on
-    /// `network`.
+    /// Returns the address of the device `name`. `text` is the value of the device in the file. A host name without a
+    /// scheme is on `network`.
     fn address(&self, name: &str, text: &str, network: NetworkKind) -> Result<Address, DeviceError> {
-        // On a network that finds listeners by name, a host alone is no address.
+        // On a network that finds listeners by name, a host alone is no address, so the listener is looked up by the
+        // name of the device.
         let listener =
             if text.contains("://") { None } else { network.find_listener(name, self.ros_version) };
         if let Some(listener) = listener {
@@ -80,11 +81,11 @@ pub(crate) struct DeviceAddresses {
     pub(crate) addresses: BTreeMap<String, Address>,
     /// QoS and interfaces of the topics of ROS 2.
     pub(crate) ros2: Ros2SessionSettings,
-    /// The file.
+    /// Path and text of the file.
     pub(crate) config: NetworkConfig,
 }
 
-/// Reads the addresses of all devices, on this network if the file names none.
+/// Reads the addresses of all devices. Addresses without a scheme are on `network`.
 ///
 /// # Errors
 /// When the file cannot be read (66) or is incomplete or invalid (78).
@@ -112,7 +113,7 @@ pub(super) struct Devices {
     pub(super) server: String,
     /// Address of the server.
     pub(super) address: Address,
-    /// The file.
+    /// Path and text of the file.
     pub(super) config: NetworkConfig,
     /// QoS and interfaces of the topics of ROS 2.
     pub(super) ros2: Ros2SessionSettings,
@@ -137,7 +138,7 @@ impl Devices {
             anyhow!("{file} names no server; add the line `server: DEVICE` with the name of a device")
         })?;
         let address_text = parsed.devices.get(&server).ok_or_else(|| {
-            anyhow!("{file}: the server {server} is not one of its devices: {}", list(&device_names))
+            anyhow!("{file}: the server {server} is not one of its devices: {}", list_devices(&device_names))
         })?;
         let address = parsed.address(&server, address_text, network.unwrap_or_default());
         let address = address.map_err(|problem| anyhow!("{file}: {problem}"))?;
@@ -153,13 +154,13 @@ impl Devices {
     /// # Errors
     /// When it is not in the file, the file has the roles reversed, or this build lacks the network (78).
     pub(super) fn check(&self, name: &Slug, serves: bool) -> Result<(), Failure> {
-        // Both mistakes would make the devices wait for each other without an error.
+        // Without this check, a wrong name or role would make the devices wait for each other without an error.
         let (file, server) = (&self.config.file, &self.server);
         let invalid = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
         if !self.device_names.iter().any(|device| device == name.as_str()) {
             return invalid(format!(
-                "{file} has no device {name}, only {}: use one of them as --name, or add it",
-                list(&self.device_names)
+                "{file} has no device {name}, only {}: use one of these names as --name, or add the device to the file",
+                list_devices(&self.device_names)
             ));
         }
         // Only the server's address is used, so the file may also have addresses of networks that this build lacks.
@@ -168,7 +169,7 @@ impl Devices {
         }
         match (serves, server == name.as_str()) {
             (true, false) => invalid(format!(
-                "{file} says that {server} serves, not {name}: clients would connect there; change its line server:, or start this device with --client"
+                "{file} says that {server} serves, not {name}, so clients would connect to {server}; change the line server: of the file, or start this device with --client"
             )),
             (false, true) => invalid(format!(
                 "{file} says that {name} serves: start it with --server, or change the line server:"
@@ -178,7 +179,7 @@ impl Devices {
     }
 }
 
-fn list(device_names: &[String]) -> String {
+fn list_devices(device_names: &[String]) -> String {
     if device_names.is_empty() { "no device at all".to_owned() } else { device_names.join(", ") }
 }
 
@@ -211,7 +212,7 @@ devices:
 server: cluster
 ";
 
-    fn wrong(text: &str) -> String {
+    fn parse_error(text: &str) -> String {
         Devices::parse(text, "net.yaml", None).expect_err("something is wrong").to_string()
     }
 
@@ -265,10 +266,10 @@ server: cluster
 
     #[test]
     fn missing_keys_are_reported() {
-        assert!(wrong("devices: {a: 10.0.0.1}").contains("server:"));
-        assert!(wrong("devices: {a: 10.0.0.1}\nserver: b").contains("is not one of its devices: a"));
-        assert!(wrong("server: b").contains("devices"));
-        assert!(wrong("devices: {a: 'x y'}\nserver: a").contains("no address"));
-        assert!(wrong("devices: [").contains("net.yaml"));
+        assert!(parse_error("devices: {a: 10.0.0.1}").contains("server:"));
+        assert!(parse_error("devices: {a: 10.0.0.1}\nserver: b").contains("is not one of its devices: a"));
+        assert!(parse_error("server: b").contains("devices"));
+        assert!(parse_error("devices: {a: 'x y'}\nserver: a").contains("no address"));
+        assert!(parse_error("devices: [").contains("net.yaml"));
     }
 }

@@ -90,9 +90,10 @@ pub(super) fn failure(error: LoadError) -> Failure {
     Failure::new(exit, error)
 }
 
-/// Returns the program of a command. Its arguments may be secret and must not be part of a name.
+/// Returns the program of a command. The arguments of the command may be secret and must not be part of a name.
 fn program_of(command: &str) -> &str {
     let program = command.split_ascii_whitespace().next().unwrap_or(command);
+    // A shell runs a command that begins with an assignment, such as `TOKEN=x ./infer`.
     if program.contains('=') { "sh" } else { program }
 }
 

@@ -21,7 +21,7 @@ pub(super) enum SensorType {
     Synthetic,
 }
 
-/// A name of no sensor type.
+/// A text that is not the name of a sensor type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("use image, \"random string\", external or synthetic")]
 pub(super) struct UnknownSensorType;
@@ -57,7 +57,7 @@ pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec
             })?;
             let path = path.to_str().ok_or_else(|| {
                 let path = path.display();
-                missing_option(&format!("--dataset-loc {path}: run.json cannot hold a name that is not UTF-8; rename it, or name a link to it"))
+                missing_option(&format!("--dataset-loc {path}: run.json cannot hold a name that is not UTF-8; rename the file, or name a link to the file"))
             })?;
             (SensorConfig::pictures(path.into()), arguments.encoding.transforms())
         }

@@ -21,6 +21,7 @@ pub(super) struct ServeObserver {
     progress: Progress,
     /// Description of the durations of `inference`.
     inference: String,
+    /// Number of open sessions.
     sessions: usize,
     loading: Loading,
 }
@@ -161,9 +162,10 @@ impl ServeObserver {
         }
     }
 
+    /// Describes the state. Also returns the fraction of the answers that are given.
     fn describe(&self) -> (String, f64) {
         let AnswerCounts { target, answered, .. } = self.answers;
-        let share = answered as f64 / target as f64;
+        let fraction_done = answered as f64 / target as f64;
         let text = match (&self.loading, self.sessions, answered) {
             (Loading::NotStarted | Loading::InProgress(_), ..) => format!("loading {}", self.model),
             (Loading::Done, 0, 0) => "waiting for a client".to_owned(),
@@ -179,7 +181,7 @@ impl ServeObserver {
                 format!("{answered} of {target} answers{errors}{missed}, {clients}{rate}{inference}")
             }
         };
-        (text, share)
+        (text, fraction_done)
     }
 }
 

@@ -14,11 +14,11 @@ use super::{Arguments, model};
 use crate::foreground::{AgentEnd, ReadyAgent, read_agent_tables};
 use crate::measure::AgentStateDir;
 
-/// Serves until enough answers are given, no more requests will come, or Ctrl-C.
+/// Serves until the requested number of answers is given, no more requests will come, or the user presses Ctrl-C.
 ///
 /// # Errors
-/// When the model does not exist (66), cannot run (69), or the port is in use (69); when clients have ended their
-/// runs without all iterations (75); when the user ended it early (130).
+/// When the model does not exist (66) or cannot run (69), or the port is in use (69). Also when clients ended their
+/// runs without all iterations (75), or the user ended the server early (130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
     let mut config = read_agent_tables(arguments.config.as_deref())?;
     let model = model::from_arguments(arguments, &config.onnxruntime)?;

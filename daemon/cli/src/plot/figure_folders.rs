@@ -14,8 +14,8 @@ pub(super) struct FigureFolders {
 }
 
 impl FigureFolders {
-    /// Chooses the folders of the results, or with `out` that folder, with a subfolder for each run if there are
-    /// several.
+    /// Chooses the folders. Without `out`, the figures of a run go to the run's folder. With `out`, they go to `out`,
+    /// or to a subfolder of `out` for each run if there are several runs. `named` are the paths on the command line.
     pub(super) fn choose(named: &[PathBuf], runs: &[Loaded], out: Option<&Path>) -> Self {
         let folders = || runs.iter().map(|run| run.folder.clone());
         match (out, named) {
@@ -23,12 +23,17 @@ impl FigureFolders {
                 Self { runs: vec![out.to_owned()], all_runs: out.to_owned() }
             }
             (Some(out), _) => Self {
-                runs: names(&folders().collect::<Vec<_>>()).iter().map(|name| out.join(name)).collect(),
+                runs: subfolder_names(&folders().collect::<Vec<_>>())
+                    .iter()
+                    .map(|name| out.join(name))
+                    .collect(),
                 all_runs: out.to_owned(),
             },
-            (None, [one]) if one.is_dir() => Self { runs: folders().collect(), all_runs: one.clone() },
+            (None, [folder]) if folder.is_dir() => {
+                Self { runs: folders().collect(), all_runs: folder.clone() }
+            }
             (None, _) => {
-                // With several named paths, the current folder is used.
+                // Figures that show all runs of several named paths go to the current folder.
                 let only_folder = if runs.len() == 1 { folders().next() } else { None };
                 Self {
                     runs: folders().collect(),
@@ -44,7 +49,7 @@ fn current_folder_if_empty(path: PathBuf) -> PathBuf {
 }
 
 /// Returns a name for each folder: its path without the common beginning. The names are unique.
-fn names(folders: &[PathBuf]) -> Vec<String> {
+fn subfolder_names(folders: &[PathBuf]) -> Vec<String> {
     let parts = |folder: &PathBuf| -> Vec<String> {
         let parts = folder.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
         parts.filter(|part| part != "." && part != ".." && part != "/").collect()

@@ -25,7 +25,7 @@ pub(crate) struct Arguments {
     /// Figures to draw.
     #[arg(long, value_enum, default_value_t = Kind::All)]
     kind: Kind,
-    /// Folder for the figures. With several runs, each run gets a folder in it [default: figures of one run in the
+    /// Folder for the figures. With several runs, each run gets a subfolder [default: figures of one run in the
     /// run's folder; figures of several runs in the folder on the command line, or in the current folder if several
     /// folders are given].
     #[arg(long, value_name = "DIR")]
@@ -44,7 +44,7 @@ pub(crate) struct Arguments {
 /// Kinds of figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Kind {
-    /// All for which there is data.
+    /// All kinds for which there is data.
     All,
     /// For each run: the six histograms of the paper's program, sensing-time to download-throughput.
     Histograms,

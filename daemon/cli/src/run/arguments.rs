@@ -53,7 +53,7 @@ pub(crate) struct Arguments {
 pub(super) enum RunSelection {
     /// Runs with this label on this axis.
     Label(String, String),
-    /// The run of this number.
+    /// The run with this number.
     Number(usize),
 }
 
@@ -71,7 +71,7 @@ impl RunSelection {
         }
     }
 
-    /// Returns whether a run is selected; without selections all are.
+    /// Returns whether a run is selected. Without selections all runs are selected.
     pub(super) fn selects(selections: &[Self], plan: &Plan, run: &Run) -> bool {
         let numbers: Vec<usize> = selections
             .iter()
@@ -81,20 +81,20 @@ impl RunSelection {
             })
             .collect();
         let labels = &plan.configuration(run).labels;
-        let fits = |axis: &str| {
+        let matches_axis = |axis: &str| {
             let has = |label: &str| labels.iter().any(|(name, value)| name == axis && value == label);
             selections
                 .iter()
                 .any(|selection| matches!(selection, Self::Label(name, label) if name == axis && has(label)))
         };
-        let all = selections.iter().all(|selection| match selection {
-            Self::Label(axis, _) => fits(axis),
+        let matches_all_axes = selections.iter().all(|selection| match selection {
+            Self::Label(axis, _) => matches_axis(axis),
             Self::Number(_) => true,
         });
-        all && (numbers.is_empty() || numbers.contains(&run.number))
+        matches_all_axes && (numbers.is_empty() || numbers.contains(&run.number))
     }
 
-    /// Describes the first selection that fits no run.
+    /// Describes the first selection that matches no run; `None` if each selection matches a run.
     pub(super) fn describe_unknown(selections: &[Self], plan: &Plan) -> Option<String> {
         selections.iter().find_map(|selection| match selection {
             Self::Number(number) if (1..=plan.runs.len()).contains(number) => None,

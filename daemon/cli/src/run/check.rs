@@ -19,6 +19,7 @@ const MACHINE_KEYS: [&str; 4] =
 /// A problem and the configurations that have it.
 struct Problem {
     text: String,
+    /// `true` if another machine may not have the problem.
     concerns_machine: bool,
     /// Labels of the first configuration with the problem; empty without axes.
     first_labels: String,
@@ -44,10 +45,11 @@ pub(super) fn with_experiment_keys(problem: &str) -> String {
     problem.replacen("pipeline[0]", "pipeline", 1)
 }
 
-/// Checks every configuration of a file as an agent would. Returns the problems of this machine only, each once.
+/// Checks every configuration of a file as an agent would. Returns the problems that another machine may not have, each
+/// once.
 ///
 /// # Errors
-/// When something is wrong on any machine (78).
+/// When the file has problems on every machine (78).
 pub(super) fn configurations(
     file: &Path,
     configurations: &[Configuration],
@@ -58,7 +60,7 @@ pub(super) fn configurations(
     for configuration in configurations {
         let mut agent: AgentConfig = configuration.agent.clone();
         agent.agent.state_dir.clone_from(&folder);
-        // A configuration may have the same problem in two places.
+        // A configuration may have the same problem in two places, but counts once.
         let mut seen_texts = BTreeSet::new();
         for problem in Agent::check(&agent, clock) {
             let concerns_machine = MACHINE_KEYS.contains(&problem.key.as_str())

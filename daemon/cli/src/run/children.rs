@@ -24,14 +24,16 @@ use super::silence_detector::SilenceDetector;
 use crate::foreground::Signals;
 use crate::measure::{MEASUREMENT_ENDED, ProgressReport, RunRequest};
 
-/// Path of this program. It leads to the same program even if the file was replaced in the meantime: one version measures all runs.
+/// Path of this program. The path leads to the same program even if the file is replaced in the meantime, so that one
+/// version measures all runs.
 const PROGRAM: &str = "/proc/self/exe";
-/// Capacity of the channel of output from the processes. Progress beyond it is dropped; a text beyond it blocks the
-/// process, as a slow terminal would.
+/// Capacity of the channel of output from the processes. If the channel is full, progress is dropped, and a line of
+/// text blocks its process, as a slow terminal would.
 const OUTPUT_CAPACITY: usize = 64;
-/// Number of a process's last lines that are kept.
+/// Number of lines at the end of a process's error output that are kept.
 const LAST_LINES: usize = 20;
-/// Wait for the rest of a process's output after its end: its own children may hold the pipe open.
+/// Longest wait for the rest of a process's output after the end of the process: programs that the process started may
+/// hold the pipe open.
 const OUTPUT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Result of several concurrent processes.
@@ -45,9 +47,9 @@ pub(super) struct ProcessResults {
 /// Result of a process.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct ProcessResult {
-    /// Exit code; `None` if a signal ended it or it did not start.
+    /// Exit code; `None` if a signal ended the process or the process did not start.
     pub(super) code: Option<i32>,
-    /// Message of its error output in one line, or the signal that ended it.
+    /// Message at the end of the error output in one line, or the signal that ended the process.
     pub(super) reason: Option<String>,
 }
 
@@ -63,7 +65,7 @@ pub(super) enum ChildEvent<'a> {
     ProgressReport(&'a [Option<ProgressReport>]),
     /// Output of custom code in the process of this index, or its log.
     Line(usize, &'a str),
-    /// Announcement of how long the processes may still take to end.
+    /// Announcement of how long the processes may still take to end, or that they are killed.
     EndAnnouncement(&'a str),
 }
 
@@ -78,12 +80,13 @@ enum ChildOutput {
     MeasurementEnded,
 }
 
-/// Measures the requested runs concurrently, each in its own process, and shows the output of the processes. No process writes results
-/// or draws figures before all have ended their measurement, because the others would measure a busy machine.
+/// Measures the requested runs concurrently, each in its own process, and shows the output of the processes. No process
+/// writes results or draws figures before all processes have ended their measurement. Otherwise the processes that
+/// still measure would measure a busy machine.
 ///
-/// A signal to this program goes to all processes. After the first one they end early with their results, after the
-/// second they do not wait for work in progress. After the third, or after a time limit, they and their children are
-/// killed.
+/// A signal to this program goes to all processes. After the first signal, the processes end early and write their
+/// results. After the second signal, they do not wait for work in progress. After the third signal, or after a time
+/// limit, they and the programs that they started are killed.
 pub(super) async fn execute(
     requests: &[RunRequest],
     signals: &mut Signals,
@@ -136,7 +139,7 @@ pub(super) async fn execute(
                 handle(index, output, &mut show);
             }
             _ = signals.next() => {
-                // Processes that have measured write their results now, even if another one hangs.
+                // Processes that have ended their measurement write their results now, even if another process hangs.
                 measuring.inputs.clear();
                 let (signal, message) = end_requests.request(Instant::now());
                 show(ChildEvent::EndAnnouncement(&message));
@@ -163,8 +166,8 @@ pub(super) async fn execute(
     }
 }
 
-/// The processes that still measure, and the standard inputs of all processes. A process waits for the end of its input before it
-/// writes results.
+/// The processes that still measure, and the standard inputs of all processes. A process waits for the end of its input
+/// before it writes results.
 #[derive(Default)]
 struct MeasuringProcesses {
     indexes: BTreeSet<usize>,
@@ -209,14 +212,15 @@ impl Child {
             .context("cannot write the description of the measurement")?;
         request.push(b'\n');
         let mut process = Command::new(PROGRAM)
-            // The same program is daemon and command line. It acts as the command line if it is started under this
+            // One program is daemon and command line. The program acts as the command line if it is started under this
             // name.
             .arg0(crate::NAMES[0])
             .args(["measure", "--order", "-"])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // Its own process group: a Ctrl-C on the terminal reaches this program only, which passes it on once.
+            // The process has its own process group, so that Ctrl-C on the terminal reaches this program only. This
+            // program passes the signal on once.
             .process_group(0)
             .kill_on_drop(true)
             .spawn()

@@ -19,7 +19,7 @@ use crate::measure::{AgentStateDir, UndeliveredEvents, spool_file};
 use crate::output::print_to_stderr;
 use crate::{VERSION, clock};
 
-/// Longest time in which an aggregator stores nothing before the delivery is given up.
+/// Time after which a delivery is given up if the aggregator has stored nothing in this time.
 const PROGRESS_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A host of an experiment and an aggregator to which it streams.
@@ -108,7 +108,7 @@ async fn deliver_events_of(host: &StreamingHost) -> Result<(), Failure> {
     running.join().await.map_err(|error| failure(&error))
 }
 
-/// Returns the hosts of a plan that stream to an aggregator, each spool once.
+/// Returns the hosts of a plan that stream to an aggregator: one host for each spool.
 fn hosts(plan: &Plan) -> Result<Vec<StreamingHost>, Failure> {
     let mut hosts: Vec<StreamingHost> = Vec::new();
     for run in &plan.runs {

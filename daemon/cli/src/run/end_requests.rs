@@ -1,4 +1,5 @@
-//! Time limits for processes that the user asked to end. A suspended process reacts to SIGKILL only.
+//! Time limits for processes that are to end because the user pressed Ctrl-C. A suspended process reacts to SIGKILL
+//! only.
 
 use std::time::Duration;
 
@@ -83,7 +84,7 @@ mod tests {
         let (signal, message) = end_requests.request(at(53));
         assert!(
             signal == Signal::TERM && message.contains("within 7.0 s"),
-            "not more than was promised: {message}"
+            "the second deadline is not later than the first: {message}"
         );
         assert_eq!(end_requests.deadline, Some(at(60)));
         assert_eq!(end_requests.request(at(54)).0, Signal::KILL);

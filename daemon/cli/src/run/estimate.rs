@@ -4,10 +4,10 @@ use std::num::NonZeroU64;
 
 use peernet_agent::config::{AgentConfig, PipelineConfig, PlacementConfig};
 
-/// Result of a trial of a configuration.
+/// Durations that a trial of a configuration has measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pace {
-    /// Duration of an iteration if the iterations run one after the other, seconds.
+    /// Duration of an iteration in seconds, if only one iteration is in flight.
     pub(super) iteration_s: f64,
     /// Duration of a run besides its iterations, seconds.
     pub(super) overhead_s: f64,
@@ -42,7 +42,7 @@ impl Estimates {
     }
 
     /// Returns the estimate for a run of a configuration: the mean of its finished runs or, without any, the expected
-    /// duration times the ratio of measured to expected durations so far. `None` if it is not known.
+    /// duration times the ratio of measured to expected durations so far. `None` if neither is known.
     pub(super) fn duration_s(&self, configuration: usize) -> Option<f64> {
         let (sum, count) = self.finished_durations.get(configuration).copied().unwrap_or_default();
         if count > 0 {
@@ -68,8 +68,8 @@ struct SharedComputation {
 }
 
 impl SharedComputation {
-    /// Returns the sharing of the model of the agent's first pipeline. A local model has a separate process for each
-    /// user. The number of workers of a cloud is unknown here; the default is one.
+    /// Returns how users and workers share the model of the agent's first pipeline. A local model has a separate
+    /// process for each user. The number of workers of a cloud is unknown here; the default is one.
     fn new(agent: &AgentConfig, users: u32) -> Self {
         let Some(PlacementConfig::Local { model }) =
             agent.pipelines.first().map(|pipeline| &pipeline.placement)

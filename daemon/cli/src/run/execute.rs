@@ -18,7 +18,7 @@ use crate::foreground::{Progress, Signals, command_line, length, roughly};
 use crate::measure::{ProgressReport, RunRequest};
 use crate::short::shorten_label;
 
-/// Everything that the execution needs.
+/// Execution of the runs of an experiment, with everything that it needs.
 pub(super) struct Execution<'a> {
     pub(super) folder: &'a Folder,
     pub(super) record: &'a mut Record,
@@ -29,7 +29,8 @@ pub(super) struct Execution<'a> {
 }
 
 impl Execution<'_> {
-    /// Executes the runs in their order until they are done or the user ends the experiment. Returns whether the user ended it.
+    /// Executes the runs in their order until they are done or the user ends the experiment. Returns whether the user
+    /// ended the experiment.
     ///
     /// # Errors
     /// When the progress cannot be recorded (73).
@@ -42,6 +43,7 @@ impl Execution<'_> {
         Ok(false)
     }
 
+    /// Executes `run`, which `runs` has at the index `done`. Returns whether the user ended the experiment.
     async fn execute_run(
         &mut self,
         runs: &[Run],
@@ -83,14 +85,15 @@ impl Execution<'_> {
             if let Some(failure) = report.first_failure.as_ref().filter(|_| !quiet) {
                 progress.print_once(format_args!("{name}: {failure}"));
             }
-            let done_part = report.iterations.map_or(0.0, |count| report.done as f64 / count.max(1) as f64);
+            let fraction_of_run =
+                report.iterations.map_or(0.0, |count| report.done as f64 / count.max(1) as f64);
             let left = report.left_s.zip(later_runs_s).map(|(run_s, later_s)| roughly(run_s + later_s));
             let left = left.map_or_else(String::new, |left| format!(", {left} left in total"));
             let trouble = report.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
             let state = || {
                 (
                     format!("{name}: {}{left}", ProgressReport { left_s: None, ..report.clone() }),
-                    share_before + done_part * run_share,
+                    share_before + fraction_of_run * run_share,
                 )
             };
             progress.show(self.clock.mono(), trouble, state);
@@ -172,7 +175,7 @@ pub(super) fn run_result(
     RunResult { status, exit: result.code, reason, seconds }
 }
 
-/// Combines the progress of several users (edges at the same time): the sums of their counts, and their totals together.
+/// Combines the progress of several users (edges at the same time): sums their counts, and merges their totals.
 fn combine(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
     let all: Vec<&ProgressReport> = reports.iter().flatten().collect();
     let (first, rest) = all.split_first()?;

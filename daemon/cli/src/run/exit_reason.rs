@@ -6,7 +6,8 @@ use std::process::ExitStatus;
 
 use crate::exit::Exit;
 
-/// Exit codes of a failure, which is printed in one line. Libraries may have printed other lines before it.
+/// Exit codes of failures. A process prints a failure in one line and indented lines after it. Libraries may have
+/// printed other lines before the failure.
 const FAILURE_EXITS: [Exit; 7] = [
     Exit::Data,
     Exit::NoInput,
@@ -32,7 +33,7 @@ pub(super) fn exit_reason(status: ExitStatus, error_lines: &VecDeque<String>) ->
 
 /// Returns the message at the end of a process's error output, in one line. A failure is the last line that is not
 /// indented, with the indented lines after it. The message of the command line's parser and of a panic has more
-/// lines: it is the whole output.
+/// lines, so that the whole output is the message.
 fn message(error_lines: &VecDeque<String>, code: Option<i32>) -> Option<String> {
     let ends_with_failure =
         code.is_some_and(|code| FAILURE_EXITS.iter().any(|exit| code == i32::from(*exit as u8)));

@@ -4,7 +4,7 @@ use peernet_analysis::record::{NetworkConfig, RunRecord};
 
 use super::plan::Run;
 
-/// Settings besides the plan.
+/// Settings of an experiment's file that the plan does not contain.
 pub(super) struct ExternalFiles {
     /// `true` if each run draws its figures.
     pub(super) plots: bool,
@@ -23,7 +23,7 @@ impl ExternalFiles {
         let (current, recorded) = (self.network(run)?, run_record.network_config.as_ref()?);
         (current.text != recorded.text).then(|| {
             format!(
-                "{} has changed since some runs were measured, but not the addresses that they use; the run.json of each run has the text as it was",
+                "{} has changed since some runs were measured, but the addresses that these runs use are unchanged; run.json of each run contains the earlier text",
                 current.file
             )
         })

@@ -31,7 +31,7 @@ const DRAFT_PREFIX: &str = ".experiment-";
 /// A locked folder, to which no other program writes.
 pub(super) struct Folder {
     path: PathBuf,
-    /// Released when it is closed, however the program ends.
+    /// Open file that holds the lock. The operating system releases the lock however the program ends.
     _lock: File,
 }
 
@@ -60,7 +60,7 @@ impl Folder {
         let lock = File::create(path.join(LOCK)).map_err(cannot_create)?;
         match lock.try_lock() {
             Ok(()) => {
-                // Only with the lock: another program may be writing its draft.
+                // Drafts are removed only with the lock: without the lock, another program may be writing its draft.
                 drafts(path).for_each(|draft| drop(fs::remove_file(draft)));
                 Ok(Self { path: path.to_owned(), _lock: lock })
             }
@@ -87,7 +87,7 @@ impl Folder {
         }
     }
 
-    /// Reads the record of the experiment, if there is one.
+    /// Reads the record of the experiment; `None` if there is no record.
     ///
     /// # Errors
     /// When it cannot be read (65).
@@ -157,7 +157,7 @@ impl Folder {
 
     /// Removes the folder if it is empty.
     pub(super) fn discard(self) {
-        // A file that remains does no harm.
+        // Files and folders that remain do no harm.
         let _ = fs::remove_file(self.path.join(LOCK));
         let _ = fs::remove_dir(self.path.join(RUNS));
         let _ = fs::remove_dir(&self.path);
@@ -178,7 +178,7 @@ fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
     entries.filter(|entry| is_draft(&entry.file_name())).map(|entry| entry.path())
 }
 
-/// Reads the record in a folder, if there is one.
+/// Reads the record in a folder; `None` if there is no record.
 ///
 /// # Errors
 /// When it cannot be read (65).
@@ -202,9 +202,9 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
             record.format
         )));
     }
-    // The file may have been edited; later code uses its numbers as indexes.
+    // Somebody may have edited the file, and later code uses its numbers as indexes.
     if !record.is_sound() {
-        return Err(unreadable("it names runs or configurations that it does not have".to_owned()));
+        return Err(unreadable("its runs, states and configurations do not fit together".to_owned()));
     }
     Ok(Some(record))
 }

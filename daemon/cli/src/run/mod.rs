@@ -1,7 +1,7 @@
 //! `peernet run`: an experiment from one file.
 //!
 //! ```text
-//! File ── configurations ── Plan ─┬─ trial        a few iterations of each, before the first run
+//! File ── configurations ── Plan ─┬─ trial        a few iterations of each configuration, before the first run
 //!                                 ├─ Record       experiment.json: the state, replaced after every step
 //!                                 ├─ execute      one process per run and user (`peernet measure`)
 //!                                 └─ report       compare.*, users.*, sensors.*, figures
@@ -62,15 +62,15 @@ use report::Report;
 use state::{Record, State};
 use trial::TrialResults;
 
-/// Default folder for experiments.
+/// Default folder for the folders of experiments.
 const DEFAULT_PARENT: &str = "results";
 
 /// Executes an experiment, or continues one.
 ///
 /// # Errors
 /// When the file does not exist (66) or is wrong (78), something that it names is not available (69), the folder
-/// holds other files (64), results cannot be written (73), some runs or iterations failed (75), or the user ended it
-/// early (130).
+/// holds other files (64), results cannot be written (73), some runs or iterations failed (75), or the user ended the
+/// experiment early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let file = File::read(&arguments.file, &arguments.set)?;
     let (configurations, networks) = file.configurations(&arguments.models_dir)?;
@@ -92,7 +92,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.check {
         let runs = counted(plan.runs.len() as u64, "run");
         let configurations = counted(plan.configurations.len() as u64, "configuration");
-        remarks.iter().for_each(|remark| print_to_stderr(format_args!("only on this machine: {remark}")));
+        remarks
+            .iter()
+            .for_each(|remark| print_to_stderr(format_args!("a problem of this machine only: {remark}")));
         hint_at_relative_paths(remarks.iter().map(String::as_str)).iter().for_each(print_to_stderr);
         print_to_stdout(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
         return Ok(());
@@ -139,7 +141,7 @@ async fn execute_experiment(
             }
         };
     let tried_configurations: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
-    // Only configurations that have runs to do: a continued experiment does not need the other peers.
+    // Only configurations that have runs to do are tried: a continued experiment does not need the other peers.
     let trial_results = match trial::configurations(
         &record.plan,
         &tried_configurations,
@@ -178,7 +180,7 @@ async fn execute_experiment(
         return Err(Failure::new(Exit::Interrupted, anyhow!("not started")));
     }
     if arguments.restart {
-        // Not earlier: results are kept if they cannot be measured again.
+        // The earlier results are removed only now: they are kept if they cannot be measured again.
         clear(&folder)?;
     }
     folder.save(&record)?;
@@ -194,7 +196,7 @@ async fn execute_experiment(
     let Report { text, figure_error } = report::write(&folder, &record, external_files.plots)?;
     print_to_stdout(format_args!("\n{text}"));
     print_to_stdout(format_args!("\n{path_text}: {}", summary(&record)));
-    // The agents that deliver lock the folders themselves.
+    // The agents that deliver events lock the folders themselves.
     drop(agent_state_dirs);
     if !interrupted {
         delivery::deliver(&record.plan, &mut signals, arguments.quiet).await?;
@@ -224,19 +226,19 @@ async fn execute_experiment(
     result_of_runs(&record, &selected_runs, interrupted)
 }
 
-/// Removes everything of an experiment that is restarted.
+/// Removes the tables, the figures, the runs and the record of an experiment that is restarted.
 fn clear(folder: &Folder) -> Result<(), Failure> {
     folder.clear_results()?;
     match folder.load() {
         Ok(Some(old)) => return folder.clear(&old),
         Ok(None) => {}
-        // Its runs are unknown then; they are replaced one by one.
+        // The runs of an unreadable record are unknown. Each run replaces its folder when it is measured.
         Err(failure) => print_to_stderr(failure),
     }
     Ok(())
 }
 
-/// Estimates the durations of the runs. Nothing is known if a trial failed, because then no run starts.
+/// Estimates the durations of the runs. All durations are unknown if a trial failed, because then no run starts.
 fn estimates(record: &Record, trial_results: &TrialResults) -> Estimates {
     if !trial_results.unavailable.is_empty() {
         return Estimates::new(vec![None; record.plan.configurations.len()]);
@@ -293,9 +295,9 @@ fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Opti
     ))
 }
 
-/// Asks for confirmation if standard input is a terminal.
+/// Asks for confirmation if standard input is a terminal. Returns whether the runs may start.
 async fn confirm(signals: &mut Signals) -> bool {
-    // Scripts cannot answer.
+    // A script cannot answer.
     if !std::io::stdin().is_terminal() {
         return true;
     }
@@ -313,7 +315,7 @@ async fn confirm(signals: &mut Signals) -> bool {
     }
 }
 
-/// Removes the folder of an experiment that was not started.
+/// Removes the folder of an experiment of which no run was started.
 fn discard(folder: Option<Folder>, record: &Record) {
     if let Some(folder) = folder.filter(|_| record.states.iter().all(|state| state.attempts == 0)) {
         folder.discard();
@@ -341,7 +343,7 @@ fn summary(record: &Record) -> String {
     format!("{} of {runs} finished{}", record.count(RunStatus::Finished), unfinished.concat())
 }
 
-/// Returns the failure for the selected runs, if any.
+/// Returns the failure for the selected runs, if there is one.
 fn result_of_runs(record: &Record, selected_runs: &[Run], interrupted: bool) -> Result<(), Failure> {
     let states = || selected_runs.iter().filter_map(|run| record.states.get(run.number - 1));
     let failed = states().filter(|state| state.status == RunStatus::Failed).count();
@@ -355,11 +357,11 @@ fn result_of_runs(record: &Record, selected_runs: &[Run], interrupted: bool) -> 
     } else if failed > 0 {
         clauses.push(format!("{} failed; the same command tries again", counted(failed as u64, "run")));
     } else if incomplete > 0 {
-        clauses.push(format!("{} with failed iterations", counted(incomplete as u64, "run")));
+        clauses.push(format!("iterations failed in {}", counted(incomplete as u64, "run")));
     }
     if unwritten > 0 {
         clauses.push(format!(
-            "{} without all figures, but with complete measurements; `peernet plot` with a run's folder draws them",
+            "not all figures are drawn for {}, but the measurements are complete; `peernet plot` with the folder of a run draws its figures",
             counted(unwritten as u64, "run")
         ));
     }

@@ -1,6 +1,7 @@
 //! Plan of an experiment: its runs, their order and their configurations.
 //!
-//! It depends only on the file and the seed, so that a killed experiment can be continued by comparing plans.
+//! The plan depends on the file and the seed only. A killed experiment is continued if the plan of the file and the
+//! seed equals the recorded plan.
 
 use std::collections::BTreeMap;
 
@@ -20,9 +21,9 @@ use serde_json::Value;
 
 use super::file::{Configuration, Experiment, Order};
 
-/// Maximum length of a label in a folder's name.
+/// Maximum length of a label in a folder's name, characters.
 const MAX_LABEL_CHARS: usize = 24;
-/// Maximum length of a folder's name without its number and repeat.
+/// Maximum length of a folder's name without number and repeat, characters.
 const MAX_NAME_CHARS: usize = 120;
 
 /// The runs in order, and all data from which they are derived.
@@ -47,11 +48,11 @@ pub(super) struct Plan {
 pub(super) struct Run {
     /// Number of the run, from 1.
     pub(super) number: usize,
-    /// Index of its configuration.
+    /// Index of the run's configuration in the plan.
     pub(super) configuration: usize,
-    /// Index of its repeat.
+    /// Index of the run among the repeats of its configuration, from 0.
     pub(super) repeat: u32,
-    /// Its folder below `runs`.
+    /// Name of the run's folder below `runs`.
     pub(super) folder: String,
 }
 
@@ -73,6 +74,7 @@ impl Plan {
             }
             order.extend(block.into_iter().map(|configuration| (repeat, configuration)));
         }
+        // With equal numbers of digits, the folders are in the order of their numbers.
         let width = order.len().to_string().len().max(3);
         let runs = order.into_iter().enumerate().map(|(index, (repeat, configuration))| {
             let number = index + 1;
@@ -154,7 +156,7 @@ impl Plan {
     }
 
     /// Returns the name of the agent of a user, numbered if there are several users. `None` if the file has no name and
-    /// a single agent takes the machine's.
+    /// a single agent takes the name of the machine.
     pub(super) fn agent_name(&self, run: &Run, user: u32) -> Option<Slug> {
         let configuration = self.configuration(run);
         let agent = &configuration.agent.agent;
@@ -199,9 +201,10 @@ fn name_suffix(labels: &[(String, String)]) -> String {
     name
 }
 
-/// Derives a seed from the numbers that identify its purpose. It has at most 53 bits, which every JSON program keeps.
-fn derive_seed(parts: &[u64]) -> u64 {
-    parts.iter().fold(0, |state, part| SplitMix64::new(state ^ part).bits()) >> 11
+/// Derives a seed from the numbers that identify its purpose. The seed has at most 53 bits, which every JSON program
+/// keeps.
+fn derive_seed(numbers: &[u64]) -> u64 {
+    numbers.iter().fold(0, |state, number| SplitMix64::new(state ^ number).bits()) >> 11
 }
 
 /// Sets the seed of a configuration. A configuration of a kind that has no seed stays unchanged.

@@ -5,7 +5,7 @@ use serde_json::Value;
 /// Maximum number of reported differences.
 const MAX_DIFFERENCES: usize = 8;
 
-/// Returns one line for each difference: the path, the earlier value, the present value.
+/// Returns one line for each difference: path, earlier value and present value.
 pub(super) fn differences(before: &Value, now: &Value) -> Vec<String> {
     let mut differences = Vec::new();
     compare("", before, now, &mut differences);

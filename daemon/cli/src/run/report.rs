@@ -29,11 +29,11 @@ use crate::experiment::unfinished_runs_note;
 pub(super) struct Report {
     /// Text to be printed.
     pub(super) text: String,
-    /// Reason why not all figures are drawn; `None` if they are, or none was wanted.
+    /// Reason why not all figures are drawn; `None` if all are drawn or none is wanted.
     pub(super) figure_error: Option<WriteError>,
 }
 
-/// Writes everything that compares finished runs, with `plots` also as figures.
+/// Writes everything that compares finished runs: tables, and with `plots` also figures.
 ///
 /// # Errors
 /// When results cannot be read (65), or tables cannot be written (73).
@@ -65,7 +65,7 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
         ("tex", join_texts(comparison.latex(), tables.iter().map(CaptionedTable::latex))),
     ];
     save(folder.path(), "compare", &files)?;
-    // The tables are worth printing without the figures.
+    // If figures cannot be drawn, the tables are printed nevertheless.
     let figure_error = plots.then(|| figures(&all, comparison.lines.len(), folder.path()).err()).flatten();
     let mut parts = vec![comparison.text()];
     if let Some(users) = users {
@@ -126,8 +126,8 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
     lines.join("\n")
 }
 
-/// Counts, for each subject, the runs in which the worst finding on this subject has this grade. The most frequent subject is first. A run
-/// may have several findings on a subject, one for each host, and counts once.
+/// Counts, for each subject, the runs in which the worst finding on this subject has this grade. The most frequent
+/// subject is first. A run may have several findings on a subject, one for each host, and counts once.
 fn count_findings(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for edges in runs {

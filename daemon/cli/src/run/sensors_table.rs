@@ -11,7 +11,7 @@ const NOTE: &str = "Milliseconds. Period: from one sample to the next, mean ± s
                     is from the median period. Sensing: from asking for a sample to having it, the median.";
 const UNNUMBERED: &str = " A sensor that does not number its samples cannot tell which it dropped (—).";
 
-/// Table with a line for each edge that measured only a sensor.
+/// Table with a row for each edge that measured only a sensor.
 pub(super) struct SensorsTable {
     table: Table,
     note: String,

@@ -8,7 +8,8 @@ use tokio::time::Instant;
 /// Time without a progress report after which a process that measures is called silent.
 const SILENCE: Duration = Duration::from_secs(30);
 
-/// Detects processes that report no progress. A process reports it several times a second, also while it waits.
+/// Detector of processes that report no progress. A process reports its progress several times a second, also while it
+/// waits.
 pub(super) struct SilenceDetector {
     /// Time of the last report of each process; `None` if its silence was already shown.
     last_reports: Vec<Option<Instant>>,
@@ -21,7 +22,7 @@ impl SilenceDetector {
         Self { last_reports: vec![Some(now); processes], next_check: now + SILENCE }
     }
 
-    /// Notes a report of a process.
+    /// Records that a process has reported.
     pub(super) fn record_report(&mut self, index: usize) {
         self.last_reports[index] = Some(Instant::now());
     }
@@ -41,10 +42,10 @@ impl SilenceDetector {
         silent
     }
 
-    /// Returns the text about a silent process, for its user.
+    /// Returns the message about a silent process.
     pub(super) fn message() -> String {
         format!(
-            "its process has reported no progress for {} s: it is stopped, or this machine is overloaded; Ctrl-C ends the run",
+            "the process of this run has reported no progress for {} s: the process is suspended, or this machine is overloaded; Ctrl-C ends the run",
             SILENCE.as_secs()
         )
     }

@@ -20,7 +20,7 @@ pub(super) struct Record {
     pub(super) id: String,
     /// Path of the file that describes the experiment.
     pub(super) file: String,
-    /// Version of the program that planned it.
+    /// Version of the program that planned the experiment.
     pub(super) version: String,
     /// States of the runs, in their order.
     pub(super) states: Vec<State>,
@@ -37,13 +37,13 @@ pub(super) struct State {
     pub(super) status: RunStatus,
     /// Number of attempts.
     pub(super) attempts: u32,
-    /// Exit code of the process; the first that is not 0 if there are several.
+    /// Exit code of the process. If several processes measured the run, the first exit code that is not 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) exit: Option<i32>,
     /// Reason for a failure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) reason: Option<String>,
-    /// Seconds from the start of its process to its end.
+    /// Seconds from the start of the run's processes to their end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) seconds: Option<f64>,
 }

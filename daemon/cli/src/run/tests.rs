@@ -168,7 +168,7 @@ fn inconsistent_record_is_refused_before_removal() {
         let mut other = whole.clone();
         change(&mut other);
         folder.save(&other).expect("writable");
-        let failure = folder.load().expect_err("it contradicts itself");
+        let failure = folder.load().expect_err("the record is inconsistent");
         assert!(failure.exit == Exit::Data && failure.to_string().contains("--restart"), "{failure}");
         clear(&folder).expect("its runs are replaced one by one");
         assert!(mine.exists());
@@ -194,7 +194,7 @@ fn folder_belongs_to_one_experiment_and_program() {
     let temporary = tempfile::tempdir().expect("a folder");
     let path = temporary.path().join("results");
     let folder = Folder::open(&path).expect("is new");
-    let second = Folder::open(&path).err().expect("the first holds it");
+    let second = Folder::open(&path).err().expect("the folder is locked");
     assert!(
         second.exit == Exit::Unavailable && second.to_string().contains("another peernet run uses"),
         "{second}"
@@ -202,12 +202,12 @@ fn folder_belongs_to_one_experiment_and_program() {
     drop(folder);
     // A program was killed while it wrote its first record.
     std::fs::write(path.join(".experiment-x1"), "{").expect("writable");
-    let folder = Folder::open(&path).expect("it is an experiment's");
+    let folder = Folder::open(&path).expect("the folder belongs to an experiment");
     folder.discard();
     assert!(!path.exists(), "an empty folder is removed");
 
     std::fs::write(temporary.path().join("notes.txt"), "mine").expect("writable");
-    let foreign = Folder::open(temporary.path()).err().expect("it holds something else");
+    let foreign = Folder::open(temporary.path()).err().expect("the folder contains other files");
     assert!(
         foreign.exit == Exit::Usage && foreign.to_string().contains("not the folder of an experiment"),
         "{foreign}"
@@ -226,7 +226,7 @@ fn folder_belongs_to_one_experiment_and_program() {
 }
 
 #[test]
-fn check_of_file_ignores_measured_runs() {
+fn check_of_file_ignores_damaged_record() {
     let folder = tempfile::tempdir().expect("a folder");
     let (file, results) = (folder.path().join("e.toml"), folder.path().join("results"));
     std::fs::write(&file, FILE).expect("writable");
@@ -345,18 +345,19 @@ fn exit_code_reports_failed_and_incomplete_runs() {
     }
     assert!(result_of_runs(&record, &runs, false).is_ok());
     record.end_run(&runs[1], RunResult { exit: Some(75), ..result_with(RunStatus::Finished) });
-    let code =
-        |record: &Record, interrupted| result_of_runs(record, &runs, interrupted).expect_err("not well");
-    assert!(code(&record, false).to_string().contains("1 run with failed iterations"));
+    let code = |record: &Record, interrupted| {
+        result_of_runs(record, &runs, interrupted).expect_err("the runs have problems")
+    };
+    assert!(code(&record, false).to_string().contains("iterations failed in 1 run"));
     record.end_run(&runs[0], result_with(RunStatus::Failed));
     let failed = code(&record, false);
     assert!(failed.exit == Exit::Incomplete && failed.to_string().contains("1 run failed"), "{failed}");
     assert_eq!(code(&record, true).exit, Exit::Interrupted);
-    // A figure that cannot be written is no failure of the run, and takes precedence as an exit code.
+    // A run without all figures has not failed. The exit code for missing figures takes precedence.
     record.end_run(&runs[0], RunResult { exit: Some(73), ..result_with(RunStatus::Finished) });
     let unwritten = code(&record, false);
     assert!(unwritten.exit == Exit::Unwritten, "{unwritten}");
-    for text in ["1 run with failed iterations", "1 run without all figures", "peernet plot"] {
+    for text in ["iterations failed in 1 run", "not all figures are drawn for 1 run", "peernet plot"] {
         assert!(unwritten.to_string().contains(text), "{unwritten}");
     }
 }
@@ -382,7 +383,7 @@ fn run_without_figures_is_finished() {
     write();
     let result = run_result(&folder, &record, run, &process_results, 1.0);
     assert_eq!((result.status, result.exit), (RunStatus::Finished, Some(73)));
-    assert!(result.reason.expect("it is told").contains("not all figures are drawn"));
+    assert!(result.reason.expect("the reason is reported").contains("not all figures are drawn"));
 }
 
 #[test]
@@ -410,13 +411,13 @@ fn write_results(path: &Path, experiment: &ExperimentPosition) {
 }
 
 #[test]
-fn experiment_of_another_build_is_reported() {
+fn experiment_of_another_version_is_reported() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut record = record(folder.path());
     let runs = record.plan.runs.clone();
     assert_eq!(version_change_note(&record, &runs, "2"), None, "nothing is measured yet");
     record.end_run(&runs[0], result_with(RunStatus::Finished));
-    let message = version_change_note(&record, &runs[1..], "2").expect("there are two");
+    let message = version_change_note(&record, &runs[1..], "2").expect("the versions differ");
     assert!(message.starts_with("started by PEERNet 1, and continued by 2: "), "{message}");
     assert_eq!(
         (version_change_note(&record, &runs[1..], "1"), version_change_note(&record, &[], "2")),

@@ -27,7 +27,7 @@ use crate::short::shorten_label;
 
 /// Number of iterations of a trial: the first may be slow, the others give the pace.
 const ITERATIONS: u64 = 3;
-/// Words in the reasons for which a sensor gave no sample.
+/// Words that each reason for a missing sample of the sensor contains.
 const SENSOR: &str = "the sensor";
 /// Timeout for an unreachable peer unless the file sets another; seconds. The peer may have to load its model.
 const PEER_TIMEOUT_S: f64 = 30.0;
@@ -44,7 +44,7 @@ pub(super) struct TrialResults {
     pub(super) conditions: Vec<Condition>,
 }
 
-/// A trial and the indexes of all configurations for which it is the same.
+/// A trial, and the indexes of the configurations that share it.
 struct Trial {
     request: RunRequest,
     configurations: Vec<usize>,
@@ -70,7 +70,7 @@ pub(super) async fn configurations(
         unavailable: Vec::new(),
         conditions: Vec::new(),
     };
-    // The trial waits only once for an absent peer.
+    // Peers for which a trial has waited without success. Later trials do not wait for them again.
     let mut unreachable: Vec<(Address, ProcessResult)> = Vec::new();
     let trials = trials(plan, indexes);
     let mut progress = Progress::new(quiet, clock.mono());
@@ -91,14 +91,14 @@ pub(super) async fn configurations(
         let results_dir = folder.path().join(done.to_string());
         let began = clock.mono();
         let requests = [RunRequest { folder: results_dir.clone(), ..request.clone() }];
-        let share = done as f64 / trials.len() as f64;
+        let fraction_done = done as f64 / trials.len() as f64;
         let mut process_results = children::execute(&requests, signals, |event| match event {
             ChildEvent::Line(_, line) | ChildEvent::EndAnnouncement(line) => progress.print_line(line),
             ChildEvent::ProgressReport(reports) => {
                 let (now, trouble) =
                     (clock.mono(), reports.iter().flatten().find_map(|report| report.trouble.clone()));
                 let elapsed = length((now - began).seconds());
-                progress.show(now, trouble, || (format!("{state}, for {elapsed}"), share));
+                progress.show(now, trouble, || (format!("{state}, for {elapsed}"), fraction_done));
             }
         })
         .await;
@@ -145,8 +145,8 @@ fn trials(plan: &Plan, indexes: &BTreeSet<usize>) -> Vec<Trial> {
     let configurations = indexes.iter().filter_map(|index| Some((*index, plan.configurations.get(*index)?)));
     for (index, configuration) in configurations {
         let request = trial_request(plan, configuration);
-        // `trial_request` has removed everything from the agent's configuration that a trial does not test, so equal
-        // ones are the same trial.
+        // `trial_request` has removed everything from the agent's configuration that a trial does not test, so that
+        // requests with equal agents are the same trial.
         let is_same = |trial: &&mut Trial| {
             trial.request.agent == request.agent && trial.request.tried_actuator == request.tried_actuator
         };
@@ -158,7 +158,7 @@ fn trials(plan: &Plan, indexes: &BTreeSet<usize>) -> Vec<Trial> {
     trials
 }
 
-/// Describes a configuration; without axes by the experiment's name.
+/// Describes a configuration by its labels, or without axes by the experiment's name.
 fn describe_configuration(plan: &Plan, index: usize) -> String {
     let description = plan
         .configurations
@@ -177,7 +177,7 @@ fn describe_group(mut descriptions: impl ExactSizeIterator<Item = String>) -> St
     }
 }
 
-/// Returns the address of the peer.
+/// Returns the address of the peer; `None` if the pipeline has no peer.
 fn peer_address(request: &RunRequest) -> Option<Address> {
     match &request.agent.pipelines.first()?.placement {
         PlacementConfig::Remote(remote) => Some(remote.peer.clone()),
@@ -185,7 +185,7 @@ fn peer_address(request: &RunRequest) -> Option<Address> {
     }
 }
 
-/// Adds to the failure of a sensor that the trial had no actuator, on which the sensor may depend.
+/// Adds a note to the failure of a sensor: the sensor may depend on the actuator, which a trial does not have.
 fn describe_failure(request: &RunRequest, result: ProcessResult) -> ProcessResult {
     let has_actuator = request.tried_actuator.as_ref().is_some_and(ActuatorKind::acts);
     let explain = |reason: String| match reason.contains(SENSOR) && has_actuator {
@@ -229,8 +229,8 @@ fn trial_request(plan: &Plan, configuration: &Configuration) -> RunRequest {
     }
 }
 
-/// Returns whether a trial succeeded in part: some of its iterations have an answer and some failed. The configuration can
-/// be measured then, because failed iterations are part of a result.
+/// Returns whether a trial succeeded in part: some of its iterations have an answer and some failed. The configuration
+/// can be measured then, because failed iterations are part of a result.
 fn has_answer(result: &ProcessResult, loaded: Option<&Loaded>) -> bool {
     let is_incomplete = result.code == Some(i32::from(Exit::Incomplete as u8));
     is_incomplete && loaded.is_some_and(|loaded| loaded.rows.iter().any(|row| row.is_in_statistics()))
@@ -240,7 +240,7 @@ fn has_answer(result: &ProcessResult, loaded: Option<&Loaded>) -> bool {
 fn pace(rows: &Rows, duration_s: f64) -> Option<Pace> {
     let starts: Vec<f64> = rows.iter().map(|row| row.at()).collect();
     let intervals = starts.windows(2).map(|pair| pair[1] - pair[0]);
-    // The smallest values: the first iterations may include the loading of a model or a new connection.
+    // The smallest values are taken: the first iterations may include the loading of a model or a new connection.
     let iteration_s = intervals.filter(|interval| *interval > 0.0).reduce(f64::min)?;
     let sum_of = |stages: &[&str]| {
         let sums = rows.iter().map(|row| stages.iter().filter_map(|stage| row.value(stage)).sum::<f64>());

@@ -63,5 +63,5 @@ fn returning_cloud_loses_only_iterations_in_flight() {
     assert!((1..outcomes.len() - 3).contains(&unanswered), "{outcomes:?}");
     let second = lab.run(THREE_RUNS, &[]).wait_for_end();
     assert!(second.code() == 75 && second.log.contains("nothing to do"), "{}", second.log);
-    assert!(second.log.contains("with failed iterations"), "{}", second.log);
+    assert!(second.log.contains("iterations failed in "), "{}", second.log);
 }

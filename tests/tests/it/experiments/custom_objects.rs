@@ -109,7 +109,7 @@ fn failed_action_is_named_as_such() {
     // The first reason is printed as soon as it is known, before the end of the run.
     let first_reason = "): iteration 1 failed: the actuator failed: RuntimeError: the brake is on";
     assert_eq!(end.log.matches(first_reason).count(), 1, "{}", end.log);
-    assert!(end.log.contains("1 run with failed iterations"), "{}", end.log);
+    assert!(end.log.contains("iterations failed in 1 run"), "{}", end.log);
     // The report calls the failures errors of custom code, and not missing answers.
     let report = "2 of 2 iterations failed (100\u{202f}%): 2 with an error of sensor, model or actuator.";
     let runs = fs::read_dir(folder.path().join("results/arm/runs")).expect("a folder of runs");

@@ -25,7 +25,7 @@ const VARIABLE_TABLES: [&str; 10] = [
 const VARIABLE_KEYS: [&str; 7] =
     ["episodes", "episode_steps", "warm_up", "iterations", "duration_s", "users", "patience_s"];
 
-/// Columns of the tables over all runs besides the axes and the latencies.
+/// Columns of the tables over all runs besides the axes and the latencies. An axis cannot have one of these names.
 const RESERVED_COLUMNS: [&str; 6] = ["runs", "count", "unanswered", "best", "tie", "edges"];
 
 /// `[[axis]]` as in the file.

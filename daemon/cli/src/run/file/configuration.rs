@@ -19,14 +19,14 @@ use super::peers::PeerError;
 use super::{AGENT_TABLES, File, KeyError, convert, peers};
 use crate::run::check::with_experiment_keys;
 
-/// Keys of a pipeline that the experiment decides, with the keys to be used instead.
+/// Keys that an experiment's pipeline must not contain, with what to do instead.
 const REPLACED_KEYS: [(&str, &str); 6] = [
-    ("name", "experiment.name"),
-    ("limit", "experiment.iterations, experiment.duration_s, or experiment.episodes"),
-    ("warm_up", "experiment.warm_up"),
-    ("episode_steps", "experiment.episode_steps"),
-    ("start", "nothing: a run starts when its turn comes"),
-    ("experiment", "nothing: it is filled in"),
+    ("name", "use experiment.name instead"),
+    ("limit", "use experiment.iterations, experiment.duration_s or experiment.episodes instead"),
+    ("warm_up", "use experiment.warm_up instead"),
+    ("episode_steps", "use experiment.episode_steps instead"),
+    ("start", "a run starts when its turn comes"),
+    ("experiment", "the program sets this key itself"),
 ];
 
 /// A configuration that is measured in some runs.
@@ -69,7 +69,7 @@ pub(super) enum ConfigurationError {
     Network(#[source] KeyError),
     #[error("pipeline: the table [pipeline] is missing")]
     NoPipeline,
-    #[error("pipeline.{key}: in an experiment this is decided by {instead}")]
+    #[error("pipeline.{key}: an experiment does not accept this key: {instead}")]
     DecidedElsewhere { key: &'static str, instead: &'static str },
     #[error(transparent)]
     Peer(#[from] PeerError),
@@ -92,7 +92,7 @@ impl File {
     /// Returns the configuration of a combination, and the file that names its peer.
     ///
     /// # Errors
-    /// When something is wrong: the text begins with the key and ends with the axis that may have set it.
+    /// When a value is invalid. The text begins with the key and ends with the axes that may have set the value.
     pub(super) fn configuration(
         &self,
         combination: &Combination<'_>,
@@ -140,7 +140,7 @@ fn read(
     let network = peers::resolve(&mut pipeline, network.as_ref(), files)?;
     let seeds = Seeds { sensor: lacks_seed(&pipeline, "sensor"), load: lacks_seed(&pipeline, "load") };
     pipeline.insert("name".to_owned(), Value::String(experiment.name.to_string()));
-    // Noted before the conversion, which fills in the default folders of a daemon.
+    // This is checked before the conversion, which fills in the default folders of a daemon.
     let has_bank = document.contains_key("bank");
     document.retain(|key, _| AGENT_TABLES.contains(&key));
     document.insert("pipeline".to_owned(), Value::Array(vec![Value::Table(pipeline)]));
@@ -225,7 +225,7 @@ fn name_axes(problem: ConfigurationError, combination: &Combination<'_>) -> Conf
             value
                 .sets
                 .iter()
-                // An unknown field is named in the text only, in backticks as serde writes it.
+                // The key of an error about an unknown field is the table. Only the text names the field, in backticks.
                 .any(|(set, _)| set.overlaps(&field) || text.contains(&format!("`{}`", set.key())))
         })
         .map(|(axis, value)| format!("{} = {}", axis.name, value.label))

@@ -39,7 +39,7 @@ pub(in crate::run) struct Experiment {
     /// Aggregator to which the runs are streamed as well: `tcp://host:port`. Default: none.
     #[serde(default)]
     pub(super) aggregator: Option<Address>,
-    /// Excluded combinations: for each the names of axes with the labels that it excludes.
+    /// Excluded combinations. Each table has names of axes and, for each axis, the labels that are excluded together.
     #[serde(default)]
     pub(super) exclude: Vec<BTreeMap<String, Value>>,
     /// Episodes of each run; needs `episode_steps`.
@@ -110,7 +110,7 @@ impl Experiment {
     /// Checks the ranges of its numbers.
     ///
     /// # Errors
-    /// When one is outside its range.
+    /// When a number is outside its range.
     pub(super) fn check(&self) -> Result<(), RangeError> {
         let users = self.users.get();
         if users > MAX_USERS {
@@ -128,7 +128,7 @@ impl Experiment {
     /// Returns the limit of a run.
     ///
     /// # Errors
-    /// When none is given.
+    /// When the table has no limit.
     pub(super) fn limit(&self) -> Result<Limit, LimitError> {
         let episodes = match (self.episodes, self.episode_steps) {
             (Some(episodes), Some(steps)) => Some(NonZeroU64::from(episodes).saturating_mul(steps.into())),

@@ -1,4 +1,4 @@
-//! `--set`: a value that replaces one of the file.
+//! `--set`: a value that replaces a value of the file.
 
 use std::num::IntErrorKind;
 
@@ -46,7 +46,7 @@ impl FieldOverride {
         if document.is_none() && is_out_of_range(value) {
             return Err(SetError::Number);
         }
-        // With more than one key, the text contained a line feed.
+        // A document with more than one key comes from a text with a line feed, which is not a single TOML value.
         let parsed =
             document.filter(|document| document.len() == 1).and_then(|mut document| document.remove("value"));
         Ok(Self { field, value: parsed.unwrap_or_else(|| Value::String(value.to_owned())) })
@@ -60,7 +60,7 @@ impl FieldOverride {
         Ok(self.field.set(document, self.value.clone())?)
     }
 
-    /// Checks that it changes something.
+    /// Checks that the new value has an effect.
     ///
     /// # Errors
     /// When each value of an axis sets the field itself.

@@ -1,7 +1,7 @@
 //! The file of an experiment: settings that are common to all runs, and the axes along which they differ.
 //!
-//! Every combination of the axes' values is set in a copy of the document, which is then read as an agent's
-//! configuration: so any setting of an agent can be an axis, and is checked by the same code.
+//! Every combination of the axes' values is set in a copy of the document. The copy is then read as an agent's
+//! configuration, so that any setting of an agent can be an axis, and an agent's code checks the setting.
 
 mod axis;
 mod configuration;
@@ -103,9 +103,9 @@ impl File {
         Ok(file)
     }
 
-    /// Returns its configurations with the files that name their peers: every combination of the axes' values that is
-    /// not excluded, the last axis changing fastest. `models` are the folders that are searched unless `[bank]` names
-    /// others.
+    /// Returns the configurations of the experiment with the files that name their peers: every combination of the
+    /// axes' values that is not excluded, the last axis changing fastest. `models` are the folders that are searched
+    /// unless `[bank]` names others.
     ///
     /// # Errors
     /// When something is wrong, with the key of each error (78).

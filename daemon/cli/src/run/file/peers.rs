@@ -14,7 +14,7 @@ use crate::network::network as kind;
 use crate::paper_commands::{DeviceAddresses, addresses};
 use crate::run::relative_paths::base_hint;
 
-/// Files of devices, each read once, so that remarks about a file appear once for all combinations.
+/// Network configurations, each read once, so that remarks about a file appear once for all combinations.
 #[derive(Default)]
 pub(super) struct DeviceFiles(BTreeMap<(PathBuf, &'static str), Result<DeviceAddresses, Arc<Failure>>>);
 

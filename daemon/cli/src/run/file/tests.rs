@@ -110,10 +110,7 @@ fn mistake_is_reported_with_file_key_and_axis() {
             "[[axis]]\nname = 'A'\nfield = 'pipeline.timeout_ms.x'\nvalues = [1]\n",
             "pipeline.timeout_ms: invalid type: map",
         ),
-        (
-            "[[axis]]\nname = 'A'\nfield = 'pipeline.limit'\nvalues = ['x']\n",
-            "decided by experiment.iterations",
-        ),
+        ("[[axis]]\nname = 'A'\nfield = 'pipeline.limit'\nvalues = ['x']\n", "use experiment.iterations"),
         (
             "[[axis]]\nname = 'A'\nfield = 'pipeline.timeout_ms'\nvalues = ['x']\n",
             "pipeline.timeout_ms: invalid type",
