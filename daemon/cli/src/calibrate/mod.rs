@@ -45,6 +45,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
     let ready_agent = ReadyAgent::new(config)?;
     let started = ready_agent.system_clock.wall();
+    // The folder is created after the check of the configuration, so that an invalid configuration leaves no folder.
     let folder = Folder::make(arguments, &plan.peer, started)?;
 
     let mut observer = SweepObserver::new(&plan, ready_agent.clock.clone(), arguments.quiet);

@@ -30,6 +30,7 @@ fn read(text: &str, file: &Path) -> anyhow::Result<AgentConfig> {
         .parse()
         .map_err(|error: toml::de::Error| anyhow!("{}: {}", file.display(), describe_error(&error)))?;
     rename_tables(&mut document).map_err(|error| anyhow!("{}: {error}", file.display()))?;
+    // Other keys of [agent], such as the aggregator and the state folder, are meant for the daemon.
     let agent = document.get("agent").and_then(toml::Value::as_table);
     let agent: toml::Table = ["name", "clock_identity"]
         .iter()

@@ -93,6 +93,7 @@ pub(crate) fn measure(
         })?;
     }
     let mut results = Results::prepare(request)?;
+    // The free space is read before the run, whose results take up a part of it.
     let free_space = conditions::free_space("results", results.path(), "");
     let mut recorder = RunRecorder::new(
         pipeline,

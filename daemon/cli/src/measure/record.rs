@@ -93,6 +93,7 @@ pub(super) fn run_record(
         clocks: Clocks::from_rows(&recorded.rows),
         accuracy: Accuracy::by_column(&recorded.rows),
         units: recorded.units.clone(),
+        // The trust report is made from this record and added later.
         trust: None,
     }
 }

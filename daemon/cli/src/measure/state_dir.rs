@@ -26,6 +26,7 @@ impl AgentStateDir {
     /// When no folder can be used for the state (69).
     pub(crate) fn for_agent(agent: &HostConfig) -> Result<Self, Failure> {
         let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
+        // Without an aggregator nobody has to recognise the host, so no state has to stay.
         if agent.aggregator.is_none() {
             let folder = LockedTempDir::new("agent");
             let folder = folder.context("cannot create a temporary folder; set TMPDIR to another folder");

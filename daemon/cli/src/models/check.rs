@@ -26,6 +26,7 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let model = arguments.model.find()?;
+    // The mismatch is reported first, because it may be the reason why the model does not load.
     if let Ok(card) = &model.card
         && let Some(text) = describe_hash_mismatch(card, &model.hash().map_err(failure)?)
     {

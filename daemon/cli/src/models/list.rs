@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn broken_model_is_listed_with_reason() {
+    fn unreadable_model_is_listed_with_reason() {
         let models = tempfile::tempdir().expect("a folder");
         std::fs::create_dir(models.path().join("torn_card")).expect("made");
         std::fs::write(models.path().join("torn_card/model.toml"), "name = 'x'\ntask = 7\n")

@@ -53,6 +53,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
 fn run_request(arguments: &Arguments, devices: &Devices) -> Result<RunRequest, Failure> {
     let (sensor, transforms) = sensor::from_arguments(arguments)?;
     let session = arguments.session(SessionSettings {
+        // A model that is slow to answer may also be slow to load.
         open_timeout_ms: OPEN_TIMEOUT_MS.max(arguments.timeout_ms().unwrap_or(0)),
         ros2: devices.ros2.clone(),
         ..SessionSettings::default()

@@ -31,6 +31,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
         session,
         ..ServeConfig::default()
     });
+    // Clients can use no model except the model of the command line.
     config.bank.folders.clear();
     config.models = vec![model];
     let state_dir = AgentStateDir::for_agent(&config.agent)?;

@@ -58,6 +58,7 @@ fn subfolder_names(folders: &[PathBuf]) -> Vec<String> {
     let shortest = all.iter().map(Vec::len).min().unwrap_or_default();
     let common =
         (0..shortest).take_while(|index| all.iter().all(|parts| parts[*index] == all[0][*index])).count();
+    // The last part of each path stays, so that no name is empty.
     let common = common.min(shortest.saturating_sub(1));
     let mut names: Vec<String> = Vec::new();
     for parts in &all {

@@ -210,6 +210,7 @@ impl Child {
     ) -> anyhow::Result<Self> {
         let mut request = with_arguments(|| serde_json::to_vec(request))
             .context("cannot write the description of the measurement")?;
+        // The process reads one line. The end of its input later means that no process measures any more.
         request.push(b'\n');
         let mut process = Command::new(PROGRAM)
             // One program is daemon and command line. The program acts as the command line if it is started under this
@@ -222,6 +223,7 @@ impl Child {
             // The process has its own process group, so that Ctrl-C on the terminal reaches this program only. This
             // program passes the signal on once.
             .process_group(0)
+            // If this program gives up a process, the process must not go on measuring.
             .kill_on_drop(true)
             .spawn()
             .context("cannot start the process of the run")?;

@@ -106,6 +106,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         None => Record::new(plan, random_id(), arguments.file.display().to_string(), VERSION.to_owned()),
     };
+    // The processes of the runs do the work, so one thread is enough here.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime
         .context("cannot start the runtime")
@@ -374,7 +375,7 @@ fn result_of_runs(record: &Record, selected_runs: &[Run], interrupted: bool) -> 
     Err(Failure::new(exit, anyhow!("{}", clauses.join("; "))))
 }
 
-/// Returns a random id of this execution.
+/// Returns a random id of this execution. The id distinguishes executions of experiments with the same name.
 fn random_id() -> String {
     format!("{:016x}", rand::random::<u64>())
 }

@@ -69,6 +69,8 @@ impl Plan {
         let mut order: Vec<(u32, usize)> = Vec::new();
         for repeat in 0..repeats {
             let mut block: Vec<usize> = (0..count).collect();
+            // Each repeat is shuffled separately, so that a slow change of the network affects all configurations
+            // alike.
             if experiment.order == Order::Random {
                 block.shuffle(&mut random);
             }

@@ -44,6 +44,7 @@ pub(super) fn combinations<'a>(
     axes: &'a [Axis],
     exclude: &[BTreeMap<String, Value>],
 ) -> Result<Vec<Combination<'a>>, MatrixError> {
+    // The combinations are counted before they are made, because too many would fill the memory.
     let count = axes.iter().try_fold(1_usize, |count, axis| count.checked_mul(axis.values.len()));
     if count.is_none_or(|count| count > MAX_RUNS) {
         return Err(MatrixError::TooManyCombinations);

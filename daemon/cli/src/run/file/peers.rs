@@ -37,6 +37,7 @@ pub(super) enum PeerError {
 
 impl DeviceFiles {
     fn read(&mut self, path: &Path, kind: NetworkKind) -> Result<&DeviceAddresses, PeerError> {
+        // The address of a device depends on the network, so a file is read once for each network.
         let key = (path.to_owned(), kind.name());
         let addresses = self.0.entry(key).or_insert_with(|| addresses(path, kind).map_err(Arc::new));
         addresses.as_ref().map_err(|failure| match path.is_relative() && !path.exists() {
