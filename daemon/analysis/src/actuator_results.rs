@@ -11,16 +11,16 @@ use crate::rows::RowRef;
 /// this answer, because it had acted on the answer to a newer sample, or because the episode had ended. Iterations with
 /// other answers have no such node.
 pub const SUPERSEDED: &str = "superseded";
-/// Name of the node, and of the column, with the value 1 if the episode that ended with an iteration was a success, else 0.
+/// Name of the node, and of the column, that says whether the episode that ended with this iteration was a success: 1 or 0.
 pub const EPISODE_SUCCESS: &str = "episode-success";
-/// Name of the node, and of the column, with the return of the episode that ended with an iteration: the sum of its rewards.
+/// Name of the node, and of the column, with the return of the episode that ended with this iteration: the sum of the episode's rewards.
 pub const EPISODE_RETURN: &str = "episode-return";
-/// Values that belong to an episode. They are stored with the last iteration of the episode. They count even if that iteration has no
-/// answer, or is one of the first steps of its episode, which are warm-up. Episodes that begin in the warm-up at the start of the run have no
-/// such values.
+/// Names of the values that belong to an episode. The values are stored with the last iteration of the episode. They count even if that
+/// iteration has no answer, or is warm-up as one of the first steps of its episode. Episodes that begin in the warm-up at the start of the run
+/// have no such values.
 pub const EPISODE_VALUES: [&str; 2] = [EPISODE_SUCCESS, EPISODE_RETURN];
-/// Names of the reports of the actuator after each action. Their means over all actions say little; the nodes in
-/// [`EPISODE_VALUES`] have the results of whole episodes.
+/// Names of the nodes in which the actuator describes each action. The means of these nodes over all actions say little;
+/// the nodes in [`EPISODE_VALUES`] have the results of whole episodes.
 pub const ACTION_REPORTS: [&str; 2] = ["success", "episode-ended"];
 
 /// Text that joins two numbers of episodes: "12 and 13".
@@ -67,6 +67,7 @@ impl ActuatorResults {
         let (mut superseded, mut success, mut returns) = (0, Moments::default(), Moments::default());
         for row in rows {
             superseded += u64::from(row.is_in_statistics() && row.value(SUPERSEDED) == Some(1.0));
+            // Episodes count even if their last iteration is not in the statistics.
             for (name, moments) in [(EPISODE_SUCCESS, &mut success), (EPISODE_RETURN, &mut returns)] {
                 if let Some(value) = row.value(name).filter(|value| Summary::accepts(*value)) {
                     moments.record(value);
@@ -85,7 +86,7 @@ impl ActuatorResults {
     }
 
     /// Returns the results from statistics. `statistics_of` returns count, mean and sample standard deviation of the
-    /// values of the node with a name; `None` without values. Counts and means are exact in roll-ups.
+    /// values of the node with this name; `None` without values. Counts and means are exact in roll-ups.
     pub fn from_statistics(statistics_of: impl Fn(&str) -> Option<(u64, f64, Option<f64>)>) -> Self {
         let superseded =
             statistics_of(SUPERSEDED).map_or(0.0, |(count, mean, _)| (mean * count as f64).round());
@@ -106,9 +107,9 @@ impl ActuatorResults {
         }
     }
 
-    /// Returns the number of episodes with a result, as text. If more episodes have a success than a return, or fewer,
-    /// the text has both numbers. `None` without episodes.
-    pub fn episodes(&self) -> Option<String> {
+    /// Returns the number of episodes with a result, as text. The text has two numbers if the number of episodes with a
+    /// reported success differs from the number of episodes with a return. `None` without episodes.
+    pub fn episodes_text(&self) -> Option<String> {
         let counts =
             [self.success.map(|found| found.episodes), self.episode_return.map(|found| found.episodes)];
         let mut counts: Vec<u64> = counts.into_iter().flatten().collect();
@@ -117,7 +118,7 @@ impl ActuatorResults {
         (!texts.is_empty()).then(|| texts.join(EPISODES_SEPARATOR))
     }
 
-    /// Returns sentences about the results; `answered` is the number of iterations in the statistics.
+    /// Returns sentences about the results. `answered` is the number of iterations in the statistics.
     pub fn sentences(&self, answered: u64) -> Vec<String> {
         let superseded = (self.superseded > 0).then(|| {
             let [superseded, answered] = [self.superseded, answered].map(count);
@@ -173,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn episodes_count_whatever_their_last_iteration_was() {
+    fn episode_counts_even_if_its_last_iteration_failed() {
         let rows: Rows = [
             row(1, Outcome::Ok, &[(EPISODE_SUCCESS, 1.0), (EPISODE_RETURN, 3.0)]),
             row(2, Outcome::Ok, &[(SUPERSEDED, 1.0)]),
@@ -184,14 +185,14 @@ mod tests {
         .into_iter()
         .collect();
         let found = ActuatorResults::from_rows(&rows);
-        let success = found.success.expect("is reported");
+        let success = found.success.expect("a success rate");
         assert_eq!((found.superseded, success.rate, success.episodes), (1, 0.5, 2));
-        let returns = found.episode_return.expect("is reported");
-        assert_eq!(found.episodes().as_deref(), Some("2"));
-        let other = found.success.map(|success| SuccessRate { episodes: 1, ..success });
-        let with_other = ActuatorResults { success: other, ..found };
-        assert_eq!(with_other.episodes().as_deref(), Some("1 and 2"));
-        assert_eq!(ActuatorResults::default().episodes(), None);
+        let returns = found.episode_return.expect("a return");
+        assert_eq!(found.episodes_text().as_deref(), Some("2"));
+        let fewer_successes = found.success.map(|success| SuccessRate { episodes: 1, ..success });
+        let with_two_numbers = ActuatorResults { success: fewer_successes, ..found };
+        assert_eq!(with_two_numbers.episodes_text().as_deref(), Some("1 and 2"));
+        assert_eq!(ActuatorResults::default().episodes_text(), None);
         assert_eq!((returns.mean, returns.episodes), (2.0, 2));
         assert_eq!(
             found.sentences(1_000),
@@ -208,8 +209,8 @@ mod tests {
         let rows: Rows = (1..5).map(|at| row(at, Outcome::Ok, &[])).collect();
         let found = ActuatorResults::from_rows(&rows);
         assert_eq!((found, found.sentences(4)), (ActuatorResults::default(), Vec::new()));
-        let from_figures =
+        let from_statistics =
             ActuatorResults::from_statistics(|name| (name == SUPERSEDED).then_some((3, 1.0, Some(0.0))));
-        assert_eq!(from_figures, ActuatorResults { superseded: 3, ..ActuatorResults::default() });
+        assert_eq!(from_statistics, ActuatorResults { superseded: 3, ..ActuatorResults::default() });
     }
 }

@@ -10,19 +10,19 @@ pub const LATENCY: &str = "inference";
 const ANSWER_BYTES: &str = "download-bytes";
 /// Node with the number of chunks of a language model's answer. It is recorded even if the server counts no tokens.
 const ANSWER_CHUNKS: &str = "output-chunks";
-/// Advice if a language model's server reports no numbers of tokens.
+/// Advice if a language model's server does not report the numbers of tokens, which are its `usage`.
 pub const NO_USAGE: &str = "the server sent no `usage`; use --x output-chunks";
 /// Suffix of the names of quantities that count tokens.
 const TOKENS_SUFFIX: &str = "tokens";
-/// Words in the names of quantities that count the question and not the answer.
+/// Words in the names of quantities that count the tokens of the question.
 const QUESTION_WORDS: [&str; 2] = ["prompt", "input"];
 /// Minimum ratio of the longest to the shortest answer. Below this ratio the lengths differ too little to explain the
 /// latency.
 const MIN_LENGTH_RATIO: f64 = 1.5;
 
-/// Returns the name of the quantity that is the length of an answer. Quantities that count tokens of the answer are
-/// preferred to quantities that count tokens of the question. Among equals, the first in alphabetical order is
-/// returned. If no quantity counts tokens, `download-bytes` is returned.
+/// Returns the name of the quantity that is the length of an answer: a quantity that counts tokens of the answer, or else
+/// one that counts tokens of the question. If there are several, the first in alphabetical order is returned. If no
+/// quantity counts tokens, `download-bytes` is returned.
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
     names
         .filter(|name| is_tokens(name))
@@ -40,7 +40,7 @@ pub fn answer_tokens<'a>(names: impl Iterator<Item = &'a str>) -> Option<&'a str
 }
 
 /// Returns whether these quantities are those of a language model whose server reports no numbers of tokens: chunks of
-/// answers are counted, and tokens of answers are not. In this case, users are shown [`NO_USAGE`].
+/// answers are counted, and tokens of answers are not. In this case, [`NO_USAGE`] is shown.
 pub fn lacks_usage<'a>(names: impl Iterator<Item = &'a str> + Clone) -> bool {
     let counts_chunks = |name: &str| name.rsplit('_').next() == Some(ANSWER_CHUNKS);
     names.clone().any(counts_chunks) && answer_tokens(names).is_none()
@@ -64,8 +64,8 @@ pub fn varies(shortest: f64, longest: f64) -> bool {
 
 /// Minimum number of iterations for a line of latency over length.
 const MIN_ITERATIONS: usize = 60;
-/// Maximum number of iterations that a line is computed from. They form half a million pairs, and each pair has a
-/// slope.
+/// Maximum number of iterations that a line is computed from. 1,000 iterations form half a million pairs, and the slope
+/// of each pair is computed.
 const MAX_ITERATIONS: usize = 1_000;
 /// If the interval of a slope is wider than this share of the slope, the slope is not reported as one number.
 const MAX_RELATIVE_WIDTH: f64 = 0.5;
@@ -74,14 +74,14 @@ const MAX_RELATIVE_WIDTH: f64 = 0.5;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoLine {
     /// There are fewer answers than a line needs.
-    #[error("it needs {} answers, and there are {}", count(MIN_ITERATIONS as u64), count(*.0 as u64))]
-    Answers(usize),
-    /// Almost all answers have one length.
+    #[error("a line needs {} answers, and there are {}", count(MIN_ITERATIONS as u64), count(*.0 as u64))]
+    TooFewAnswers(usize),
+    /// Almost all answers have the same length.
     #[error("almost all of the {} answers have the same length", count(*.0 as u64))]
-    Lengths(usize),
+    EqualLengths(usize),
     /// The interval of the slope contains zero.
-    #[error("the 95\u{202f}% interval of its slope over {} answers contains zero", count(*.0 as u64))]
-    Slope(usize),
+    #[error("the 95\u{202f}% interval of the slope over {} answers contains zero", count(*.0 as u64))]
+    InsignificantSlope(usize),
 }
 
 /// Growth of latency with the length of answers: a line through single iterations.
@@ -95,21 +95,21 @@ pub struct Growth {
 
 impl Growth {
     /// Returns the line whose slope is the median of the slopes of all pairs of iterations, given as length and latency. This slope is
-    /// robust against long tails of the latencies and any distribution of the lengths. If there are very many iterations, an evenly
-    /// spread part of them is used.
+    /// robust against long tails of the latencies and any distribution of the lengths. Of more than 1,000 iterations, every second, every third
+    /// and so on is used.
     ///
     /// # Errors
-    /// If there are too few iterations, or too few with different lengths.
+    /// If there are too few iterations, or too few different lengths.
     pub fn from_iterations(iterations: &[(f64, f64)]) -> Result<Self, NoLine> {
         if iterations.len() < MIN_ITERATIONS {
-            return Err(NoLine::Answers(iterations.len()));
+            return Err(NoLine::TooFewAnswers(iterations.len()));
         }
         let step = iterations.len().div_ceil(MAX_ITERATIONS);
         let points: Vec<Point> =
             iterations.iter().step_by(step).map(|(x, y)| Point { x: *x, y: *y }).collect();
         theil_sen(&points)
             .and_then(|fit| Some(Self { interval: fit.slope.interval?, fit }))
-            .ok_or(NoLine::Lengths(iterations.len()))
+            .ok_or(NoLine::EqualLengths(iterations.len()))
     }
 
     /// Returns whether the interval of the slope excludes zero.
@@ -122,8 +122,8 @@ impl Growth {
         self.interval.1 - self.interval.0 > MAX_RELATIVE_WIDTH * self.fit.slope.value.abs()
     }
 
-    /// Describes the slope and its interval in a sentence. `unit` names the unit of length in the sentence, such as
-    /// "kB", and `unit_length` is the length of this unit in the unit of the measured lengths, such as 1,000 bytes.
+    /// Describes the slope and its interval in a sentence. `unit` is the unit of length in the sentence, such as "kB".
+    /// `unit_length` is the measured length that corresponds to one `unit`, such as 1,000 (bytes) for "kB".
     pub fn describe_slope(&self, unit: &str, unit_length: f64) -> String {
         let Self { fit, interval } = self;
         let (value, lo, hi) =
@@ -148,7 +148,8 @@ impl Growth {
         format!("{statement}, by Theil–Sen through {} iterations.", count(fit.points as u64))
     }
 
-    /// Describes the latency of the line at length 0 in a sentence; `None` if the line is not [drawn](Self::line) or is below 0 there.
+    /// Describes the latency of the line at length 0 in a sentence. `None` if this latency is below 0, or if the line is not
+    /// [drawn](Self::line).
     pub fn describe_intercept(&self) -> Option<String> {
         let (intercept, _) = self.line().ok().filter(|(intercept, _)| *intercept >= 0.0)?;
         let intercept = duration(intercept);
@@ -163,7 +164,7 @@ impl Growth {
     /// If the slope is not significant.
     pub fn line(&self) -> Result<(f64, f64), NoLine> {
         let line = (self.fit.intercept.value, self.fit.slope.value);
-        self.is_significant().then_some(line).ok_or(NoLine::Slope(self.fit.points))
+        self.is_significant().then_some(line).ok_or(NoLine::InsignificantSlope(self.fit.points))
     }
 }
 
@@ -176,7 +177,7 @@ mod tests {
         let iterations = |slope: f64| -> Vec<(f64, f64)> {
             (0..200).map(|n| (f64::from(n), 5.0 + slope * f64::from(n) + f64::from(n * 37 % 11))).collect()
         };
-        let growing = Growth::from_iterations(&iterations(0.5)).expect("enough");
+        let growing = Growth::from_iterations(&iterations(0.5)).expect("200 lengths");
         assert!(
             growing.is_significant()
                 && !growing.is_imprecise()
@@ -187,15 +188,15 @@ mod tests {
             slope.starts_with("Each further token takes 0.") && slope.ends_with("200 iterations."),
             "{slope}"
         );
-        let intercept = growing.describe_intercept().expect("it is above 0");
+        let intercept = growing.describe_intercept().expect("an intercept above 0");
         assert!(intercept.starts_with("The line begins at "), "{intercept}");
         let line = |iterations: &[(f64, f64)]| Growth::from_iterations(iterations)?.line();
-        assert_eq!(line(&iterations(0.0)), Err(NoLine::Slope(200)));
-        assert_eq!(line(&iterations(0.5)[..59]), Err(NoLine::Answers(59)));
+        assert_eq!(line(&iterations(0.0)), Err(NoLine::InsignificantSlope(200)));
+        assert_eq!(line(&iterations(0.5)[..59]), Err(NoLine::TooFewAnswers(59)));
         let one_length: Vec<(f64, f64)> = iterations(0.5).iter().map(|(_, y)| (7.0, *y)).collect();
-        assert_eq!(line(&one_length), Err(NoLine::Lengths(200)));
-        let text = NoLine::Answers(59).to_string();
-        assert_eq!(text, "it needs 60 answers, and there are 59");
+        assert_eq!(line(&one_length), Err(NoLine::EqualLengths(200)));
+        let text = NoLine::TooFewAnswers(59).to_string();
+        assert_eq!(text, "a line needs 60 answers, and there are 59");
     }
 
     #[test]
@@ -203,7 +204,7 @@ mod tests {
         let lacks = |names: &[&'static str]| lacks_usage(names.iter().copied());
         assert!(lacks(&["total", "output-chunks"]) && lacks(&["inference_output-chunks", "download-bytes"]));
         assert!(!lacks(&["inference_output-chunks", "inference_output-tokens"]));
-        assert!(!lacks(&["total", "download-bytes"]), "no language model");
+        assert!(!lacks(&["total", "download-bytes"]), "the model is not a language model");
     }
 
     #[test]

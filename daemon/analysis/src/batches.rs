@@ -1,7 +1,7 @@
-//! Batches of consecutive values.
+//! Batches of consecutive values of a run.
 //!
 //! Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. Single values are therefore
-//! not independent, but the means of batches nearly are, if a batch lasts longer than the correlation (non-overlapping
+//! not independent. The means of batches are nearly independent if a batch lasts longer than the correlation (non-overlapping
 //! batch means, Schmeiser, *Batch size effects in the analysis of simulation output*, Operations Research 30, 1982).
 
 use std::ops::Range;
@@ -14,8 +14,8 @@ pub(crate) const MAX_BATCHES: u64 = 30;
 /// Minimum number of values in a batch.
 pub(crate) const MIN_BATCH_VALUES: u64 = 10;
 
-/// Values in order of time, in buckets. A batch is a range of consecutive buckets. A list of single values has one
-/// value in each bucket.
+/// Values in order of time, grouped into buckets. A batch is a range of consecutive buckets. In a list of single values,
+/// each value is a bucket.
 pub(crate) trait Series {
     /// Returns the number of buckets.
     fn bucket_count(&self) -> usize;
@@ -38,16 +38,17 @@ pub(crate) trait Series {
         (count > 0).then(|| sum / count as f64)
     }
 
-    /// Splits the series into at most `parts` non-empty ranges of buckets, each with about the same number of values.
+    /// Splits the series into at most `max_ranges` non-empty ranges of buckets, each with about the same number of values.
     /// Buckets are not divided.
-    fn parts(&self, parts: u64) -> Vec<Range<usize>> {
+    fn split_evenly(&self, max_ranges: u64) -> Vec<Range<usize>> {
         let total_count = self.total_count();
         let (mut ranges, mut start, mut count) = (Vec::new(), 0, 0);
         for bucket in 0..self.bucket_count() {
             count += self.count(bucket);
-            // Part number k ends where the count reaches k / `parts` of all values. Both sides are multiplied by `parts`.
+            // Range number k ends where the count reaches the share k / `max_ranges` of all values. Both sides of the
+            // comparison are multiplied by `max_ranges`.
             let end = u128::from(total_count) * (ranges.len() as u128 + 1);
-            if u128::from(count) * u128::from(parts) >= end && (ranges.len() as u64) < parts {
+            if u128::from(count) * u128::from(max_ranges) >= end && (ranges.len() as u64) < max_ranges {
                 ranges.push(start..bucket + 1);
                 start = bucket + 1;
             }
@@ -105,14 +106,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_have_similar_counts_and_cover_series() {
+    fn ranges_have_similar_counts_and_cover_series() {
         let values = vec![1.0; 103];
-        let ranges = values.as_slice().parts(10);
+        let ranges = values.as_slice().split_evenly(10);
         assert_eq!((ranges.len(), ranges[0].start, ranges[9].end), (10, 0, 103));
         assert!(ranges.iter().all(|range| (10..=11).contains(&range.len())), "{ranges:?}");
         let buckets = [5, 50, 1, 1, 1].map(|count| (count, 1.0));
-        assert_eq!(buckets.as_slice().parts(2), [0..2, 2..5]);
-        assert!(values.as_slice().parts(0).is_empty());
+        assert_eq!(buckets.as_slice().split_evenly(2), [0..2, 2..5]);
+        assert!(values.as_slice().split_evenly(0).is_empty());
     }
 
     #[test]

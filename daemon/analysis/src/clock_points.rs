@@ -12,14 +12,14 @@ use crate::delays::{DelaySummary, merged_round_trip};
 /// The relation of two clocks at one time, and the state of the network between their hosts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClockPoint {
-    /// End of the second (or of the bucket), on the edge's wall clock.
+    /// End of the second that the point covers, on the edge's wall clock. For a bucket, the end of its newest second.
     pub at: WallTime,
-    /// Number of the period between two steps of a clock, in which one relation of the clocks holds.
+    /// Number of the period between two steps of a clock. One relation of the clocks holds in this period.
     pub window: u64,
     /// The cloud's clock minus the edge's clock, with bounds; `None` while unknown. For a bucket of several points, the
     /// offset with the widest bounds.
     pub offset: Option<Offset>,
-    /// Counts of probes.
+    /// Numbers of probes that were sent, answered, lost and refused.
     pub probes: ProbeCounts,
     /// Round trips of probes.
     pub round_trip: Option<RoundTrip>,
@@ -40,7 +40,7 @@ pub struct ClockPoint {
 /// Points of one bucket, summed up in order of time.
 #[derive(Clone, Debug, Default)]
 pub struct ClockBucket {
-    /// Time of the newest point, and its [`ClockPoint::window`].
+    /// Time and [`ClockPoint::window`] of the newest point.
     newest: Option<(WallTime, u64)>,
     /// Offset with the widest bounds among the points of the newest window. Among equal widths, the newest offset.
     widest: Option<Offset>,
@@ -67,7 +67,7 @@ impl ClockBucket {
         load_offset: impl FnOnce() -> Result<Option<Offset>, E>,
     ) -> Result<(), E> {
         if self.newest.is_some_and(|(_, previous)| previous != point.window) {
-            // Values from before a step of a clock do not apply after it.
+            // An offset from before a step of a clock does not apply after the step.
             self.widest = None;
         }
         if let Some(width) = width
@@ -93,7 +93,7 @@ impl ClockBucket {
         let Ok(()) = self.add_with(point, width, || Ok::<_, Infallible>(point.offset.clone()));
     }
 
-    /// Returns the bucket as a point at the time of its newest point; `None` if it is empty.
+    /// Returns the bucket as one point, at the time of the newest point in it; `None` if the bucket is empty.
     pub fn into_point(self) -> Option<ClockPoint> {
         let (at, window) = self.newest?;
         Some(ClockPoint {

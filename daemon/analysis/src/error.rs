@@ -26,12 +26,12 @@ impl WriteError {
 pub fn write_file(path: &Path, content: &[u8]) -> Result<(), WriteError> {
     std::fs::write(path, content).map_err(|error| {
         let mut error = WriteError::at(path)(error);
-        // A part of a picture or table would look like a result. A pipe or a device at `path` must stay, so only
+        // An incomplete picture or table would look like a result. A pipe or a device at `path` must stay, so only
         // regular files are removed.
         if path.is_file()
             && let Err(removal) = std::fs::remove_file(path)
         {
-            error.reason = format!("{}; a part of it remains: {removal}", error.reason);
+            error.reason = format!("{}; the incomplete file cannot be removed: {removal}", error.reason);
         }
         error
     })

@@ -4,7 +4,7 @@ use std::fs::{File, read_dir};
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-/// Histograms of the paper's original program: name of the file without its ending, column, title.
+/// Histograms of the paper's original program, each as the name of its file without ending, its column and its title.
 pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("sensing-time", "sensing", "Sensing time"),
     ("upload-time", "upload", "Upload time"),
@@ -14,7 +14,7 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("download-throughput", "download-throughput", "Download throughput"),
 ];
 
-/// Name endings of a figure's files, including the caption.
+/// Endings of the names of a figure's files, including the file of its caption.
 const FILE_ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 /// Names of figures of which there is at most one.
 const SINGLE_FIGURES: [&str; 7] =
@@ -22,10 +22,12 @@ const SINGLE_FIGURES: [&str; 7] =
 /// Names of figures of which there may be several. The names from the second figure on end with a number, such as
 /// `totals-2`.
 const NUMBERED_FIGURES: [&str; 4] = ["payload-latency", "payload-throughput", "totals", "users"];
-/// Number of bytes of `data.csv` that are read at most to find the end of its header.
+/// Maximum number of bytes of `data.csv` that are read to find the end of its header.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 
-/// Returns the names of the files in a result folder that are figures of the results, of all kinds.
+/// Returns the names of the files in a result folder that are figures of the results, whatever their kind.
+// A file is recognised by its exact name, because figures of earlier results are removed, and files that a person added must
+// stay.
 pub fn figure_files(dir: &Path) -> Vec<String> {
     let columns = columns(&dir.join("data.csv"));
     let entries = read_dir(dir).into_iter().flatten().filter_map(Result::ok);

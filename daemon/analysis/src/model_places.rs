@@ -1,4 +1,4 @@
-//! Models that ran at several places, such as on the robot and in the cloud.
+//! Models that ran at several places, such as on the robot and in the cloud. A place is a kind of placement and a device.
 
 use peernet_stream::PlacementKind;
 
@@ -16,11 +16,12 @@ pub struct PlacedModel {
 /// Models that ran at several places, with these places.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ModelPlaces {
-    /// Names of all places, the local ones first: the kind of placement in a word, followed by the device if several places have this kind.
+    /// Names of all places, the local places first. A name is the word for the kind of placement. The device follows if several places have
+    /// this kind.
     pub places: Vec<String>,
     /// Each model with the indexes of its runs: one list of indexes for each of `places`, in the order of `places`.
     pub models: Vec<(String, Vec<Vec<usize>>)>,
-    /// Models that ran at one place only. They are not in `models`, because there is nothing to compare.
+    /// Models that ran at only one place. They are not in `models`, because there is nothing to compare them with.
     pub at_one_place: Vec<String>,
 }
 
@@ -46,7 +47,7 @@ impl ModelPlaces {
             (model, runs)
         };
         let models: Vec<(String, Vec<Vec<usize>>)> = names.into_iter().map(model).collect();
-        let (paired, unpaired): (Vec<_>, Vec<_>) = models.into_iter().partition(ran_at_several_places);
+        let (compared, others): (Vec<_>, Vec<_>) = models.into_iter().partition(ran_at_several_places);
         let is_only_place = |kind: &str| places.iter().filter(|(other, _)| other == kind).count() == 1;
         let name = |(kind, device): &(String, String)| {
             let place = place_word(kind);
@@ -57,7 +58,7 @@ impl ModelPlaces {
             }
         };
         let places = places.iter().map(name).collect();
-        Self { places, models: paired, at_one_place: unpaired.into_iter().map(|(model, _)| model).collect() }
+        Self { places, models: compared, at_one_place: others.into_iter().map(|(model, _)| model).collect() }
     }
 }
 
@@ -100,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn models_at_one_place_each_are_left_out() {
+    fn models_at_only_one_place_are_listed_separately() {
         let found = ModelPlaces::new(&[placed("s", "local", "cpu"), placed("m", "remote", "cpu")]);
         assert_eq!(found.places, ["local", "cloud"]);
         assert!(found.models.is_empty() && found.at_one_place == ["s", "m"], "{found:?}");

@@ -8,14 +8,15 @@ use crate::clock_points::ClockPoint;
 use crate::fit::{Point, theil_sen};
 use crate::order::SortedValues;
 
-/// Returns the estimate of an offset and its largest error, seconds: the larger distance from the estimate to an end of the bounds, because
-/// the estimate is seldom in their middle. `None` if sources or exchanges contradict each other: such an offset has no value.
+/// Returns the estimate of an offset and the largest error of the estimate, seconds. The largest error is the larger of the distances from
+/// the estimate to the two bounds, because the estimate is seldom in their middle. `None` if sources or exchanges contradict each other: such
+/// an offset has no value.
 pub fn estimate_and_max_error(offset: &Offset) -> Option<(f64, f64)> {
     let [estimate, lo, hi] = [offset.estimate, offset.bounds.lo, offset.bounds.hi].map(|span| span.seconds());
     (offset.verdict != Verdict::Inconsistent).then(|| (estimate, (hi - estimate).max(estimate - lo)))
 }
 
-/// Straight lines through the estimates: one line for each window. A new window begins after each clock step.
+/// Straight lines through the estimates of an offset: one line for each window. A new window begins after each clock step.
 #[derive(Clone, Debug, Default)]
 pub struct OffsetTrend {
     lines: BTreeMap<u64, Line>,
@@ -27,12 +28,12 @@ struct Line {
     middle: WallTime,
     /// Value of the line at `middle`, seconds.
     level: f64,
-    /// Growth in seconds per second.
+    /// Growth of the offset, in seconds per second.
     slope: f64,
 }
 
 impl OffsetTrend {
-    /// Fits the trend to points.
+    /// Fits the lines to the offsets of these points.
     pub fn of(points: &[ClockPoint]) -> Self {
         let mut windows: BTreeMap<u64, Vec<(WallTime, f64)>> = BTreeMap::new();
         for point in points {
@@ -47,7 +48,7 @@ impl OffsetTrend {
         Self { lines: lines.collect() }
     }
 
-    /// Returns the value of the trend at a time in a window, seconds; 0 if the window has no line.
+    /// Returns the value of a window's line at a time, seconds; 0 if the window has no line.
     pub fn at(&self, window: u64, at: WallTime) -> f64 {
         self.lines.get(&window).map_or(0.0, |line| line.level + line.slope * (at - line.middle).seconds())
     }
@@ -77,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_estimates_have_horizontal_line() {
+    fn line_through_two_estimates_is_horizontal() {
         let at = |second| WallTime::from_unix_nanos(second * 1_000_000_000);
         let line = Line::through(&[(at(0), 1.0), (at(10), 3.0)]).expect("estimates");
         assert_eq!((line.level, line.slope), (2.0, 0.0));

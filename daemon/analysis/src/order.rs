@@ -64,6 +64,7 @@ impl SortedValues {
 
     /// Returns the upper end of an axis for these values: the largest finite value, but at most `factor` times the
     /// quantile at `p`. A quantile of 0 does not limit the axis. `None` without finite values.
+    // On an axis up to an extreme outlier, all other values would be one line.
     pub fn scale_end(&self, p: f64, factor: f64) -> Option<f64> {
         let finite: Self = self.0.iter().copied().filter(|value| value.is_finite()).collect();
         let (largest, limit) = (finite.0.last().copied()?, finite.quantile(p)? * factor);
@@ -91,7 +92,7 @@ pub(crate) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 pub(crate) fn ranks_around_median(n: u64) -> Option<[u64; 2]> {
     (n >= 6).then_some(())?;
     let lower = ((n as f64 + 1.0) / 2.0 - Z95 * (n as f64 / 4.0).sqrt()).round().max(1.0) as u64;
-    // The upper value has the same rank from the other end.
+    // The upper rank is as far from the largest rank as the lower rank is from the smallest.
     Some([lower, n + 1 - lower])
 }
 

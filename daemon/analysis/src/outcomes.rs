@@ -10,7 +10,7 @@ use crate::rows::{Outcome, Rows};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counts {
-    /// Number of successful iterations, the input of statistics.
+    /// Number of successful iterations. Statistics are computed from these iterations.
     pub ok: u64,
     /// Number of iterations whose sample, model or actuator failed.
     pub failed: u64,
@@ -20,7 +20,7 @@ pub struct Counts {
     pub timeout: u64,
     /// Number of warm-up iterations.
     pub warm_up: u64,
-    /// Number of iterations that were measured but not received by this program, because it was too busy.
+    /// Number of iterations that were measured, but that this program was too busy to receive.
     pub unseen: u64,
 }
 
@@ -41,13 +41,13 @@ impl Counts {
         counts
     }
 
-    /// Returns the number of iterations with any outcome, without the warm-up and without [`unseen`](Self::unseen)
-    /// iterations.
+    /// Returns the number of iterations of all outcomes, without the warm-up and without the iterations in
+    /// [`unseen`](Self::unseen).
     pub const fn measured(&self) -> u64 {
         self.outcomes().total()
     }
 
-    /// Returns the number of failed iterations, of any outcome but `ok`, without the warm-up.
+    /// Returns the number of iterations whose outcome is not `ok`, without the warm-up.
     pub const fn all_failed(&self) -> u64 {
         self.outcomes().all_failed()
     }
@@ -58,18 +58,18 @@ impl Counts {
     }
 }
 
-/// Returns the share of failed iterations, of any outcome but `ok`, 0 to 1; `None` without iterations.
+/// Returns the share of the iterations whose outcome is not `ok`, 0 to 1; `None` without iterations.
 pub fn failed_share(counts: &OutcomeCounts) -> Option<f64> {
     let total = counts.total();
     (total > 0).then(|| counts.all_failed() as f64 / total as f64)
 }
 
-/// Returns the number of failed iterations of each outcome with its name, such as `2 lost`; empty if no iteration failed.
+/// Returns a text for each outcome other than `ok` that occurred: its number of iterations and its name, such as `2 lost`.
 pub fn failed_texts(counts: &OutcomeCounts) -> Vec<String> {
     let outcomes = [
         (counts.failed, "with an error of sensor, model or actuator"),
-        (counts.lost, Outcome::Lost.words()),
-        (counts.timeout, Outcome::Timeout.words()),
+        (counts.lost, Outcome::Lost.display_name()),
+        (counts.timeout, Outcome::Timeout.display_name()),
     ];
     let occurred = outcomes.into_iter().filter(|(number, _)| *number > 0);
     occurred.map(|(number, outcome)| format!("{} {outcome}", count(number))).collect()
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_losses_and_timeouts_are_failed() {
+    fn errors_losses_and_timeouts_count_as_failed() {
         let counts = OutcomeCounts { ok: 15, failed: 1, lost: 2, timeout: 2 };
         assert_eq!(failed_share(&counts), Some(0.25));
         assert_eq!(failed_share(&OutcomeCounts::default()), None);

@@ -6,12 +6,12 @@ use peernet_statistics::{Moments, Summary};
 use crate::rows::{LATENESS, Rows};
 use crate::slowness::{self, BOTH_DIRECTIONS};
 
-/// If the time that belongs to no stage is less than this share of the total, it is a rounding error.
+/// If the time that belongs to no stage is at most this share of the total, the time is a rounding error.
 const MIN_REST_SHARE: f64 = 1e-9;
 /// If at least this share of the total is unexplained, the trust report has a caveat and the overview warns.
 pub const NOTABLE_UNEXPLAINED_SHARE: f64 = 0.05;
-/// A shorter unexplained time is negligible, even if it is a large share of the total: it is the normal cost of instructions and of the
-/// scheduler. Seconds.
+/// Unexplained time in seconds that is negligible if it is shorter, even if it is a large share of the total: it is the normal cost of
+/// instructions and of the scheduler.
 pub const NEGLIGIBLE_UNEXPLAINED_S: f64 = 1e-4;
 
 /// Parts that add up to the mean total latency, unless the clocks show a stage as longer than it was.
@@ -20,7 +20,7 @@ pub struct StageSplit {
     /// Mean of each part per iteration, seconds, in the order of the stages. The last part is `unattributed`, if there
     /// is time that belongs to no stage.
     pub parts: Vec<(Name, f64)>,
-    /// Part of `unattributed` before the real start of the iteration, seconds. It is not longer than `unattributed`, even if the clocks
+    /// Part of `unattributed` before the real start of the iteration, seconds. This part is not longer than `unattributed`, even if the clocks
     /// disagree.
     pub late_start: f64,
     /// Mean of the total, seconds; 0 without a total.
@@ -39,13 +39,13 @@ pub struct StageSplit {
 pub type CountAndMean = (u64, f64);
 
 impl StageSplit {
-    /// Splits the mean of the total. `mean_of` returns the number and the mean of a node's values; `None` if it has
-    /// none. `sent` holds the number of iterations that sent a message to the other host, and the number of iterations
+    /// Splits the mean of the total. `mean_of` returns the number and the mean of a node's values; `None` without
+    /// values. `sent` holds the number of iterations that sent a message to the other host, and the number of iterations
     /// that received a message from it. The delays of some of these messages may be unknown. The result is empty
     /// without a total.
     ///
-    /// A stage that an iteration does not have took no time. An unknown delay counts as the mean of the known ones. If neither direction is
-    /// known, because the clocks are not related, the sum of upload and download replaces both. The sum needs no clock relation.
+    /// A stage that an iteration does not have counts as 0 in this iteration. An unknown delay counts as the mean of the known delays. If neither
+    /// upload nor download is known, because the clocks are not related, their sum replaces them. The sum needs no clock relation.
     pub fn new(sent: [u64; 2], mean_of: impl Fn(&str) -> Option<CountAndMean>) -> Self {
         let Some((iterations, total)) = mean_of(&stage::TOTAL) else { return Self::default() };
         let mean = |name: &Name| {
@@ -76,6 +76,8 @@ impl StageSplit {
         if unattributed > MIN_REST_SHARE * total {
             parts.push((stage::UNATTRIBUTED, unattributed));
         }
+        // Without the unattributed time of any iteration, the rest may be a stage whose duration is unknown.
+        let rest = mean_of(&stage::UNATTRIBUTED).map(|_| unattributed);
         let per_iteration = |name: &str| mean_of(name).map(|values| mean_per_iteration(values, iterations));
         let lateness = per_iteration(LATENESS);
         Self {
@@ -84,7 +86,7 @@ impl StageSplit {
             total,
             lateness,
             model_restarts: per_iteration(&stage::RESTART).unwrap_or_default(),
-            rest: mean_of(&stage::UNATTRIBUTED).map(|_| unattributed),
+            rest,
         }
     }
 
@@ -95,13 +97,15 @@ impl StageSplit {
     }
 
     /// Returns the share of these seconds in the mean total; 0 without a total.
-    pub fn share(&self, seconds: f64) -> f64 {
+    pub fn share_of_mean_total(&self, seconds: f64) -> f64 {
         if self.total > 0.0 { seconds / self.total } else { 0.0 }
     }
 
-    /// Returns whether this unexplained time is long enough to be reported. `notable_share` is a share of the total.
+    /// Returns whether this unexplained time is long enough to be reported: longer than negligible, and at least the share
+    /// `notable_share` of the total.
     pub fn is_notable(&self, unexplained: f64, notable_share: f64) -> bool {
-        unexplained.abs() >= NEGLIGIBLE_UNEXPLAINED_S && self.share(unexplained.abs()) >= notable_share
+        unexplained.abs() >= NEGLIGIBLE_UNEXPLAINED_S
+            && self.share_of_mean_total(unexplained.abs()) >= notable_share
     }
 
     /// Returns the split of the rows of a run that are in the statistics.
@@ -144,28 +148,28 @@ pub fn share_of_total(
 }
 
 /// Returns the numbers of messages that were sent and received in a part of a run with `in_part` iterations. `sent` holds the numbers of the
-/// whole run, which has `iterations` iterations. The messages are spread evenly over the iterations: in most runs, each iteration sends one.
+/// whole run, which has `iterations` iterations. The messages are assumed to be spread evenly over the iterations: in most runs, each iteration
+/// sends one message. A run with messages has at least one message in each part, so that the direction is not left out.
 pub fn sent_in_part(sent: [u64; 2], iterations: u64, in_part: u64) -> [u64; 2] {
     let share = in_part as f64 / iterations.max(1) as f64;
     sent.map(|count| ((count as f64 * share).round() as u64).max(count.min(1)))
 }
 
-/// Returns the index at which the time of both directions is inserted into the parts: the index that `upload` would
-/// have.
+/// Returns the index in `parts` at which the time of both directions belongs: the index that `upload` would have.
 pub fn index_of_network(parts: &[(Name, f64)]) -> usize {
     let stages_before: Vec<Name> =
         stage::ORDER.into_iter().take_while(|name| *name != stage::UPLOAD).collect();
     parts.iter().filter(|(name, _)| stages_before.contains(name)).count()
 }
 
-/// Returns the mean of a node per iteration, from the number and the mean of its values. Iterations without the node count as zero.
+/// Returns the mean of a node per iteration, from the number and the mean of its values. Iterations without the node count as 0.
 pub fn mean_per_iteration((count, mean): CountAndMean, iterations: u64) -> f64 {
     mean * count as f64 / iterations.max(1) as f64
 }
 
 /// Returns the mean of a node per iteration over groups of iterations. A group, such as all iterations of a second, is
-/// given as its number of iterations and its mean per iteration, `None` if the group does not have the node. The
-/// iterations of such a group count as zero. `None` without iterations, or if no group has the node.
+/// given as its number of iterations and its mean per iteration. The mean is `None` if the group does not have the node;
+/// the iterations of such a group count as 0. Returns `None` without iterations, or if no group has the node.
 pub fn mean_of_groups(groups: impl IntoIterator<Item = (u64, Option<f64>)>) -> Option<f64> {
     let (mut iterations, mut sum) = (0, None);
     for (count, mean) in groups {
@@ -181,7 +185,8 @@ pub fn mean_of_groups(groups: impl IntoIterator<Item = (u64, Option<f64>)>) -> O
 mod tests {
     use super::*;
 
-    /// Splits a total of 20 ms over 50 iterations with these nodes.
+    /// Splits a mean total of 20 ms over 50 iterations. Each node is given as its name, the number of its values and their
+    /// mean. Returns the parts in milliseconds.
     fn split(sent: u64, nodes: &[(&str, u64, f64)]) -> Vec<(String, f64)> {
         let mean_of = |name: &str| {
             let node = [("total", 50, 0.020)].into_iter().chain(nodes.iter().copied());
@@ -219,9 +224,9 @@ mod tests {
     }
 
     #[test]
-    fn messages_of_part_are_share_of_those_of_run() {
+    fn messages_of_part_are_proportional_to_its_iterations() {
         assert_eq!(sent_in_part([300, 290], 300, 60), [60, 58]);
-        assert_eq!(sent_in_part([1, 0], 300, 60), [1, 0], "at least one was sent");
+        assert_eq!(sent_in_part([1, 0], 300, 60), [1, 0], "at least one message was sent");
     }
 
     #[test]
@@ -261,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn late_start_and_restart_are_explained() {
+    fn late_start_and_restart_count_as_explained() {
         let of = |nodes: &'static [(&'static str, u64, f64)]| {
             StageSplit::new([0; 2], |name| {
                 nodes.iter().find(|(node, ..)| *node == name).map(|(_, count, mean)| (*count, *mean))
@@ -296,7 +301,10 @@ mod tests {
         };
         let with_late_start = split(0.003);
         assert!((with_late_start.unattributed_without_late_start() - 0.002).abs() < 1e-12);
-        assert!(split(0.009).unattributed_without_late_start().abs() < 1e-12, "clocks may disagree");
+        assert!(
+            split(0.009).unattributed_without_late_start().abs() < 1e-12,
+            "the late start is at most as long as the unattributed time"
+        );
     }
 
     #[test]

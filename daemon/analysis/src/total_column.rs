@@ -13,8 +13,8 @@ pub enum TotalColumn {
 }
 
 impl TotalColumn {
-    /// Returns the latency that is compared, from rows. Only rows in the statistics matter. The rule is that of
-    /// [`Self::from_counts`].
+    /// Returns the latency by which rows are compared, by the rule of [`Self::from_counts`]. Rows that are not in the
+    /// statistics are ignored.
     pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Self {
         let [mut iterations, mut totals, mut sums] = [0; 3];
         for row in rows.into_iter().filter(RowRef::is_in_statistics) {
@@ -25,12 +25,12 @@ impl TotalColumn {
         Self::from_counts(iterations, totals, sums)
     }
 
-    /// Returns the latency that is compared, from three numbers of all runs together: of iterations in the statistics,
-    /// of those with a total, and of those with a sum of stages.
+    /// Returns the latency by which runs are compared. `iterations` is the number of iterations in the statistics, in all
+    /// runs together. `totals` of them have a total, and `sums` of them have a sum of stages.
     ///
-    /// The total is longer than the sum of its stages, so that a total cannot be compared with a sum. If at least one
-    /// iteration has no total, all iterations are therefore compared by the sum of their stages, unless no iteration
-    /// has such a sum.
+    /// A total cannot be compared with a sum of stages, because the total is longer than its stages. If at least one
+    /// iteration has no total, all iterations are therefore compared by the sum of their stages. If no iteration has such
+    /// a sum either, the total is returned.
     pub fn from_counts(iterations: u64, totals: u64, sums: u64) -> Self {
         if totals < iterations && sums > 0 { Self::SumOfStages } else { Self::Measured }
     }
@@ -74,15 +74,19 @@ mod tests {
     }
 
     #[test]
-    fn one_missing_total_makes_sums_of_stages_compared() {
+    fn sum_of_stages_is_used_if_one_total_is_missing() {
         let column = |rows: &Rows| TotalColumn::from_rows(rows);
         assert_eq!(column(&rows(&[Some(2.0), Some(2.0)], Outcome::Ok)), TotalColumn::Measured);
         assert_eq!(column(&rows(&[Some(2.0), None], Outcome::Ok)), TotalColumn::SumOfStages);
         assert_eq!(
             column(&rows(&[None], Outcome::Lost)),
             TotalColumn::Measured,
-            "it is not in the statistics"
+            "the iteration without a total is not in the statistics"
         );
-        assert_eq!(TotalColumn::from_counts(100, 99, 0), TotalColumn::Measured, "there is no sum");
+        assert_eq!(
+            TotalColumn::from_counts(100, 99, 0),
+            TotalColumn::Measured,
+            "no iteration has a sum of stages"
+        );
     }
 }

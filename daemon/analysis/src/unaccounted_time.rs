@@ -1,4 +1,4 @@
-//! Time of one iteration that none of its known stages accounts for.
+//! The part of an iteration's total that none of the known stages accounts for.
 
 use peernet_logger::{Name, stage};
 
@@ -15,7 +15,7 @@ pub struct IterationDurations<'a> {
     pub total: f64,
     /// Durations in the order of the stages.
     pub stages: &'a [(Name, f64)],
-    /// Sum of upload and download, if only the sum is known. A step of a clock does not change the sum.
+    /// Sum of upload and download, if only this sum is known. A step of a clock does not change the sum.
     pub both_ways: Option<f64>,
     /// Part of the total that belongs to no stage; `None` if it is not known.
     pub unattributed: Option<f64>,
@@ -29,7 +29,7 @@ pub struct IterationDurations<'a> {
 /// time that belongs to no stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UnaccountedTime {
-    /// [`BOTH_DIRECTIONS`] or [`NETWORK_AND_REST`], with its duration. `None` if the delays of both directions are known, or if they are not and
+    /// [`BOTH_DIRECTIONS`] or [`NETWORK_AND_REST`], with its duration. `None` if all delays are known. Also `None` if a delay is not known and
     /// the iteration has no answer.
     pub network: Option<(&'static str, f64)>,
     /// Time that belongs to no stage; `None` unless it is known and above zero.
@@ -37,8 +37,8 @@ pub struct UnaccountedTime {
 }
 
 impl UnaccountedTime {
-    /// Determines the parts. If a delay is not known, the sum of upload and download that the agent measured replaces
-    /// both directions.
+    /// Computes the unaccounted time. If a delay is not known, the sum of upload and download that the agent measured
+    /// replaces both directions.
     pub fn of(durations: &IterationDurations<'_>) -> Self {
         let IterationDurations { total, stages, both_ways, unattributed, .. } = *durations;
         let sum_of_stages = |with_one_way: bool| {
@@ -47,11 +47,13 @@ impl UnaccountedTime {
         };
         let (network, unattributed) = match (both_ways, durations.has_unknown_delay) {
             (Some(both), _) => (Some((BOTH_DIRECTIONS, both)), unattributed),
+            // All stages are known, so the rest of the total is unattributed.
             (None, false) => (None, Some(total - sum_of_stages(true))),
-            // An answered iteration has unattributed time, but its amount is unknown.
+            // Neither the time in the network nor the unattributed time is known, but their sum is.
             (None, true) if durations.is_answered => {
                 (Some((NETWORK_AND_REST, total - sum_of_stages(false))), None)
             }
+            // Without an answer, the rest may also be time on the other host or a wait for a lost message.
             (None, true) => (None, None),
         };
         let is_positive = |seconds: &f64| *seconds > 0.0;
@@ -108,10 +110,10 @@ mod tests {
     }
 
     #[test]
-    fn inseparable_times_are_one_part() {
+    fn network_and_unattributed_time_are_one_part_if_inseparable() {
         let expected = [("sensing", 0.002), (NETWORK_AND_REST, 1.1978), ("inference", 0.0002)];
         assert_eq!(parts(None, true), expected.map(|(name, s)| (name.to_owned(), s)));
         let lost: Vec<String> = parts(None, false).into_iter().map(|(name, _)| name).collect();
-        assert_eq!(lost, ["sensing", "upload", "inference"], "nobody knows where the time went");
+        assert_eq!(lost, ["sensing", "upload", "inference"], "without an answer, the rest has no name");
     }
 }

@@ -31,7 +31,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn period_ends_at_next_measured_or_last_iteration() {
+    fn warm_up_period_ends_at_next_measured_or_last_iteration() {
         let periods = |warm_up: &str| warm_up_periods(warm_up.chars().map(|it| it == 'w').enumerate());
         assert_eq!(periods("wwm.mwm.www"), [(0, 2), (5, 6), (8, 10)]);
         assert_eq!(periods("mm"), []);

@@ -59,7 +59,7 @@ impl Header {
     /// Appends the line of a row to `out`; values without a column are left out.
     pub fn write_row(&self, out: &mut Vec<u8>, row: &Row) {
         let fixed = FIXED_COLUMNS.iter().map(|(name, kind)| match kind {
-            ColumnKind::Position => position_cell(row, name),
+            ColumnKind::Iteration => iteration_cell(row, name),
             ColumnKind::Delay => delay_cell(row, name),
             ColumnKind::Node => number_cell(row.value(name)),
         });
@@ -85,7 +85,7 @@ fn write_line(out: &mut Vec<u8>, cells: impl Iterator<Item = impl AsRef<str>>) {
     out.push(b'\n');
 }
 
-fn position_cell(row: &Row, name: &str) -> String {
+fn iteration_cell(row: &Row, name: &str) -> String {
     match name {
         "outcome" => row.outcome.name().to_owned(),
         "reason" => row.reason.clone().unwrap_or_default(),

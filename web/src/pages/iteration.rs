@@ -84,7 +84,7 @@ fn title(row: &IterationRow) -> String {
     let Some(total) = row.total.filter(|_| row.outcome == "ok") else {
         let reason = row.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
         let outcome =
-            Outcome::from_name(&row.outcome).map_or(row.outcome.as_str(), |outcome| outcome.words());
+            Outcome::from_name(&row.outcome).map_or(row.outcome.as_str(), |outcome| outcome.display_name());
         let duration_text = row.total.map_or_else(String::new, |total| format!(" after {}", duration(total)));
         return format!("Iteration {outcome}{duration_text}{reason}");
     };

@@ -78,7 +78,7 @@ fn split(minute: &Window) -> StageSplit {
 fn unattributed_warning(split: &StageSplit, warn: &WarnConfig) -> Option<(Chip, String)> {
     let seconds = split.unexplained()?;
     split.is_notable(seconds, warn.unattributed_percent / 100.0).then_some(())?;
-    let share = percent(split.share(seconds.abs()));
+    let share = percent(split.share_of_mean_total(seconds.abs()));
     if seconds < 0.0 {
         let text = format!(
             "has stages that overlap: their sum exceeds the total by {share}{SPACE}% in the last minute."
@@ -105,7 +105,7 @@ fn skipped_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)>
 /// Returns the warning about iterations that start later than intended.
 fn late_warning(split: &StageSplit, warn: &WarnConfig) -> Option<(Chip, String)> {
     let seconds = split.lateness.filter(|seconds| *seconds >= NEGLIGIBLE_UNEXPLAINED_S)?;
-    let share = split.share(seconds);
+    let share = split.share_of_mean_total(seconds);
     let text = format!(
         "starts {} late on average, {}{SPACE}% of its total in the last minute.",
         duration(seconds),

@@ -118,7 +118,7 @@ impl MeanEstimate {
 /// values is split into five batches, which are shorter than ten values.
 fn batch_means<S: Series + ?Sized>(run: &S) -> Vec<f64> {
     let batches = (run.total_count() / MIN_BATCH_VALUES).clamp(MIN_BATCHES as u64, MAX_BATCHES);
-    run.parts(batches).into_iter().filter_map(|range| run.mean(range)).collect()
+    run.split_evenly(batches).into_iter().filter_map(|range| run.mean(range)).collect()
 }
 
 /// Variance of a mean, with its degrees of freedom.

@@ -77,9 +77,9 @@ impl Comparison {
             |line| Some(count(line.actuator.superseded)),
         );
         columns.add_if(
-            |line| line.actuator.episodes().is_some(),
+            |line| line.actuator.episodes_text().is_some(),
             "episodes",
-            |line| line.actuator.episodes(),
+            |line| line.actuator.episodes_text(),
         );
         columns.add_known("success (%)", |line| {
             let success = line.actuator.success?;
@@ -185,7 +185,7 @@ impl Comparison {
             any(|line| line.actuator.superseded > 0).then_some(
                 "Superseded: answers that were not acted on, because a newer answer had been acted on or the episode had ended.",
             ),
-            any(|line| line.actuator.episodes().is_some_and(|text| text.contains(EPISODES_SEPARATOR))).then_some(
+            any(|line| line.actuator.episodes_text().is_some_and(|text| text.contains(EPISODES_SEPARATOR))).then_some(
                 "Episodes: the number with a success or failure, and the number with rewards.",
             ),
             any(|line| line.actuator.success.is_some()).then_some(

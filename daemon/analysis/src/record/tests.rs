@@ -4,7 +4,7 @@ use peernet_clock::{OneWayDelay, Span, Verdict};
 
 use super::*;
 use crate::rows::Row;
-use crate::testing::{kept, rows};
+use crate::testing::{rows, to_rows};
 
 fn assert_near(found: Option<BoundedEstimate>, expected: [f64; 3]) {
     let found = found.expect("is known");
@@ -24,11 +24,11 @@ fn offset_and_skew_are_recovered_from_stamps() {
     change_upload(&mut rows[0], |delay| delay.raw = Span::from_seconds(9)).expect("was sent");
     change_upload(&mut rows[2], |delay| delay.verdict = Verdict::Inconsistent).expect("was sent");
     change_upload(&mut rows[9], |delay| delay.raw += Span::from_micros(18)).expect("was sent");
-    let clocks = Clocks::from_rows(&kept(&rows));
+    let clocks = Clocks::from_rows(&to_rows(&rows));
     assert_near(clocks.upload.first_offset, [0.005, 0.00499, 0.00501]);
     assert_near(clocks.upload.last_offset, [0.005_018, 0.005_008, 0.005_028]);
     assert_near(clocks.upload.skew, [3e-6, -2e-6 / 6.0, 38e-6 / 6.0]);
     assert_near(clocks.download.skew, [0.0, -20e-6 / 7.0, 20e-6 / 7.0]);
     rows.iter_mut().for_each(|row| row.at = 0.0);
-    assert_eq!(Clocks::from_rows(&kept(&rows)).upload.skew, None, "the times were not recorded");
+    assert_eq!(Clocks::from_rows(&to_rows(&rows)).upload.skew, None, "the times were not recorded");
 }

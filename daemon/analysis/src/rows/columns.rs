@@ -1,4 +1,4 @@
-//! Columns of `data.csv`, and the nodes of the tree that have their values.
+//! Columns of `data.csv`, and the nodes of a tree that their values come from.
 
 use std::collections::HashMap;
 
@@ -9,14 +9,14 @@ use super::Column;
 /// Column with the number of scheduled starts that an open loop skipped before this iteration, because the pipeline was
 /// too far behind.
 pub const SKIPPED_STARTS: &str = "skipped-starts";
-/// Column of the time from the scheduled to the actual start, in an open loop: a part of `unattributed`.
+/// Column of the time from the intended to the real start, in an open loop. This time is a part of `unattributed`.
 pub const LATENESS: &str = "lateness";
 
 /// Kind of the cells of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnKind {
-    /// Property of the iteration itself: its position in the run, its start time, or its outcome.
-    Position,
+    /// Property of the iteration itself: its position in the run, its start time, its outcome, or whether it is warm-up.
+    Iteration,
     /// Value of a node of the tree.
     Node,
     /// Property of a one-way delay other than its value, such as its bounds or its verdict.
@@ -26,10 +26,10 @@ pub enum ColumnKind {
 /// Number of columns of the paper's original program.
 pub const PUBLISHED_COLUMN_COUNT: usize = 13;
 
-/// Columns of every file: first the columns of the paper's original program in their order, then the columns of this program. Further
-/// measurements of a run follow them.
+/// Columns of every `data.csv`: first the columns of the paper's original program in their order, then the columns of this program. After
+/// these columns, the file of a run has the columns of its further measurements.
 pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
-    ("iteration", ColumnKind::Position),
+    ("iteration", ColumnKind::Iteration),
     ("sensing", ColumnKind::Node),
     ("upload", ColumnKind::Node),
     ("preprocessing", ColumnKind::Node),
@@ -70,12 +70,12 @@ pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
     ("unattributed", ColumnKind::Node),
     ("top-1", ColumnKind::Node),
     ("top-5", ColumnKind::Node),
-    ("at", ColumnKind::Position),
-    ("episode", ColumnKind::Position),
-    ("step", ColumnKind::Position),
-    ("warm-up", ColumnKind::Position),
-    ("outcome", ColumnKind::Position),
-    ("reason", ColumnKind::Position),
+    ("at", ColumnKind::Iteration),
+    ("episode", ColumnKind::Iteration),
+    ("step", ColumnKind::Iteration),
+    ("warm-up", ColumnKind::Iteration),
+    ("outcome", ColumnKind::Iteration),
+    ("reason", ColumnKind::Iteration),
 ];
 
 /// Returns the names of the columns of the paper's original program, in their order.
@@ -83,24 +83,24 @@ pub fn published_columns() -> impl Iterator<Item = &'static str> {
     FIXED_COLUMNS[..PUBLISHED_COLUMN_COUNT].iter().map(|(name, _)| *name)
 }
 
-/// Returns the position of a column that every file has.
+/// Returns the index of a column in [`FIXED_COLUMNS`]; `None` for a further column of a run.
 fn fixed_index(name: &str) -> Option<usize> {
     FIXED_COLUMNS.iter().position(|(fixed, _)| *fixed == name)
 }
 
-/// Returns the name of a column, without allocation if every file has it.
+/// Returns the name of a column. The name of a fixed column is not allocated.
 pub fn column(name: &str) -> Column {
     fixed_index(name)
         .map_or_else(|| Column::Owned(name.to_owned()), |index| Column::Borrowed(FIXED_COLUMNS[index].0))
 }
 
-/// Returns every number of a tree with the name of its column. First come the columns that every file has, in their
-/// order, then the other columns, in the order in which they were logged.
+/// Returns every number of a tree with the name of its column. First come the fixed columns, in their order, then the
+/// other columns, in the order in which they were logged.
 ///
 /// The rules for names are those of the paper's original program: the names of nested nodes are joined with `_`, and
-/// `_val` is appended for a node that has both a value and children. The columns that every file has are exceptions,
-/// because their names never change: the column is `sensing` and not `sensing_val`, although the node has children, and
-/// these are `capture` and `transform` and not `sensing_capture`.
+/// `_val` is appended for a node that has both a value and children. The fixed columns are exceptions, because their
+/// names never change: the column is `sensing` and not `sensing_val`, although the node has children. The columns of its
+/// children are `capture` and `transform`, not `sensing_capture` and `sensing_transform`.
 pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
     TreeValues::from_tree(tree).values()
 }
@@ -108,13 +108,13 @@ pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
 /// Measurements of a tree.
 #[derive(Default)]
 pub(super) struct TreeValues<'a> {
-    /// Values of the nodes whose names stand for one value in each iteration, wherever the node is in the tree.
+    /// Values of the names that have one value in each iteration, such as the names of stages.
     of_iteration: IterationValues,
-    /// Columns of the bounds of throughputs, which have no nodes of their own.
+    /// Columns and values of the bounds of throughputs. The bounds are in the node of their throughput.
     bounds: Vec<(&'static str, f64)>,
     /// Name, value and unit of each further column.
     further: Vec<(Column, f64, Unit)>,
-    /// Number of children with this name that were added so far, by parent and name.
+    /// Number of children that were added so far, by parent and name.
     siblings: HashMap<(NodeId, &'a str), usize>,
 }
 
@@ -131,14 +131,14 @@ impl<'a> TreeValues<'a> {
     pub(super) fn values(self) -> Vec<(Column, f64)> {
         let Self { of_iteration, bounds, further, .. } = self;
         let fixed = FIXED_COLUMNS.into_iter().filter_map(|(name, _)| {
-            // If several nodes have bounds, the bounds of the last node count.
+            // If several nodes of one throughput have bounds, the bounds of the last node count.
             let bound = || bounds.iter().rev().find(|(column, _)| *column == name).map(|(_, bound)| *bound);
             Some((Column::Borrowed(name), of_iteration.get(name).or_else(bound)?))
         });
         fixed.chain(further.into_iter().map(|(name, value, _)| (name, value))).collect()
     }
 
-    /// Returns names and units of the further columns.
+    /// Returns the names and the units of the further columns.
     pub(super) fn units(&self) -> impl Iterator<Item = (&str, &Unit)> {
         self.further.iter().map(|(name, _, unit)| (name.as_ref(), unit))
     }
@@ -176,7 +176,7 @@ impl<'a> TreeValues<'a> {
         Column::Owned(label)
     }
 
-    /// Sets the value of a column that not every file has.
+    /// Sets the value of a further column. A value that the column already has is replaced.
     fn set_further(&mut self, name: &str, value: f64, unit: Unit) {
         match self.further.iter_mut().find(|(other, ..)| other == name) {
             Some((_, previous, _)) => *previous = value,

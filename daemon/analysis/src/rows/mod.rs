@@ -47,7 +47,7 @@ pub struct Rows {
     verdicts: [Chunks<Option<JudgedDelay>>; 2],
     /// Index and reason of each row that has a reason, in order. Consecutive equal reasons share their text.
     reasons: Vec<(usize, Arc<str>)>,
-    /// Last row that was appended. It is kept so that the next row uses its memory instead of allocating.
+    /// Memory of the last row that was appended. The next row uses this memory instead of allocating.
     builder: RowBuilder,
 }
 
@@ -57,7 +57,7 @@ const WARM_UP: &str = "warm-up";
 /// Magnitude above which a number cannot have been measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
 const MAX_MAGNITUDE: f64 = 1e18;
 
-/// Returns whether a number can have been measured. Figures show no other numbers.
+/// Returns whether a number can have been measured. Figures leave out all numbers that are not plausible.
 pub fn is_plausible(value: f64) -> bool {
     value.abs() <= MAX_MAGNITUDE
 }
@@ -68,7 +68,7 @@ pub type JudgedDelay = (Verdict, DelaySource);
 /// Row that is built cell by cell: its numbers by the index of their column, and its other values.
 #[derive(Clone, Debug, Default)]
 pub struct RowBuilder {
-    /// Numbers, by [`RowBuilder::column_index`]; `None` for a missing number.
+    /// Number of each column, at the index from [`RowBuilder::column_index`]; `None` for a missing number.
     pub numbers: Vec<Option<f64>>,
     /// Outcome of the iteration; `None` stands for [`Outcome::Ok`].
     pub outcome: Option<Outcome>,
@@ -118,7 +118,7 @@ impl Rows {
             }
         }
         for (name, value) in &row.values {
-            // If two values have the same name, the first is used.
+            // If two values have the same name, the first value is used.
             let index = builder.column_index(self, name);
             builder.numbers[index] = builder.numbers[index].or(Some(*value));
         }
@@ -143,8 +143,10 @@ impl Rows {
             numbers.push(*number);
         }
         if let Some(reason) = builder.reason.take() {
-            let last = self.reasons.last().map(|(_, last)| last).filter(|last| ***last == *reason);
-            let reason = last.map_or_else(|| Arc::from(reason), Arc::clone);
+            // A broken connection gives many iterations in succession the same reason.
+            let previous = self.reasons.last().map(|(_, previous)| previous);
+            let same_reason = previous.filter(|previous| ***previous == *reason);
+            let reason = same_reason.map_or_else(|| Arc::from(reason), Arc::clone);
             self.reasons.push((self.outcomes.len(), reason));
         }
         self.verdicts.iter_mut().zip(builder.verdicts).for_each(|(verdicts, verdict)| verdicts.push(verdict));
@@ -168,8 +170,8 @@ impl Rows {
         &self.names
     }
 
-    /// Returns the columns that a user may mean by a name: the column with this name, or else all columns of nodes with this name, whose names
-    /// begin with those of their parents (`inference_output-chunks` for `output-chunks`).
+    /// Returns the columns that a name may stand for: the column with this name, or else the columns of all nodes with this name. The column of a
+    /// node begins with the names of the node's parents (`inference_output-chunks` for `output-chunks`).
     pub fn columns_named(&self, name: &str) -> Vec<&str> {
         let names = || self.names.iter().map(|column| &**column);
         if let Some(exact) = names().find(|column| *column == name) {
@@ -194,7 +196,7 @@ impl Rows {
         self.iter().next_back()
     }
 
-    /// Returns the numbers of a column in the rows in the statistics, in order.
+    /// Returns the numbers of a column in the rows that are in the statistics, in order.
     pub fn values_in_statistics(&self, column: &str) -> impl Iterator<Item = f64> + Clone {
         let index = self.column_indexes.get(column);
         let numbers = index.map(|index| &self.numbers[*index]);
@@ -219,7 +221,8 @@ impl Rows {
 }
 
 impl RowBuilder {
-    /// Returns the index of a column in the rows that this row will be added to.
+    /// Returns the index of a column in `rows`, to which this row will be appended. If no column has this name, the
+    /// column is added.
     pub fn column_index(&mut self, rows: &mut Rows, name: &Column) -> usize {
         let index = rows.column_index(name);
         self.numbers.resize(rows.names.len(), None);
@@ -278,7 +281,7 @@ impl FromIterator<Row> for Rows {
 }
 
 impl PartialEq for Rows {
-    /// Returns whether both contain the same rows. The columns may be in a different order or form.
+    /// Returns whether both contain the same rows. The order and the memory format of the columns may differ.
     fn eq(&self, other: &Self) -> bool {
         self.len() == other.len() && self.iter().zip(other.iter()).all(|(a, b)| a.to_row() == b.to_row())
     }

@@ -4,9 +4,9 @@ use super::chunks::Chunks;
 
 /// Element of [`Numbers::Multiples`] that stands for a missing number.
 const MISSING: i32 = i32::MIN;
-/// Units of multiples that are tried, given as their number per 1: first whole numbers, then nanoseconds, for durations
-/// in seconds.
-const UNITS_PER_WHOLE: [f64; 2] = [1.0, 1e9];
+/// Divisors that are tried for [`Numbers::Multiples`]: 1 for whole numbers, 10⁹ for durations in seconds that are whole
+/// nanoseconds.
+const DIVISORS: [f64; 2] = [1.0, 1e9];
 
 /// Numbers, one for each row. Any of them may be missing.
 ///
@@ -16,10 +16,11 @@ const UNITS_PER_WHOLE: [f64; 2] = [1.0, 1e9];
 /// numbers are converted to a wider form.
 #[derive(Clone, Debug)]
 pub(super) enum Numbers {
-    /// Numbers with a constant difference, or only missing numbers.
+    /// Numbers with the constant difference `step`. `first` is `None` if all numbers are missing.
     Linear { first: Option<f64>, step: f64, count: usize },
-    /// Multiples of 1 / `per`, such as seconds as whole nanoseconds.
-    Multiples { per: f64, counts: Chunks<i32> },
+    /// Each number is a whole number from `dividends`, divided by `divisor`: for example, seconds are nanoseconds
+    /// divided by 10⁹.
+    Multiples { divisor: f64, dividends: Chunks<i32> },
     /// Unchanged numbers; NaN stands for a missing number.
     Exact(Chunks<f64>),
 }
@@ -33,7 +34,7 @@ impl Numbers {
     pub(super) fn len(&self) -> usize {
         match self {
             Self::Linear { count, .. } => *count,
-            Self::Multiples { counts, .. } => counts.len(),
+            Self::Multiples { dividends, .. } => dividends.len(),
             Self::Exact(numbers) => numbers.len(),
         }
     }
@@ -42,9 +43,9 @@ impl Numbers {
     pub(super) fn get(&self, row: usize) -> Option<f64> {
         match self {
             Self::Linear { first, step, .. } => first.map(|first| first + step * row as f64),
-            Self::Multiples { per, counts } => {
-                Some(counts[row]).filter(|count| *count != MISSING).map(|count| f64::from(count) / per)
-            }
+            Self::Multiples { divisor, dividends } => Some(dividends[row])
+                .filter(|dividend| *dividend != MISSING)
+                .map(|dividend| f64::from(dividend) / divisor),
             Self::Exact(numbers) => Some(numbers[row]).filter(|number| !number.is_nan()),
         }
     }
@@ -63,6 +64,7 @@ impl Numbers {
         match self {
             Self::Linear { first, step, count } => {
                 match (*count, *first, number) {
+                    // The first two numbers determine the line.
                     (0, ..) => *first = number,
                     (1, Some(first), Some(number)) if (number - first).is_finite() => *step = number - first,
                     _ => {}
@@ -71,15 +73,16 @@ impl Numbers {
                 let fits = is_same(expected, number);
                 match (fits, *count) {
                     (true, _) => *count += 1,
+                    // The second number does not fit, so it must not determine the step.
                     (false, 1) => *step = 0.0,
                     (false, _) => {}
                 }
                 fits
             }
-            Self::Multiples { per, counts } => {
-                let multiple = multiple_of(number, *per);
-                multiple.into_iter().for_each(|multiple| counts.push(multiple));
-                multiple.is_some()
+            Self::Multiples { divisor, dividends } => {
+                let dividend = dividend_of(number, *divisor);
+                dividend.into_iter().for_each(|dividend| dividends.push(dividend));
+                dividend.is_some()
             }
             Self::Exact(numbers) => {
                 numbers.push(number.unwrap_or(f64::NAN));
@@ -88,27 +91,28 @@ impl Numbers {
         }
     }
 
-    /// Returns the narrowest form that can represent these numbers.
+    /// Returns the narrowest form, other than [`Numbers::Linear`], that can represent these numbers.
+    // Every column begins as linear and is converted only if a number does not fit, so the linear form is not tried again.
     fn narrowest_form(numbers: impl Iterator<Item = Option<f64>> + Clone) -> Self {
-        let fits = |per: &f64| numbers.clone().all(|number| multiple_of(number, *per).is_some());
-        match UNITS_PER_WHOLE.into_iter().find(fits) {
-            Some(per) => Self::Multiples {
-                per,
-                counts: numbers.filter_map(|number| multiple_of(number, per)).collect(),
+        let fits = |divisor: &f64| numbers.clone().all(|number| dividend_of(number, *divisor).is_some());
+        match DIVISORS.into_iter().find(fits) {
+            Some(divisor) => Self::Multiples {
+                divisor,
+                dividends: numbers.filter_map(|number| dividend_of(number, divisor)).collect(),
             },
             None => Self::Exact(numbers.map(|number| number.unwrap_or(f64::NAN)).collect()),
         }
     }
 }
 
-/// Returns n for a number that is n / `per`, and [`MISSING`] for a missing number. `None` if n is not a whole number or
-/// is too large.
-fn multiple_of(number: Option<f64>, per: f64) -> Option<i32> {
+/// Returns n for a number that is n / `divisor`, and [`MISSING`] for a missing number. `None` if n is not a whole number
+/// or is too large.
+fn dividend_of(number: Option<f64>, divisor: f64) -> Option<i32> {
     let Some(number) = number else { return Some(MISSING) };
     // The cast of a number that is too large saturates. The result then differs from the original, so that it is
     // rejected.
-    let count = (number * per).round() as i32;
-    (count != MISSING && is_same(Some(f64::from(count) / per), Some(number))).then_some(count)
+    let dividend = (number * divisor).round() as i32;
+    (dividend != MISSING && is_same(Some(f64::from(dividend) / divisor), Some(number))).then_some(dividend)
 }
 
 /// Compares bit by bit, so that the sign of a zero counts.
@@ -131,7 +135,7 @@ mod tests {
     fn bytes_per_number(numbers: &[Option<f64>]) -> f64 {
         let bytes = match column_of(numbers) {
             Numbers::Linear { .. } => 0,
-            Numbers::Multiples { counts, .. } => counts.len() * 4,
+            Numbers::Multiples { dividends, .. } => dividends.len() * 4,
             Numbers::Exact(numbers) => numbers.len() * 8,
         };
         bytes as f64 / numbers.len() as f64
@@ -144,7 +148,7 @@ mod tests {
         assert_eq!(column(|_| None), 0.0);
         assert_eq!(column(|_| Some(150_528.0)), 0.0, "a size");
         assert_eq!(column(|n| Some(f64::from(n))), 0.0, "the iteration's own number");
-        assert_eq!(column(|n| (n > 3).then_some(1.0)), 4.0, "a column that comes late");
+        assert_eq!(column(|n| (n > 3).then_some(1.0)), 4.0, "the first numbers are missing");
         assert_eq!(column(|n| Some(f64::from(n.pow(2)) / 1e9)), 4.0, "durations");
         assert_eq!(column(|n| Some(1e8 / f64::from(n))), 8.0, "throughputs");
     }
@@ -160,8 +164,8 @@ mod tests {
             assert!((0..all.len()).all(|at| is_same(column.get(at), all[at])), "{all:?}: {column:?}");
         }
         assert!(matches!(column_of(&all[..2]), Numbers::Linear { .. }));
-        assert!(matches!(column_of(&all[..4]), Numbers::Multiples { per: 1.0, .. }));
-        assert!(matches!(column_of(&all[..6]), Numbers::Multiples { per: 1e9, .. }));
+        assert!(matches!(column_of(&all[..4]), Numbers::Multiples { divisor: 1.0, .. }));
+        assert!(matches!(column_of(&all[..6]), Numbers::Multiples { divisor: 1e9, .. }));
         assert!(matches!(column_of(&all), Numbers::Exact(_)));
     }
 

@@ -17,7 +17,7 @@ pub type Column = Cow<'static, str>;
 pub struct Row {
     /// Number of the iteration in the run, from 1.
     pub iteration: u64,
-    /// Planned start, seconds of the edge's wall clock since the Unix epoch; 0 if it was not recorded.
+    /// Intended start, seconds of the edge's wall clock since the Unix epoch; 0 if it was not recorded.
     pub at: f64,
     /// Episode, from 0.
     pub episode: u32,
@@ -29,8 +29,8 @@ pub struct Row {
     pub outcome: Outcome,
     /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
-    /// Columns and values of the measurements. First come the columns that every file has. No value is NaN; a bound of
-    /// a throughput may be infinite.
+    /// Columns and values of the measurements. First come the columns that every `data.csv` has. No value is NaN; a
+    /// bound of a throughput may be infinite.
     pub values: Vec<(Column, f64)>,
     /// Delay from edge to cloud; `None` if no message was sent, or its delay was never judged.
     pub upload: Option<OneWayDelay>,
@@ -44,7 +44,7 @@ pub struct Row {
 pub enum Outcome {
     /// The iteration ended with an answer.
     Ok,
-    /// The sample or the model failed.
+    /// The sensor, the model or the actuator failed.
     Failed,
     /// The connection broke.
     Lost,
@@ -67,7 +67,7 @@ impl Outcome {
     }
 
     /// Returns the outcome as people read it: `ok`, `failed`, `lost` or `timed out`.
-    pub const fn words(self) -> &'static str {
+    pub const fn display_name(self) -> &'static str {
         match self {
             Self::Timeout => "timed out",
             outcome => outcome.name(),
@@ -116,20 +116,21 @@ impl Row {
     /// Returns the number in a column of `data.csv`; `None` if the cell is empty or text, or there is no such column.
     pub fn value(&self, column: &str) -> Option<f64> {
         let raw = |delay: Option<OneWayDelay>| delay.map(|delay| delay.raw.seconds());
-        let end = |delay: Option<OneWayDelay>, end: fn(Interval) -> Span| {
-            delay?.bounds.map(|bounds| end(bounds).seconds())
+        let bound = |delay: Option<OneWayDelay>, end_of: fn(Interval) -> Span| {
+            delay?.bounds.map(|bounds| end_of(bounds).seconds())
         };
         match column {
             "iteration" => Some(self.iteration as f64),
+            // An empty cell says that the start was not recorded. Other programs would read 0 as the year 1970.
             "at" => Some(self.at).filter(|at| *at != 0.0),
             "episode" => Some(f64::from(self.episode)),
             "step" => Some(f64::from(self.step)),
             "warm-up" => Some(f64::from(u8::from(self.warm_up))),
-            "upload-lo" => end(self.upload, |bounds| bounds.lo),
-            "upload-hi" => end(self.upload, |bounds| bounds.hi),
+            "upload-lo" => bound(self.upload, |bounds| bounds.lo),
+            "upload-hi" => bound(self.upload, |bounds| bounds.hi),
             "upload-raw" => raw(self.upload),
-            "download-lo" => end(self.download, |bounds| bounds.lo),
-            "download-hi" => end(self.download, |bounds| bounds.hi),
+            "download-lo" => bound(self.download, |bounds| bounds.lo),
+            "download-hi" => bound(self.download, |bounds| bounds.hi),
             "download-raw" => raw(self.download),
             _ => self.values.iter().find(|(name, _)| name == column).map(|(_, value)| *value),
         }
@@ -142,8 +143,8 @@ impl Row {
 }
 
 /// Returns the delay of the stage `upload` or `download`; `None` if no message was sent, or its delay was never judged.
-// The delay does not depend on a known size: the messages of an observed ROS system have delays, but their sizes on the
-// network are not known.
+// The delay is returned even if the size of the message is not known: the messages of an observed ROS system have delays,
+// but their sizes on the network are not known.
 pub(crate) fn judged_delay(tree: &Tree, transit: &str) -> Option<OneWayDelay> {
     match &tree.find(&[transit])?.1.measure {
         Measure::Transit(transit) => transit.delay,

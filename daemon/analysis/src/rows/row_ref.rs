@@ -40,7 +40,7 @@ impl<'a> RowRef<'a> {
         self.value("iteration").unwrap_or_default() as u64
     }
 
-    /// Returns the planned start, seconds of the edge's wall clock since the Unix epoch; 0 if it was not recorded.
+    /// Returns the intended start, seconds of the edge's wall clock since the Unix epoch; 0 if it was not recorded.
     pub fn at(&self) -> f64 {
         self.value("at").unwrap_or_default()
     }
@@ -77,7 +77,7 @@ impl<'a> RowRef<'a> {
         Some(&reasons[position].1)
     }
 
-    /// Returns the columns and values of the measurements. First come the columns that every file has.
+    /// Returns the columns and values of the measurements. First come the columns that every `data.csv` has.
     pub fn values(&self) -> impl Iterator<Item = (&'a Column, f64)> {
         let Self { rows, index } = *self;
         // All columns after the fixed columns are measurements.

@@ -1,4 +1,4 @@
-//! Units of the columns that a run logged in addition to the standard columns.
+//! Units of the further columns of a run, which not every `data.csv` has.
 
 use std::collections::BTreeMap;
 

@@ -1,7 +1,7 @@
 //! Tests of the summaries of columns.
 
 use super::*;
-use crate::testing::{kept, rows};
+use crate::testing::{rows, to_rows};
 
 #[test]
 fn quantity_matches_reference_statistics() {
@@ -55,7 +55,7 @@ fn percentiles_need_enough_numbers() {
 
 #[test]
 fn warm_up_and_lost_rows_are_excluded() {
-    let summary = Summary::from_rows(&kept(&rows(10)));
+    let summary = Summary::from_rows(&to_rows(&rows(10)));
     let upload = summary.quantity("upload").expect("measured");
     assert_eq!((upload.count, upload.max), (7, 0.01701));
     assert_eq!(upload.bounds, Some((0.016997, 0.017017)));

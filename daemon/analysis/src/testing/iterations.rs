@@ -4,18 +4,18 @@ use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime}
 use peernet_logger::{Anchor, HostId, Measure, Name, Rate, RunId, Transit, Tree, Unit, stage};
 use peernet_stream::{Iteration, Outcome};
 
-/// 2026-11-20 12:54:53 UTC.
-pub(crate) const BEGUN: i64 = 1_795_179_293_000_000_000;
+/// Start of each iteration, nanoseconds since the Unix epoch: 2026-11-20 12:54:53 UTC.
+pub(crate) const START_NANOS: i64 = 1_795_179_293_000_000_000;
 
 /// Returns a tree that has only a root.
 pub(crate) fn tree() -> Tree {
-    let anchor = Anchor { host: HostId::from_bytes([7; 16]), wall: WallTime::from_unix_nanos(BEGUN) };
+    let anchor = Anchor { host: HostId::from_bytes([7; 16]), wall: WallTime::from_unix_nanos(START_NANOS) };
     Tree::new(stage::ITERATION, anchor)
 }
 
-/// Adds a node below the node at `parent`.
+/// Adds a node below the node with the path `parent`.
 pub(crate) fn add(tree: &mut Tree, parent: &[&str], name: impl Into<Name>, measure: Measure) {
-    let parent = tree.find(parent).expect("the parent is there").0;
+    let parent = tree.find(parent).expect("a node at this path").0;
     tree.add(parent, name.into(), Span::ZERO, measure);
 }
 
@@ -23,7 +23,7 @@ pub(crate) fn timer(micros: i64) -> Measure {
     Measure::Timer(Some(Span::from_micros(micros)))
 }
 
-/// Returns a message whose delay is known to 10 µs.
+/// Returns a message with a delay that is known to ±10 µs.
 pub(crate) fn transit(micros: i64) -> Measure {
     let (value, half) = (Span::from_micros(micros), Span::from_micros(10));
     let delay = OneWayDelay {
@@ -33,7 +33,7 @@ pub(crate) fn transit(micros: i64) -> Measure {
         source: DelaySource::InBand,
         verdict: Verdict::Ok,
     };
-    let sent = WallTime::from_unix_nanos(BEGUN);
+    let sent = WallTime::from_unix_nanos(START_NANOS);
     Measure::Transit(Box::new(Transit {
         sent,
         received: Some(sent + value),
@@ -42,7 +42,7 @@ pub(crate) fn transit(micros: i64) -> Measure {
     }))
 }
 
-/// Returns the tree that an offloaded iteration with an ordinary model logs.
+/// Returns the tree that an offloaded iteration logs. The durations of `upload` and `inference` are in microseconds.
 pub(crate) fn offloaded(upload: i64, inference: i64) -> Tree {
     let mut tree = tree();
     let bytes = |bytes: f64| Measure::Value(bytes, Unit::BYTES);
@@ -63,6 +63,7 @@ pub(crate) fn offloaded(upload: i64, inference: i64) -> Tree {
     add(&mut tree, root, stage::DOWNLOAD_LOGGER_BYTES, bytes(130.0));
     add(&mut tree, root, stage::UPLOAD_THROUGHPUT, rate(8e8));
     add(&mut tree, root, stage::DOWNLOAD_THROUGHPUT, rate(4e6));
+    // The remaining 25 µs of the total belong to no stage.
     let stages = 700 + upload + inference + 400;
     add(&mut tree, root, stage::TOTAL, timer(stages + 25));
     add(&mut tree, root, stage::STAGES_TOTAL, timer(stages));
@@ -82,7 +83,7 @@ pub(crate) fn iteration(number: u64, outcome: Outcome, tree: Tree) -> Iteration 
     }
 }
 
-/// Returns `count` iterations, the first two of them warm-up, the sixth lost.
+/// Returns `count` iterations. The first two are warm-up, and the sixth is lost.
 pub(crate) fn iterations(count: u64) -> Vec<Iteration> {
     let iteration_with_number = |number: u64| match number {
         6 => iteration(number, Outcome::Lost("the connection broke, \"reset\"".to_owned()), tree()),

@@ -6,7 +6,7 @@ pub(crate) use iterations::*;
 
 use crate::rows::{Outcome, Row, Rows};
 
-/// Returns [`iterations`] as rows.
+/// Returns the rows of [`iterations`].
 pub(crate) fn rows(count: u64) -> Vec<Row> {
     iterations(count).iter().map(Row::from_iteration).collect()
 }
@@ -27,7 +27,7 @@ pub(crate) fn row_of_values(outcome: Outcome, values: &[(&'static str, f64)]) ->
     }
 }
 
-/// Returns the rows in the form in which they are stored.
-pub(crate) fn kept(rows: &[Row]) -> Rows {
+/// Appends the rows to an empty [`Rows`] and returns it.
+pub(crate) fn to_rows(rows: &[Row]) -> Rows {
     rows.iter().cloned().collect()
 }

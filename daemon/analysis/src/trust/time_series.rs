@@ -154,12 +154,12 @@ impl TimeSeries {
         let medians = |ranges: &[Range<usize>]| -> Vec<f64> {
             ranges.iter().filter_map(|range| series.median(range.clone())).collect()
         };
-        let batches = medians(&series.parts((count / MIN_BATCH_VALUES).min(MAX_BATCHES)));
-        let halves = match medians(&series.parts(2)).as_slice() {
+        let batches = medians(&series.split_evenly((count / MIN_BATCH_VALUES).min(MAX_BATCHES)));
+        let halves = match medians(&series.split_evenly(2)).as_slice() {
             [first, second] => Some((*first, *second)),
             _ => None,
         };
-        let blocks = series.parts((count / MIN_BEGINNING_VALUES).min(MAX_BLOCKS));
+        let blocks = series.split_evenly((count / MIN_BEGINNING_VALUES).min(MAX_BLOCKS));
         let beginning =
             blocks.split_first().filter(|(_, later)| !later.is_empty()).and_then(|(first, later)| {
                 let median = series.median(first.clone())?;

@@ -81,7 +81,7 @@ fn describe_failed_iterations(rows: &Rows) -> Option<String> {
 pub(super) fn describe_failure(iteration: u64, outcome: Outcome, reason: Option<&str>) -> String {
     let reason = reason.map_or("no answer in time", without_repetition);
     let verb = if outcome == Outcome::Lost { "was " } else { "" };
-    format!("iteration {iteration} {verb}{}: {reason}", outcome.words())
+    format!("iteration {iteration} {verb}{}: {reason}", outcome.display_name())
 }
 
 /// Separator between an exception and its traceback.

@@ -11,7 +11,7 @@ use peernet_logger::RunId;
 use proptest::prelude::*;
 
 use super::*;
-use crate::iterations::BEGUN;
+use crate::iterations::START_NANOS;
 
 #[test]
 fn header_of_fixed_columns_is_written_at_once() {
@@ -37,7 +37,7 @@ fn record() -> RunRecord {
         name: "robot".to_owned(),
         title: "A robot & its cloud".to_owned(),
         run: Some(RunId::from_bytes([1; 16])),
-        started: Some(to_utc(WallTime::from_unix_nanos(BEGUN))),
+        started: Some(to_utc(WallTime::from_unix_nanos(START_NANOS))),
         model: Some(ModelRecord { name: "s".to_owned(), device: Some("cpu".to_owned()), sha256: None }),
         pipeline: serde_json::json!({"load": {"kind": "closed"}}),
         seeds: [("order".to_owned(), 7)].into(),

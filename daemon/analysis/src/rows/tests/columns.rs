@@ -2,7 +2,7 @@
 
 use peernet_clock::Span;
 use peernet_logger::{IterationValues, Measure, Name, stage};
-use peernet_stream::Outcome as Ended;
+use peernet_stream::Outcome as StreamOutcome;
 use proptest::prelude::*;
 
 use super::*;
@@ -18,7 +18,7 @@ fn published_columns_come_first_in_order() {
 
 #[test]
 fn custom_model_nodes_get_separate_columns() {
-    let row = Row::from_iteration(&iteration(9, Ended::Ok, offloaded(17_530, 3_700)));
+    let row = Row::from_iteration(&iteration(9, StreamOutcome::Ok, offloaded(17_530, 3_700)));
     let numbers = |columns: &[&str]| columns.iter().map(|column| row.value(column)).collect::<Vec<_>>();
     assert_eq!(numbers(&["sensing", "capture", "transform"]), [Some(0.0007), Some(0.0005), Some(0.00015)]);
     assert_eq!(
@@ -52,7 +52,7 @@ fn custom_names_never_replace_fixed_columns() {
     add(&mut tree, &["tool"], "part", timer(4));
     add(&mut tree, root, "arm", Measure::Container);
     add(&mut tree, &["arm"], "sensing", timer(5));
-    let row = Row::from_iteration(&iteration(1, Ended::Ok, tree));
+    let row = Row::from_iteration(&iteration(1, StreamOutcome::Ok, tree));
     let names: Vec<&str> = row.values.iter().map(|(name, _)| name.as_ref()).collect();
     let expected = [
         "outcome_2",
@@ -72,17 +72,17 @@ fn repeated_stage_is_summed() {
     let mut tree = tree();
     add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(2))));
     add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(3))));
-    // These have columns in some files only.
+    // Not every `data.csv` has columns for these stages.
     for name in [stage::BATCH_WAIT, stage::BATCH_WAIT, stage::RESTART] {
         add(&mut tree, &[], name, Measure::Timer(Some(Span::from_seconds(7))));
     }
-    let row = Row::from_iteration(&iteration(1, Ended::Ok, tree));
+    let row = Row::from_iteration(&iteration(1, StreamOutcome::Ok, tree));
     let expected = [("inference", 5.0), ("batch-wait", 14.0), ("restart", 7.0)];
     assert_eq!(row.values, expected.map(|(name, value)| (Column::Borrowed(name), value)));
 }
 
 #[test]
-fn every_fixed_column_of_node_has_one_value() {
+fn fixed_columns_of_nodes_have_one_value_per_iteration() {
     let is_bound = |name: &str| name.ends_with("-throughput-lo") || name.ends_with("-throughput-hi");
     for (name, kind) in FIXED_COLUMNS {
         let has_node = kind == ColumnKind::Node && !is_bound(name);
@@ -104,7 +104,7 @@ proptest! {
             let parent = peernet_logger::NodeId((parent % tree.nodes().len()) as u32);
             tree.add(parent, Name::from(name.as_str()), Span::ZERO, timer(*micros));
         }
-        let row = Row::from_iteration(&iteration(1, Ended::Ok, tree));
+        let row = Row::from_iteration(&iteration(1, StreamOutcome::Ok, tree));
         let mut names: Vec<&str> = row.values.iter().map(|(name, _)| name.as_ref()).collect();
         let sum: f64 = row.values.iter().map(|(_, value)| value * 1e6).sum();
         let logged: i64 = nodes.iter().map(|(_, _, micros)| micros).sum();

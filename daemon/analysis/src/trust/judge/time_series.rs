@@ -181,7 +181,7 @@ fn judge_unattributed(split: &StageSplit) -> Option<Finding> {
         (false, true) => ", restarts excluded",
         (false, false) => "",
     };
-    let share = split.share(seconds.abs());
+    let share = split.share_of_mean_total(seconds.abs());
     let text = if seconds < 0.0 {
         format!(
             "The stages add up to {} more than the total{exclusion}: some stages overlap.",
@@ -208,7 +208,7 @@ fn judge_lateness(seconds: f64, split: &StageSplit) -> Finding {
     let text = format!(
         "Iterations began {} after their scheduled start on average: this late start is {} of the total.",
         ms(seconds),
-        percent(split.share(seconds))
+        percent(split.share_of_mean_total(seconds))
     );
     finding("late start", Grade::Good, text)
 }

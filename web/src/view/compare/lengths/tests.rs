@@ -122,19 +122,22 @@ fn too_few_or_flat_points_give_no_line() {
     let sentence = |points: &[(f64, f64)]| {
         Growth::from_iterations(points).map(|growth| growth.describe_slope("kB", 1e3))
     };
-    assert_eq!(sentence(&sample_answers(59)), Err(NoLine::Answers(59)));
+    assert_eq!(sentence(&sample_answers(59)), Err(NoLine::TooFewAnswers(59)));
     let equal_lengths: Vec<(f64, f64)> =
         sample_answers(60).iter().map(|(x, y)| (f64::from(*x > 30.0 && *x < 32.0), *y)).collect();
     assert_eq!(
         sentence(&equal_lengths),
-        Err(NoLine::Lengths(60)),
+        Err(NoLine::EqualLengths(60)),
         "one answer of another length gives no line"
     );
     let flat: Vec<(f64, f64)> =
         (0..400).map(|n| (f64::from(n % 97), 0.1 + 0.01 * (f64::from(n) * 1.7).sin())).collect();
     let text = sentence(&flat).expect("enough");
     assert!(text.starts_with("Whether longer answers take longer cannot be told: \u{2212}"), "{text}");
-    assert_eq!(Growth::from_iterations(&flat).and_then(|growth| growth.line()), Err(NoLine::Slope(400)));
+    assert_eq!(
+        Growth::from_iterations(&flat).and_then(|growth| growth.line()),
+        Err(NoLine::InsignificantSlope(400))
+    );
     let falling: Vec<(f64, f64)> = sample_answers(400).iter().map(|(x, y)| (320.0 - x, *y)).collect();
     let text = sentence(&falling).expect("enough");
     assert!(text.starts_with("Each further kB takes ") && text.contains("\u{202f}ms less (95"), "{text}");
@@ -146,7 +149,7 @@ fn missing_line_is_explained_with_numbers() {
     let one = comparison(vec![answers_of_lengths(0, "tokens", &points)]);
     let found = lengths(&one, &answers_of_first(points, true)).expect("lengths");
     let sentences = &found.rows[0].sentences;
-    assert_eq!(sentences[1], "No line: it needs 60 answers, and there are 37.");
+    assert_eq!(sentences[1], "No line: a line needs 60 answers, and there are 37.");
     assert_eq!(sentences[2], "All 37 iterations.");
 }
 
