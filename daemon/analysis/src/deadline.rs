@@ -5,11 +5,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::rows::RowRef;
 
-/// Name of a node and of its column. The value is 1 if an iteration took longer than the deadline of its pipeline or failed, else 0.
+/// Name of the node, and of the column, with the value 1 if an iteration took longer than the deadline of its pipeline or failed, else 0.
 /// Iterations of a pipeline without a deadline do not have the node.
 pub const DEADLINE_MISSED: &str = "deadline-missed";
 
-/// Number of iterations that missed their deadline, without the warm-up.
+/// Numbers of iterations that missed their deadline and of all iterations, without the warm-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Misses {
     /// Number of iterations that took longer than the deadline or failed.
@@ -23,6 +23,7 @@ impl Misses {
     /// Returns the misses of a run in which `late` of the `successful` iterations took longer than the deadline. All
     /// `failed` iterations count as misses, too.
     pub fn new(successful: u64, late: u64, failed: u64) -> Self {
+        // Stored statistics have `late` as a rounded sum, which must not exceed the number of iterations.
         Self { missed: late.min(successful) + failed, iterations: successful + failed }
     }
 

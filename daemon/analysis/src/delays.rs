@@ -1,4 +1,4 @@
-//! Summary of one-way delays and round trips over several seconds: verdict, median, smallest.
+//! Summaries over several seconds: verdict and median of one-way delays, minimum and median of round trips.
 
 mod median_interval;
 
@@ -15,7 +15,7 @@ use crate::order::SortedValues;
 pub struct DelaySummary {
     /// Number of judged delays.
     count: u64,
-    /// Median of each second, with its weight.
+    /// Median of each second, with the weight of the second.
     medians: Vec<(DelayPoint, u64)>,
     /// Sum of the weights of the seconds with each verdict.
     verdicts: Vec<(Verdict, u64)>,
@@ -27,7 +27,7 @@ impl DelaySummary {
         // A second with a verdict has at least one judged delay, even if its stored count is 0.
         let weight = u64::from(second.count.max(1));
         self.count += u64::from(second.count);
-        // A negative delay is impossible, so it is left out.
+        // A negative median is impossible, so it is left out.
         self.medians
             .extend(second.median.filter(|point| !point.value.is_negative()).map(|point| (point, weight)));
         match self.verdicts.iter_mut().find(|(verdict, _)| *verdict == second.verdict) {
@@ -41,17 +41,17 @@ impl DelaySummary {
         self.count
     }
 
-    /// Returns the median of the medians of all seconds, each weighted by its number of delays. The lower bound of the
-    /// result is the median of the lower bounds, and likewise for the upper bound, as in [`median_bounds`]. `None` if
-    /// no second has a median.
+    /// Returns the median of the medians of all seconds. Each second has its number of delays as weight. The lower bound
+    /// of the result is the median of the lower bounds, and the upper bound is the median of the upper bounds, as in
+    /// [`median_bounds`]. `None` if no second has a median.
     pub fn median(&self) -> Option<DelayPoint> {
         let lo = self.weighted_median(|point| point.bounds.lo)?.bounds.lo;
         let hi = self.weighted_median(|point| point.bounds.hi)?.bounds.hi;
         Some(DelayPoint { bounds: Interval { lo, hi }, ..self.weighted_median(|point| point.value)? })
     }
 
-    /// Returns the median of one second: of the second that stands in the middle if the seconds are sorted by `key` and
-    /// weighted.
+    /// Sorts the medians of the seconds by `key` and returns the one in the middle, where each median counts as often as
+    /// its weight says.
     fn weighted_median(&self, key: fn(&DelayPoint) -> Span) -> Option<DelayPoint> {
         let mut medians = self.medians.clone();
         medians.sort_unstable_by_key(|(point, _)| key(point));
@@ -79,9 +79,9 @@ impl DelaySummary {
 
 impl<'a> FromIterator<&'a DelaySecond> for DelaySummary {
     fn from_iter<I: IntoIterator<Item = &'a DelaySecond>>(seconds: I) -> Self {
-        seconds.into_iter().fold(Self::default(), |mut sum, second| {
-            sum.add(second);
-            sum
+        seconds.into_iter().fold(Self::default(), |mut summary, second| {
+            summary.add(second);
+            summary
         })
     }
 }
@@ -91,8 +91,8 @@ pub(crate) fn median_width(bounds: impl Iterator<Item = (f64, f64)>) -> Option<f
     bounds.map(|(lo, hi)| hi - lo).collect::<SortedValues>().median()
 }
 
-/// Returns the round trips of several seconds as one: the smallest minimum and the median of the medians. If there are two medians in the
-/// middle, the smaller is used. `None` without seconds.
+/// Returns the round trips of several seconds as one: the smallest minimum and the median of the medians. Of two medians in the
+/// middle, the smaller is returned. `None` without seconds.
 pub fn merged_round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option<RoundTrip> {
     let (mut smallest, mut medians): (Option<Span>, Vec<Span>) = (None, Vec::new());
     for RoundTrip { min, median } in seconds {
@@ -116,14 +116,17 @@ mod tests {
     }
 
     #[test]
-    fn median_weighs_seconds_by_their_delays() {
+    fn median_weights_seconds_by_number_of_delays() {
         let seconds = [
             second(1, Some(9), Verdict::Ok),
             second(10, Some(3), Verdict::Ok),
             second(5, Some(1), Verdict::Ok),
         ];
-        let sum: DelaySummary = seconds.iter().collect();
-        assert_eq!((sum.count(), sum.median().map(|point| point.value)), (16, Some(Span::from_millis(3))));
+        let summary: DelaySummary = seconds.iter().collect();
+        assert_eq!(
+            (summary.count(), summary.median().map(|point| point.value)),
+            (16, Some(Span::from_millis(3)))
+        );
         let negative: DelaySummary =
             [second(9, Some(-2), Verdict::Ok), second(1, None, Verdict::Ok)].iter().collect();
         assert_eq!(negative.to_delay_second().expect("judged").median, None);
@@ -132,7 +135,7 @@ mod tests {
 
     #[test]
     fn median_of_seconds_has_median_bounds() {
-        // The second in the middle has the narrowest bounds; those of most seconds are wider.
+        // The second in the middle has the narrowest bounds; the other seconds have wider bounds.
         let seconds = [(4, 1, 9), (5, 4, 6), (6, 2, 12)].map(|(value, lo, hi)| {
             let [value, lo, hi] = [value, lo, hi].map(Span::from_millis);
             let point = DelayPoint { value, bounds: Interval { lo, hi }, bits_per_second: None };
@@ -144,8 +147,8 @@ mod tests {
     }
 
     #[test]
-    fn verdict_on_several_seconds_judges_whole_seconds() {
-        // Agents report one verdict per second: 10 delays of which 1 is limited are a limited second.
+    fn verdict_of_second_counts_for_all_its_delays() {
+        // Agents report one verdict per second. A second of 10 delays, of which 1 is limited, has the verdict limited.
         let verdicts = [(Verdict::Ok, 9), (Verdict::Limited, 1)];
         let limited = second(10, Some(3), Verdict::prevailing(verdicts).expect("delays"));
         let seconds = [vec![limited; 4], vec![second(10, Some(3), Verdict::Ok); 6]].concat();

@@ -9,8 +9,8 @@ use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
 use crate::run_trust_input::early_end;
 
-/// Reason that stands in for the end of a run whose folder has rows but no record. A run writes its record after its
-/// rows.
+/// Text that replaces the reason for the end of a run if its folder has rows, but no record. A run writes its record after
+/// its rows.
 pub const NO_RECORD: &str =
     "run.json is missing: the run is in progress or was killed, or data.csv was copied without it";
 
@@ -32,7 +32,7 @@ pub enum RowsDamage {
     #[error("the outcomes or the warm-up iterations in data.csv differ from the counts in run.json")]
     Outcomes,
     /// There are more or fewer rows than `run.json` counts.
-    #[error("data.csv has {rows} of the {} that run.json counts", counted(*.measured, "iteration"))]
+    #[error("data.csv has {}, but run.json counts {}", counted(*.rows, "row"), counted(*.measured, "iteration"))]
     Length {
         /// Number of rows.
         rows: u64,
@@ -53,14 +53,15 @@ impl Loaded {
         })
     }
 
-    /// Returns the difference between the rows of `data.csv` and the counts in `run.json`, such as when the file was truncated or changed.
-    /// `None` if they agree, or if there are no counts.
+    /// Returns the difference between the rows of `data.csv` and the counts in `run.json`. A difference shows that a file was truncated or
+    /// changed. `None` if rows and counts agree, or if there are no counts.
     pub fn damage(&self) -> Option<RowsDamage> {
         let record_counts = self.record.counts;
         let row_counts = Counts::from_rows(&self.rows, record_counts.unseen);
         let has_record_counts = self.record.format > 0 && record_counts != Counts::default();
         let total = |counts: Counts| {
             let counts = [counts.ok, counts.failed, counts.lost, counts.timeout, counts.warm_up];
+            // The counts come from a file, which can contain any numbers.
             counts.into_iter().fold(0, u64::saturating_add)
         };
         let differ = has_record_counts && row_counts != record_counts;

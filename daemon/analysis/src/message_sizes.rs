@@ -10,7 +10,7 @@ use crate::delays::{ClockedSummaries, IntervalMethod, median_bounds};
 use crate::fit::{Fit, Point, WeightedPoint, least_squares};
 use crate::order::{SortedValues, Z95, ranks_around_median};
 
-/// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
+/// Resolution of a clock, a tenth of a microsecond. The error of a median is not smaller.
 const CLOCK_RESOLUTION_S: f64 = 1e-7;
 
 /// Message whose delay is known.
@@ -40,12 +40,12 @@ pub struct MessageSketches<'a> {
     pub ends: Option<&'a [Summary; 2]>,
 }
 
-/// Summary of the messages of one size. Seconds, bytes, bits per second.
+/// Summary of the messages of one size. The units are seconds, bytes and bits per second.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SizeSummary {
     /// Size of the payload.
     pub payload_bytes: u64,
-    /// Median size of payload and metadata together.
+    /// Median size of a message, payload and metadata together.
     pub wire_bytes: f64,
     /// Number of known delays.
     pub count: u64,
@@ -54,7 +54,7 @@ pub struct SizeSummary {
     /// Largest relative error of the medians and percentiles: 0 from single values, [`Sketch::RELATIVE_ERROR`] from sketches.
     #[serde(skip)]
     pub relative_error: f64,
-    /// Standard error of the median, which includes the error of a sketch; `None` with fewer than six values.
+    /// Standard error of the median; `None` with fewer than six values. For a median from sketches, the error of the sketch is included.
     pub median_error: Option<f64>,
     /// 5th and 95th percentile; `None` with fewer than 60 values.
     pub tails: Option<(f64, f64)>,
@@ -93,7 +93,7 @@ impl SizeSummary {
         Some(size.with_throughput())
     }
 
-    /// Returns the summary of the messages of these runs, as messages of one size; `None` without a known delay.
+    /// Returns the summary of the messages of all these runs, which count as messages of one size. `None` without a known delay.
     pub fn from_sketches(payload_bytes: u64, runs: &[MessageSketches<'_>]) -> Option<Self> {
         let mut merged = [(); 4].map(|()| Summary::default());
         for run in runs {
@@ -145,7 +145,8 @@ impl SizeSummary {
         let rate = |seconds: f64| (seconds > 0.0).then(|| self.wire_bytes * 8.0 / seconds);
         Self {
             throughput: rate(self.median),
-            // The longest delay gives the lowest throughput. If the shortest is zero or less, the throughput has no upper bound.
+            // The upper bound of the delay gives the lower bound of the throughput. If the lower bound of the delay is zero or less, the
+            // throughput has no upper bound.
             throughput_bounds: self.bounds.and_then(|(lo, hi)| Some((rate(hi)?, rate(lo)))),
             ..self
         }
@@ -179,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn size_without_bounds_of_every_delay_has_none() {
+    fn size_has_no_bounds_if_one_delay_has_none() {
         let bounded = message(100.0, 1e-3, Some((0.5e-3, 1.5e-3)));
         let size = SizeSummary::new(90, &[bounded, bounded]).expect("messages");
         assert_eq!((size.bounds, size.count, size.wire_bytes), (Some((0.5e-3, 1.5e-3)), 2, 100.0));
@@ -194,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn sketches_give_size_within_their_error() {
+    fn size_from_sketches_is_within_their_error() {
         let delays = (0..200).map(|number| 4e-3 + f64::from(number * 37 % 200) * 1e-5);
         // The delays are not in the middle of their bounds, which are not equally wide.
         let bounds = |delay: f64| (delay - 0.1e-3, delay + 0.2 * (delay - 3.9e-3) + 0.4e-3);
@@ -203,12 +204,12 @@ mod tests {
         let exact = SizeSummary::new(1_000, &messages).expect("messages");
         let summary = |values: &dyn Fn(&Message) -> f64| {
             let mut all = Summary::default();
-            messages.iter().for_each(|one| all.record(values(one)));
+            messages.iter().for_each(|message| all.record(values(message)));
             all
         };
         let [payload, metadata] = [1_000.0, 120.0].map(|size| summary(&|_| size));
-        let end = |of: fn((f64, f64)) -> f64| summary(&|one| of(one.bounds.expect("has bounds")));
-        let (delay, half_width) = (summary(&|one| one.delay), end(|(lo, hi)| (hi - lo) / 2.0));
+        let end = |of: fn((f64, f64)) -> f64| summary(&|message| of(message.bounds.expect("has bounds")));
+        let (delay, half_width) = (summary(&|message| message.delay), end(|(lo, hi)| (hi - lo) / 2.0));
         let ends = [end(|(lo, _)| lo), end(|(_, hi)| hi)];
         let run = MessageSketches {
             payload: &payload,
@@ -232,7 +233,7 @@ mod tests {
         let unbounded = MessageSketches { half_width: None, ends: None, ..run };
         let two = SizeSummary::from_sketches(1_000, &[run, unbounded]).expect("delays");
         assert_eq!((two.count, two.bounds), (400, None));
-        // An earlier version stored one of the runs.
+        // An earlier version, which recorded no ends, stored one of the runs.
         let earlier = MessageSketches { ends: None, ..run };
         let methods = [vec![run], vec![run, earlier]]
             .map(|runs| SizeSummary::from_sketches(1_000, &runs).expect("delays").bounds_method);
@@ -241,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn precise_medians_determine_line() {
+    fn imprecise_median_hardly_affects_line() {
         let size = |bytes: f64, delay: f64, scatter: f64| {
             let messages: Vec<Message> = (0..50)
                 .map(|number| message(bytes, delay + scatter * f64::from(number % 5 - 2), None))

@@ -1,7 +1,7 @@
-//! Delay and throughput against payload in recorded runs: which messages are compared, and which of them are drawn.
+//! Delay and throughput against payload in recorded runs: which messages are compared, and which sizes and directions are drawn.
 //!
-//! A file of results has every message of a run; a page has only the run's sketches. Both fill [`DirectionMessages`],
-//! and the further steps are the same for both.
+//! A file of results has every message of a run; a page has only the run's sketches. Files and pages both fill
+//! [`DirectionMessages`], and the further steps are the same.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use crate::rows::{RowRef, is_plausible};
 
 /// Directions in which messages are sent.
 pub const DIRECTIONS: [&str; 2] = ["upload", "download"];
-/// Maximum number of sizes. If there are more, neighbouring sizes are merged, so that each has enough messages.
+/// Maximum number of sizes. If there are more, neighbouring sizes are merged, so that each size has enough messages.
 const MAX_SIZES: usize = 24;
 
 /// Link of a run. The address of the cloud is part of the link, because the cloud has a different address in each
@@ -52,7 +52,7 @@ impl Link {
 }
 
 /// Groups runs by their link, in the order of the first run of each link. Each run is given as its link, its position
-/// in an experiment, if it has one, and an item that stands for the run. Runs over the same link are one study. The
+/// in an experiment (`None` for a run outside of an experiment), and an item that stands for the run. Runs over the same link are one study. The
 /// runs of the concurrent edges of an experiment (its *users*: `NAME-1`, `NAME-2`, … on one machine) are one study,
 /// too.
 pub fn group_by_link<'a, T>(
@@ -62,7 +62,7 @@ pub fn group_by_link<'a, T>(
     let positions: Vec<Option<&ExperimentPosition>> = runs.iter().map(|(_, position, _)| *position).collect();
     let mut links: Vec<(Link, Vec<T>)> = Vec::new();
     for (mut link, position, run) in runs {
-        // Runs at the same position ran at the same time: each is the run of one user.
+        // Runs with the same position ran at the same time. Each of them is the run of one user.
         let has_several_users =
             position.is_some() && positions.iter().filter(|other| **other == position).take(2).count() > 1;
         if has_several_users && let Some(name) = name_without_number(&link.hosts[0]) {
@@ -89,14 +89,14 @@ pub struct DirectionMessages {
     pub name: &'static str,
     /// Sizes, the smallest first.
     pub sizes: Vec<SizeSummary>,
-    /// Number of messages whose size is known and whose delay is not.
+    /// Number of messages whose size is known, but whose delay is not known.
     unknown_delays: u64,
-    /// Number of runs whose messages have several sizes and count as one size.
+    /// Number of runs whose messages have several sizes, but count as messages of one size.
     runs_with_several_sizes: u64,
 }
 
 impl DirectionMessages {
-    /// Returns the messages of rows in the statistics.
+    /// Returns the messages of these rows, which must be in the statistics.
     pub fn from_rows(name: &'static str, rows: &[RowRef<'_>]) -> Self {
         let [payload, metadata, lower, upper] =
             ["bytes", "logger-bytes", "lo", "hi"].map(|suffix| format!("{name}-{suffix}"));
@@ -143,17 +143,20 @@ impl DirectionMessages {
 
     /// Returns whether the sizes differ enough to show the effect of size on delay: the largest is at least twice the
     /// smallest.
-    fn is_varied(&self) -> bool {
+    fn has_varied_sizes(&self) -> bool {
         let ends = self.sizes.first().zip(self.sizes.last());
         ends.is_some_and(|(smallest, largest)| largest.wire_bytes >= 2.0 * smallest.wire_bytes)
     }
 
-    /// Returns the reason why the direction is not drawn; `None` if nothing was sent.
+    /// Returns the reason why the direction is not drawn; `None` if no message was sent in this direction.
     fn missing_reason(&self) -> Option<String> {
         let (smallest, largest) = self.sizes.first().zip(self.sizes.last())?;
         let ends = [smallest, largest].map(|size| bytes(size.wire_bytes).plain());
         let sizes = if ends[0] == ends[1] { ends[0].clone() } else { ends.join(" to ") };
-        Some(format!("not drawn: {}, {sizes}: the largest must be twice the smallest", self.name))
+        Some(format!(
+            "not drawn: {} of {sizes}, because the largest size must be at least twice the smallest",
+            self.name
+        ))
     }
 
     /// Returns notes on the messages that neither the latency figure nor the throughput figure shows, and on runs whose
@@ -179,8 +182,9 @@ impl DirectionMessages {
     }
 }
 
-/// Merges neighbouring sizes if there are more than [`MAX_SIZES`], into about equal numbers of messages. For example, the compressed images of a
-/// camera all have different sizes. `count` returns the number of messages of an item. Returns the smallest payload of each size, and its items.
+/// Merges neighbouring sizes if there are more than [`MAX_SIZES`], so that all sizes have about equal numbers of messages. For example, the compressed
+/// images of a camera all have different sizes. `count` returns the number of messages of an item. Returns each merged size as its smallest
+/// payload and its items.
 fn merge_sizes<T>(by_payload: BTreeMap<u64, Vec<T>>, count: impl Fn(&T) -> u64) -> Vec<(u64, Vec<T>)> {
     let messages = |items: &[T]| items.iter().map(&count).sum::<u64>();
     let total = by_payload.values().map(|items| messages(items)).sum::<u64>().max(1);
@@ -215,14 +219,14 @@ pub struct PayloadStudy {
 }
 
 impl PayloadStudy {
-    /// Returns the messages of both directions of a link. `notes` are further notes on them.
+    /// Returns the study of a link from the messages of its two directions. `notes` are further notes on these messages.
     pub fn new(
         link: &Link,
         directions: [DirectionMessages; 2],
         notes: impl IntoIterator<Item = String>,
     ) -> Self {
         let (directions, others): (Vec<DirectionMessages>, Vec<DirectionMessages>) =
-            directions.into_iter().partition(DirectionMessages::is_varied);
+            directions.into_iter().partition(DirectionMessages::has_varied_sizes);
         Self {
             link_name: link.name(),
             missing: others.iter().filter_map(DirectionMessages::missing_reason).collect(),
@@ -250,7 +254,7 @@ impl PayloadStudy {
         drawable
     }
 
-    /// Returns all notes: what is missing, how the messages were selected, and the number of messages behind each point.
+    /// Returns all notes: what is not drawn, how the messages were selected, and the number of messages behind each point.
     pub fn all_notes(&self) -> Vec<String> {
         self.missing.iter().chain(&self.notes).cloned().chain(self.count_note()).collect()
     }
@@ -281,8 +285,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn many_sizes_are_merged_without_splitting_one() {
-        // A hundred sizes; half of all messages have the size 40.
+    fn many_sizes_are_merged_but_none_is_split() {
+        // There are a hundred sizes, and half of all messages have the size 40.
         let by_payload: BTreeMap<u64, Vec<u64>> =
             (0..100).map(|size| (size, vec![if size == 40 { 990 } else { 10 }])).collect();
         let merged = merge_sizes(by_payload, |count| *count);
@@ -306,7 +310,7 @@ mod tests {
         let expected =
             [("a → cloud (x:1)", vec![0, 2]), ("b → cloud (x:1)", vec![1]), ("a → cloud (y:1)", vec![3])];
         assert_eq!(names, expected.map(|(name, runs)| (name.to_owned(), runs)));
-        // One user alone, then two at the same time.
+        // First one user, then two users at the same time.
         let position = |users: &str| ExperimentPosition {
             name: "line".to_owned(),
             id: "1".to_owned(),

@@ -29,7 +29,7 @@ pub enum Quality {
 pub struct QualityEstimate {
     /// The estimate.
     pub value: f64,
-    /// 95 % confidence interval; both ends are the estimate itself if there is a single value.
+    /// 95 % confidence interval. For the mean of a single value, both ends are the estimate itself.
     pub interval: (f64, f64),
     /// Number of scored iterations or of episodes.
     pub count: u64,
@@ -38,8 +38,8 @@ pub struct QualityEstimate {
 }
 
 impl QualityEstimate {
-    /// Returns the confidence interval; `None` for the mean of a single value, which has no interval. A share has an
-    /// interval even if there is only a single iteration or episode.
+    /// Returns the confidence interval. `None` for the mean of a single value, which has no interval. A share has an
+    /// interval even if there is only one iteration or episode.
     pub fn known_interval(&self) -> Option<(f64, f64)> {
         Some(self.interval).filter(|(low, high)| self.count > 1 || low < high)
     }
@@ -77,7 +77,7 @@ impl Quality {
     }
 
     /// Returns the estimate for a configuration; `None` without values. `statistics_of` returns the statistics of the
-    /// node with a name, over all runs of the configuration. Counts, means and standard deviations are exact in
+    /// node with this name, over all runs of the configuration. Counts, means and standard deviations are exact in
     /// roll-ups.
     pub fn from_statistics(
         self,
@@ -93,7 +93,7 @@ impl Quality {
                 let Accuracy { share, interval, count, .. } = Accuracy::from_mean(mean, count, count)?;
                 Some(QualityEstimate { value: share, interval, count, std: None })
             }
-            // For a detection, this node holds the mean overlap of the found objects, which is not a score of the answer.
+            // For a detection, the node `mean-iou` holds the mean overlap of the found objects, which is not a score of the answer.
             Self::MeanIou if statistics_of(Self::Map50.name()).is_some() => None,
             Self::Map50 | Self::MeanIou => mean_estimate(statistics_of(self.name())?, (0.0, 1.0)),
             Self::Success => {
@@ -129,8 +129,8 @@ impl Quality {
     }
 }
 
-/// Returns the value of a node in an iteration; `None` if it is missing or invalid. Iterations that are not in the
-/// statistics have only the values of episodes.
+/// Returns the value of a node in an iteration; `None` if the value is missing or invalid. Of an iteration that is not in
+/// the statistics, only the values of its episode count.
 fn value(row: RowRef<'_>, name: &str) -> Option<f64> {
     match name {
         EPISODE_SUCCESS | EPISODE_RETURN => row.value(name).filter(|value| Summary::accepts(*value)),
@@ -161,7 +161,7 @@ mod tests {
         let masks = rows(Outcome::Ok, &[&[("mean-iou", 0.25)], &[("mean-iou", 0.75)], &[("mean-iou", 7.0)]]);
         assert_eq!(value_and_count(Quality::MeanIou, &masks), Some((0.5, 2)));
         let boxes = rows(Outcome::Ok, &[&[("mean-iou", 0.25), ("map-50", 0.5)]]);
-        assert_eq!(value_and_count(Quality::MeanIou, &boxes), None, "a detection");
+        assert_eq!(value_and_count(Quality::MeanIou, &boxes), None, "the boxes are a detection");
         assert_eq!(value_and_count(Quality::Map50, &boxes), Some((0.5, 1)));
         let lost =
             rows(Outcome::Lost, &[&[("episode-success", 1.0), ("episode-return", -7.5), ("top-1", 1.0)]]);
@@ -171,11 +171,11 @@ mod tests {
     }
 
     #[test]
-    fn return_has_equal_digits_with_deviation_and_with_interval() {
+    fn return_has_same_decimals_as_text_with_deviation() {
         let returns = (4, 123.456, Some(34.21));
         let estimate = Quality::Return.from_statistics(|_| Some(returns)).expect("four episodes");
         let text =
-            ActuatorResults::from_statistics(|_| Some(returns)).episode_return.expect("has one").text();
+            ActuatorResults::from_statistics(|_| Some(returns)).episode_return.expect("a return").text();
         assert_eq!(text, "123.5 ± 34.2");
         assert_eq!(estimate.format(Quality::Return, estimate.value), "123.5");
     }

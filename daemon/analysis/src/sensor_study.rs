@@ -10,7 +10,7 @@ use crate::table::Table;
 /// Suffix of the columns in which sensors report their dropped samples.
 const DROPPED_SAMPLES_SUFFIX: &str = "dropped-samples";
 
-/// Periods and jitter of a sensor, from the samples of a run. Times are in seconds.
+/// Rate, periods and jitter of a sensor, from the samples of a run. Times are in seconds.
 ///
 /// The time of a sample is the time at which it was ready: the start of its iteration plus its `sensing`. A period is the time between two
 /// consecutive samples, without the warm-up. The jitter of a period is its absolute difference from the median period.
@@ -20,7 +20,7 @@ pub struct SensorStudy {
     pub samples: u64,
     /// Number of iterations in which the sensor failed to return a sample.
     pub failed: u64,
-    /// Samples per second: one over the mean period.
+    /// Samples per second: 1 / mean period.
     pub rate: f64,
     /// Mean period.
     pub period: f64,
@@ -34,11 +34,11 @@ pub struct SensorStudy {
     pub jitter_p99: Option<f64>,
     /// Median jitter.
     pub jitter_median: f64,
-    /// Longest time between two samples, including failed iterations between them.
+    /// Longest time between two successive samples. Failed iterations may lie between these samples.
     pub longest_gap: f64,
     /// Number of the iteration whose sample ended the longest gap.
     pub longest_gap_at: u64,
-    /// Median time from the request for a sample until it was ready.
+    /// Median time from the request for a sample until the sample was ready.
     pub sensing: f64,
     /// Number of samples that the sensor reports as dropped; `None` if the sensor does not report them.
     pub dropped: Option<u64>,
@@ -53,6 +53,7 @@ struct SampleTime {
 
 impl SensorStudy {
     /// Returns the study of these rows, which may be in any order. `None` if no two consecutive iterations have a sample.
+    // A time across a failed iteration is no period of the sensor: it would contain the failure.
     pub fn from_rows(rows: &Rows) -> Option<Self> {
         let measured = || rows.iter().filter(|row| !row.warm_up());
         let mut sample_times: Vec<SampleTime> = measured().filter_map(sample_time).collect();
@@ -97,13 +98,13 @@ impl SensorStudy {
         let tail = self.jitter_p99.map(|p99| ("99", p99)).or(self.jitter_p95.map(|p95| ("95", p95)));
         sentences.push(match tail {
             Some((percent, value)) => format!(
-                "Half of its periods were within {} ms of the median ({} ms), and {percent} % within {} ms.",
+                "Half of the periods were within {} ms of the median ({} ms), and {percent} % were within {} ms.",
                 milliseconds(self.jitter_median),
                 milliseconds(self.median),
                 milliseconds(value),
             ),
             None => format!(
-                "Half of its periods were within {} ms of the median ({} ms); the 95th percentile needs {MIN_VALUES_FOR_P95} \
+                "Half of the periods were within {} ms of the median ({} ms); the 95th percentile needs {MIN_VALUES_FOR_P95} \
                  periods.",
                 milliseconds(self.jitter_median),
                 milliseconds(self.median),
@@ -116,17 +117,22 @@ impl SensorStudy {
         ));
         sentences.push(match self.dropped {
             None => {
-                "It does not report dropped samples, so it is not known whether it dropped any.".to_owned()
+                "The sensor does not report dropped samples, so it is not known whether samples were dropped."
+                    .to_owned()
             }
-            Some(0) => "It dropped no sample.".to_owned(),
+            Some(0) => "The sensor dropped no sample.".to_owned(),
             Some(dropped) => {
                 let share = dropped as f64 / (dropped + self.samples) as f64;
-                format!("It dropped {}, {} % of all.", counted(dropped, "sample"), percent(share))
+                format!(
+                    "The sensor dropped {}, {} % of all samples.",
+                    counted(dropped, "sample"),
+                    percent(share)
+                )
             }
         });
         if self.failed > 0 {
             sentences.push(format!(
-                "It failed to give a sample {}; its rate is that between samples without a failure.",
+                "The sensor failed to return a sample {}. The rate is computed from samples without a failure between them.",
                 counted(self.failed, "time")
             ));
         }
@@ -168,7 +174,7 @@ impl SensorStudy {
 /// Returns the time at which the sample of an iteration was ready; `None` if the iteration has none.
 fn sample_time(row: RowRef<'_>) -> Option<SampleTime> {
     let at = row.value("at").filter(|_| row.outcome() == Outcome::Ok)?;
-    // `at` is the scheduled start; the sensor is asked `lateness` later. Without a schedule there is no lateness.
+    // `at` is the intended start, and the sensor is asked `lateness` later. A closed loop has no lateness.
     let at = at + row.value("lateness").unwrap_or(0.0) + row.value("sensing")?;
     Some(SampleTime { iteration: row.iteration(), at })
 }
@@ -217,29 +223,30 @@ mod tests {
 
     #[test]
     fn study_has_rate_period_and_jitter() {
-        let study = study(rows(403)).expect("samples");
+        let study = study(rows(403)).expect("a study");
         assert_eq!((study.samples, study.failed, study.dropped), (400, 0, None));
         assert!(close(study.median, 0.02) && (study.rate - 50.0).abs() < 0.1, "{study:?}");
-        assert!(close(study.jitter_median, 0.004) || close(study.jitter_median, 0.0), "{study:?}");
-        assert!(close(study.jitter_p99.expect("enough"), 0.008), "{study:?}");
+        // 200 of the 399 periods equal the median, so the median jitter is 0.
+        assert!(close(study.jitter_median, 0.0), "{study:?}");
+        assert!(close(study.jitter_p99.expect("300 periods"), 0.008), "{study:?}");
         assert!(close(study.longest_gap, 0.028) && close(study.sensing, 0.005));
         assert!(study.sentences()[0].contains("one every 20"), "{:?}", study.sentences());
         assert!(study.text().contains("longest gap"), "{}", study.text());
     }
 
     #[test]
-    fn failed_sample_is_gap_without_period() {
+    fn time_across_failed_iteration_is_no_period() {
         let mut rows = rows(20);
         rows[9].outcome = Outcome::Failed;
         // The sensor failed after a time limit.
         rows[9].values = vec![("sensing".into(), 1.0)];
-        let kept: Rows = rows.iter().cloned().collect();
+        let rows_of_run: Rows = rows.iter().cloned().collect();
         let study = study(rows).expect("samples");
-        let of_summary = Summary::from_rows(&kept).quantity("sensing").map(|sensing| sensing.median);
-        assert_eq!(of_summary, Some(study.sensing), "`summary.*` and pages count samples only");
+        let of_summary = Summary::from_rows(&rows_of_run).quantity("sensing").map(|sensing| sensing.median);
+        assert_eq!(of_summary, Some(study.sensing), "`summary.*` and pages leave out failed iterations, too");
         assert_eq!((study.failed, study.samples, study.longest_gap_at), (1, 16, 11));
         assert!(close(study.longest_gap, 0.04));
-        assert!(study.jitter_p95.is_none(), "too few");
+        assert!(study.jitter_p95.is_none(), "fewer than 60 periods");
     }
 
     #[test]

@@ -7,20 +7,19 @@ use serde::Serialize;
 
 use crate::rows::LATENESS;
 
-/// Name of the sum of upload and download. It is used for runs in which the clocks are not related, so that only the
-/// sum is known.
+/// Name of the sum of upload and download. The sum is shown for runs in which only the sum is known, because the clocks
+/// are not related.
 pub const BOTH_DIRECTIONS: &str = "upload + download";
 
 /// Range of the ratio of an iteration's total to the median total of its run that counts as the usual variation.
 pub const USUAL_RATIOS: Range<f64> = 0.95..1.05;
-/// Share of an iteration's excess over the median that the listed causes explain together. No further causes are
-/// listed.
+/// Causes are listed until they explain this share of the time by which an iteration took longer than the median.
 const MIN_EXPLAINED_SHARE: f64 = 0.8;
 
 /// Part of an iteration that took longer than its median over the run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Cause {
-    /// Name of a stage, `lateness`, `unattributed`, or both directions of the network together.
+    /// Name of a stage, `lateness`, `unattributed` or [`BOTH_DIRECTIONS`].
     pub name: Name,
     /// Duration of the part in this iteration, seconds.
     pub value: f64,
@@ -36,8 +35,8 @@ impl Cause {
 }
 
 /// Returns the causes of a slow iteration, which took `total` seconds in a run with the median `median`. They are the parts with the largest
-/// excess over their medians, the largest first, until they explain 80 % of the excess of the total. Parts must not overlap. Empty if the
-/// iteration took less than 1.05 times the median.
+/// excess over their medians, the largest first, until they explain 80 % of the excess of the total. `parts` must not overlap, because the
+/// same time would then count twice. Empty if the iteration took less than 1.05 times the median.
 pub fn causes(total: f64, median: f64, parts: impl IntoIterator<Item = Cause>) -> Vec<Cause> {
     if total < USUAL_RATIOS.end * median {
         return Vec::new();
@@ -104,8 +103,8 @@ impl Medians {
         Some(total? / median)
     }
 
-    /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage; if the lateness is known, it is a separate
-    /// candidate. If only the sum of upload and download is known, the sum replaces both stages.
+    /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage. If the lateness is known, it is a separate
+    /// candidate, and the unattributed time does not include it. If only the sum of upload and download is known, the sum replaces both stages.
     pub fn causes(&self, times: &IterationTimes<'_>) -> Vec<Cause> {
         let Some((total, median)) = times.total.zip(self.median(&stage::TOTAL)) else { return Vec::new() };
         let lateness = Name::from_static(LATENESS);
@@ -113,9 +112,9 @@ impl Medians {
         let cause = |name: &Name, value, median: Option<f64>| {
             median.map(|median| Cause { name: name.clone(), value, median })
         };
-        let is_part =
+        let is_separate =
             |name: &Name| times.both_ways.is_none() || ![stage::UPLOAD, stage::DOWNLOAD].contains(name);
-        let stages = times.stages.iter().filter(|(name, _)| is_part(name));
+        let stages = times.stages.iter().filter(|(name, _)| is_separate(name));
         let stages = stages.filter_map(|(name, value)| cause(name, *value, self.median(name)));
         let late_start = times.lateness.and_then(|value| cause(&lateness, value, Some(median_lateness)));
         let unattributed = times.unattributed.and_then(|value| {
@@ -169,7 +168,7 @@ mod tests {
         let parts = || [part("upload", 0.010, 0.005), part("inference", 0.005, 0.015)];
         assert_eq!(causes(0.015, 0.020, parts()), []);
         assert_eq!(causes(0.020, 0.020, parts()), []);
-        assert_eq!(causes(0.0209, 0.020, parts()), [], "the usual variation");
+        assert_eq!(causes(0.0209, 0.020, parts()), [], "4.5 % are the usual variation");
         assert_eq!(names(&causes(0.0211, 0.020, parts())), ["upload"]);
     }
 

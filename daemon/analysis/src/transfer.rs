@@ -1,4 +1,4 @@
-//! Bytes sent by iterations, and the time for which they were in transit.
+//! Bytes that iterations sent, and the time for which their messages were in transit.
 //!
 //! This module alone defines *speed while sending* and *traffic*, for live windows and stored runs. The throughput of a
 //! single iteration is a node. The mean of these throughputs is not a speed, because small messages would count as much
@@ -20,8 +20,8 @@ pub struct Transfer {
 }
 
 impl Transfer {
-    /// Returns the sums of a direction, or `None` when nothing was sent in this direction. `statistics` returns the number of samples of a
-    /// node and their mean in its SI unit.
+    /// Returns the sums of a direction; `None` if nothing was sent in this direction. `statistics` returns the number of values of a
+    /// node and their mean, in the SI unit of the node.
     pub fn from_statistics(
         direction: Direction,
         statistics: impl Fn(&Name) -> Option<(u64, f64)>,
@@ -34,8 +34,8 @@ impl Transfer {
         let sum = |(count, mean): (u64, f64)| count as f64 * mean;
         let bytes = sum((messages, mean)) + statistics(&metadata).map_or(0.0, sum);
         let (timed_messages, seconds) = statistics(&delay).map_or((0, 0.0), |delay| (delay.0, sum(delay)));
-        // The size of every message is known, but perhaps not its delay. The messages with a known delay are assumed to
-        // have the average size.
+        // The size of every message is known, but the delay of some messages is not. The messages with a known delay are
+        // assumed to have the average size.
         let timed_share = (timed_messages as f64 / messages.max(1) as f64).min(1.0);
         Some(Self { bytes, timed_bytes: bytes * timed_share, seconds })
     }
@@ -55,9 +55,9 @@ impl Transfer {
 /// Sums of both directions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Transfers {
-    /// Sums from the edge to the cloud; `None` when nothing was sent.
+    /// Sums from the edge to the cloud; `None` if nothing was sent.
     pub up: Option<Transfer>,
-    /// Sums from the cloud to the edge; `None` when nothing was sent.
+    /// Sums from the cloud to the edge; `None` if nothing was sent.
     pub down: Option<Transfer>,
 }
 
@@ -75,7 +75,7 @@ impl Transfers {
 mod tests {
     use super::*;
 
-    /// Small, fast message and large, slow one, as (bytes, seconds).
+    /// A small, fast message and a large, slow message, each as (bytes, seconds).
     const MESSAGES: [(f64, f64); 2] = [(2e3, 1e-6), (122e3, 3.58e-3)];
 
     fn means(name: &Name) -> Option<(u64, f64)> {
@@ -92,7 +92,10 @@ mod tests {
         let Transfers { up, down } = Transfers::from_statistics(means);
         let up = up.expect("something was sent");
         let speed = up.speed().expect("delays are known") / 8e6;
-        assert!((speed - 34.63).abs() < 0.01, "{speed} MB/s; the mean of the ratios is 1,017");
+        assert!(
+            (speed - 34.63).abs() < 0.01,
+            "{speed} MB/s; the mean of the speeds of both messages is 1,017"
+        );
         assert!((up.traffic(10.0).expect("ten seconds") / 8e6 - 0.0124).abs() < 1e-9);
         assert_eq!((down, up.traffic(0.0)), (None, None));
     }

@@ -19,7 +19,7 @@ pub fn median_bounds(bounds: impl Iterator<Item = Option<(f64, f64)>>) -> Option
 pub struct CountedAverage {
     /// Number of values.
     pub count: u64,
-    /// Their median or mean, in the SI unit.
+    /// Median or mean of the values, in the SI unit.
     pub value: f64,
 }
 
@@ -92,7 +92,7 @@ impl ClockInterval {
     }
 }
 
-/// Medians of the stored statistics of delays, or means, seconds.
+/// Medians or means from the stored statistics of delays, seconds.
 #[derive(Clone, Copy, Debug)]
 pub struct DelayAverages {
     /// Median or mean of the delays.
@@ -105,13 +105,13 @@ pub struct DelayAverages {
 }
 
 impl DelayAverages {
-    /// Returns the interval of the median delay, or of the mean delay. `None` unless every delay has an interval, as for [`median_bounds`].
+    /// Returns the interval of the median or mean delay. `None` unless every delay has an interval, as for [`median_bounds`].
     ///
-    /// A delay is not below its lower end, so the median (or mean) of the delays is not below that of the lower ends.
-    /// Likewise, it is not above that of the upper ends.
+    /// No delay is below the lower end of its interval, so the median (or mean) of the delays is not below the median (or
+    /// mean) of the lower ends. Likewise, the median (or mean) of the delays is not above that of the upper ends.
     pub fn interval(&self) -> Option<ClockInterval> {
         // A delay without an interval may be anywhere, and so may the median.
-        let is_complete = |part: &CountedAverage| part.count >= self.delay.count;
+        let is_complete = |average: &CountedAverage| average.count >= self.delay.count;
         let ends = self.ends.filter(|ends| ends.iter().all(is_complete));
         ends.map(|[lower, upper]| ClockInterval {
             lo: lower.value,
@@ -174,19 +174,20 @@ impl ClockedSummaries<'_> {
         let count = lower.count();
         // The lower end of a throughput is always finite, so the number of lower ends is the number of intervals.
         (count > 0 && count >= self.values.count()).then_some(())?;
-        let hi = upper_median(upper, count);
+        let hi = median_upper_end(upper, count);
         Some(ClockInterval { lo: lower.quantile(0.5)?, hi, method: IntervalMethod::Ends })
     }
 }
 
-/// Returns the median of `count` upper ends. `finite` is the summary of the finite ones; the others are infinite.
-fn upper_median(finite: &Summary, count: u64) -> f64 {
-    let (rank, last) = ((count - 1) as f64 / 2.0, finite.count() as f64 - 1.0);
-    if rank > last {
+/// Returns the median of `count` upper ends. `finite_ends` is the summary of the finite ends; all other ends are infinite.
+fn median_upper_end(finite_ends: &Summary, count: u64) -> f64 {
+    let (rank, last_finite_rank) = ((count - 1) as f64 / 2.0, finite_ends.count() as f64 - 1.0);
+    // In ascending order, the infinite ends come after all finite ends.
+    if rank > last_finite_rank {
         return f64::INFINITY;
     }
-    let share = if last > 0.0 { rank / last } else { 0.0 };
-    finite.quantile(share).unwrap_or(f64::INFINITY)
+    let share = if last_finite_rank > 0.0 { rank / last_finite_rank } else { 0.0 };
+    finite_ends.quantile(share).unwrap_or(f64::INFINITY)
 }
 
 #[cfg(test)]

@@ -126,7 +126,7 @@ fn incomplete_results_are_measured_again() {
     write_record(&whole);
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.");
     assert!(
-        message().is_some_and(|why| why.ends_with("data.csv has 1 of the 2 iterations that run.json counts"))
+        message().is_some_and(|why| why.ends_with("data.csv has 1 row, but run.json counts 2 iterations"))
     );
     data("itera");
     assert!(message().is_some_and(|why| why.contains("cannot read")));

@@ -131,7 +131,7 @@ fn truncated_file_gives_complete_rows() {
     let loaded = ResultFolder::open(folder.path()).expect("readable");
     assert_eq!(loaded.rows, kept(&rows(9)));
     let damage = loaded.damage().expect("one is missing");
-    assert_eq!(damage.to_string(), "data.csv has 9 of the 10 iterations that run.json counts");
+    assert_eq!(damage.to_string(), "data.csv has 9 rows, but run.json counts 10 iterations");
     let text = text.replace(",lost,", ",timeout,");
     std::fs::write(&path, &text).expect("writable");
     let damage = ResultFolder::open(folder.path()).expect("readable").damage();

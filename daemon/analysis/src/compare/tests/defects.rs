@@ -41,7 +41,7 @@ fn defects_of_results_are_noted() {
     let other = run("other", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
     let text = Comparison::new(&[broken, other]).text();
     for sentence in [
-        "Incomplete results: results/broken line: data.csv has 106 of the 110 iterations that run.json counts.",
+        "Incomplete results: results/broken line: data.csv has 106 rows, but run.json counts 110 iterations.",
         "sensing of broken line: 1 of 100 iterations; upload of broken line: 2 of 100 iterations",
     ] {
         assert!(text.contains(sentence), "{sentence}: {text}");

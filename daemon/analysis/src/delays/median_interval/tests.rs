@@ -1,4 +1,5 @@
-//! Intervals from stored statistics equal those from single values.
+//! Tests that intervals from stored statistics equal the intervals from single values. Pages use stored statistics, and files
+//! have single values.
 
 use peernet_statistics::Sketch;
 
@@ -13,15 +14,15 @@ fn summary(values: impl Iterator<Item = f64>) -> Summary {
 /// Delay with the ends of its interval, seconds.
 type Delay = (f64, f64, f64);
 
-/// Returns the intervals of the median from single values and from stored statistics: of the delays, and of the throughputs of messages of
-/// `bits(index)`.
+/// Returns the interval of the median delay and the interval of the median throughput, both first as in a file and then as on a page. The
+/// message with the delay `delays[index]` has `bits(index)` bits.
 fn intervals(delays: &[Delay], bits: impl Fn(usize) -> f64) -> ([Option<(f64, f64)>; 2], [ClockInterval; 2]) {
     let throughputs = delays.iter().enumerate().map(|(index, (value, lo, hi))| {
         let rate = |seconds: f64| if seconds > 0.0 { bits(index) / seconds } else { f64::INFINITY };
         (rate(*value), rate(*hi), rate(*lo))
     });
     let throughputs: Vec<Delay> = throughputs.collect();
-    let file = |all: &[Delay]| median_bounds(all.iter().map(|(_, lo, hi)| Some((*lo, *hi))));
+    let interval_of_file = |all: &[Delay]| median_bounds(all.iter().map(|(_, lo, hi)| Some((*lo, *hi))));
     let ends = |all: &[Delay]| [summary(all.iter().map(|one| one.1)), summary(all.iter().map(|one| one.2))];
     let values = |all: &[Delay]| summary(all.iter().map(|one| one.0));
     let half_widths = summary(delays.iter().map(|(_, lo, hi)| (hi - lo) / 2.0));
@@ -35,10 +36,13 @@ fn intervals(delays: &[Delay], bits: impl Fn(usize) -> f64) -> ([Option<(f64, f6
     let (rates, rate_ends) = (values(&throughputs), ends(&throughputs));
     let of_throughputs = ClockedSummaries { values: &rates, ends: Some(&rate_ends), ..of_delays };
     let page = [of_delays.interval_of_median_delay(), of_throughputs.interval_of_median_throughput()];
-    ([file(delays), file(&throughputs)], page.map(|interval| interval.expect("all have intervals")))
+    (
+        [interval_of_file(delays), interval_of_file(&throughputs)],
+        page.map(|interval| interval.expect("all have intervals")),
+    )
 }
 
-fn assert_equal(delays: &[Delay], bits: impl Fn(usize) -> f64) -> [ClockInterval; 2] {
+fn assert_page_equals_file(delays: &[Delay], bits: impl Fn(usize) -> f64) -> [ClockInterval; 2] {
     let (file, page) = intervals(delays, bits);
     for (file, page) in file.into_iter().zip(page) {
         let file = file.expect("all have bounds");
@@ -49,25 +53,26 @@ fn assert_equal(delays: &[Delay], bits: impl Fn(usize) -> f64) -> [ClockInterval
     page
 }
 
-/// Returns a number from 0 to 1 that looks random.
-fn scattered(number: usize) -> f64 {
+/// Returns a pseudo-random number from 0 to 1.
+fn pseudo_random(number: usize) -> f64 {
     (number * 379 % 1_001) as f64 / 1_001.0
 }
 
 #[test]
-fn page_interval_equals_file_with_cut_and_uneven_bounds() {
-    // The lower ends of two fifths are cut at zero, widths differ by a factor of ten, and no value is in the middle.
-    let limited = |number| {
-        let value = 0.4e-3 + 2e-3 * scattered(number);
-        let width = 0.2e-3 + 2e-3 * scattered(7 * number + 3);
+fn page_interval_equals_file_with_zero_and_uneven_bounds() {
+    // Two fifths of the lower ends are 0, the widths differ by a factor of ten, and no value is in the middle of its
+    // interval.
+    let delay_with_ends = |number| {
+        let value = 0.4e-3 + 2e-3 * pseudo_random(number);
+        let width = 0.2e-3 + 2e-3 * pseudo_random(7 * number + 3);
         let lo = if number % 5 < 2 { 0.0 } else { (value - 0.1 * width).max(0.0) };
         (value, lo, value + 0.9 * width)
     };
-    let delays: Vec<Delay> = (0..1_000).map(limited).collect();
-    let sizes = |number: usize| 8.0 * (10e3 + 90e3 * scattered(3 * number + 1));
-    let [of_delays, of_throughputs] = assert_equal(&delays, sizes);
+    let delays: Vec<Delay> = (0..1_000).map(delay_with_ends).collect();
+    let sizes = |number: usize| 8.0 * (10e3 + 90e3 * pseudo_random(3 * number + 1));
+    let [of_delays, of_throughputs] = assert_page_equals_file(&delays, sizes);
     assert!(of_delays.lo > 0.0 && of_throughputs.hi.is_finite());
-    // The median of half the widths gives other ends.
+    // Ends that are estimated from half widths differ from these ends.
     let values = summary(delays.iter().map(|one| one.0));
     let half_widths = summary(delays.iter().map(|(_, lo, hi)| (hi - lo) / 2.0));
     let without_ends =
@@ -77,15 +82,15 @@ fn page_interval_equals_file_with_cut_and_uneven_bounds() {
     assert!((estimated.hi / of_delays.hi - 1.0).abs() > 0.1, "{estimated:?} {of_delays:?}");
     assert_eq!(estimated.method.remark(), Some("from half widths"));
     // Most lower ends are zero, so that the upper end of the throughput is infinite.
-    let cut: Vec<Delay> = delays.iter().map(|(value, _, hi)| (*value, 0.0, *hi)).collect();
-    let [of_delays, of_throughputs] = assert_equal(&cut, sizes);
+    let with_zero_ends: Vec<Delay> = delays.iter().map(|(value, _, hi)| (*value, 0.0, *hi)).collect();
+    let [of_delays, of_throughputs] = assert_page_equals_file(&with_zero_ends, sizes);
     assert_eq!((of_delays.lo, of_throughputs.hi), (0.0, f64::INFINITY));
 }
 
 #[test]
-fn negative_delays_have_interval_of_file() {
+fn page_interval_equals_file_with_negative_delays() {
     let observed = |number| {
-        let value = -0.3e-3 + 0.05e-3 * scattered(number);
+        let value = -0.3e-3 + 0.05e-3 * pseudo_random(number);
         (value, value - 0.5e-3, value + 0.4e-3)
     };
     let delays: Vec<Delay> = (0..301).map(observed).collect();
@@ -106,13 +111,23 @@ fn delay_without_bounds_leaves_median_without_interval() {
         [median_bounds([Some((0.0, 1.0)), None].into_iter()), median_bounds(std::iter::empty())],
         [None, None]
     );
-    let (delays, of_some) = (summary([1e-3; 40].into_iter()), summary([1e-4; 39].into_iter()));
-    let ends = [of_some.clone(), of_some.clone()];
-    let some =
-        ClockedSummaries { values: &delays, ends: Some(&ends), delays: &delays, half_widths: Some(&of_some) };
-    assert_eq!((some.interval_of_median_delay(), some.interval_of_median_throughput()), (None, None));
-    // The first part of the run was stored by an earlier version.
-    let all = ClockedSummaries { half_widths: Some(&delays), ..some };
-    let methods = [all.interval_of_median_delay(), all.interval_of_median_throughput()];
-    assert_eq!(methods.map(|one| one.map(|one| one.method)), [Some(IntervalMethod::HalfWidths); 2]);
+    // One of 40 delays has no interval.
+    let (delays, ends_of_39) = (summary([1e-3; 40].into_iter()), summary([1e-4; 39].into_iter()));
+    let ends = [ends_of_39.clone(), ends_of_39.clone()];
+    let incomplete = ClockedSummaries {
+        values: &delays,
+        ends: Some(&ends),
+        delays: &delays,
+        half_widths: Some(&ends_of_39),
+    };
+    let intervals = (incomplete.interval_of_median_delay(), incomplete.interval_of_median_throughput());
+    assert_eq!(intervals, (None, None));
+    // An earlier version, which recorded no ends, stored the first part of the run. All delays have half widths.
+    let with_half_widths = ClockedSummaries { half_widths: Some(&delays), ..incomplete };
+    let intervals =
+        [with_half_widths.interval_of_median_delay(), with_half_widths.interval_of_median_throughput()];
+    assert_eq!(
+        intervals.map(|interval| interval.map(|interval| interval.method)),
+        [Some(IntervalMethod::HalfWidths); 2]
+    );
 }

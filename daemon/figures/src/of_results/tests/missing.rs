@@ -27,8 +27,7 @@ fn omitted_direction_is_noted_with_sizes() {
         ]
     });
     let drawn = draw(Kind::Payload, &[alike], &Columns::default(), folder.path()).expect("downloads vary");
-    let expected_note =
-        "payload-latency: not drawn: upload, 106 kB to 158 kB: the largest must be twice the smallest";
+    let expected_note = "payload-latency: not drawn: upload of 106 kB to 158 kB, because the largest size must be at least twice the smallest";
     assert_eq!(drawn.missing, [expected_note], "once for both figures");
     let words = std::fs::read_to_string(folder.path().join("payload-throughput-caption.txt")).expect("read");
     assert!(words.contains("not drawn: upload"), "{words}");
@@ -64,7 +63,8 @@ fn link_without_figure_is_noted_in_first() {
     other.record.edge = HostRecord { name: "arm".to_owned(), ..HostRecord::default() };
     let drawings = payload::drawings(&[varied(60), other]).expect("one varies");
     assert_eq!(drawings.len(), 2);
-    let expected_note = "not drawn: upload, 500 B: the largest must be twice the smallest · arm";
+    let expected_note =
+        "not drawn: upload of 500 B, because the largest size must be at least twice the smallest · arm";
     assert_eq!(drawings[0].missing, [expected_note]);
 }
 
