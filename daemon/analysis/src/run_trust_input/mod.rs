@@ -1,4 +1,4 @@
-//! Input of the trust report from a run's record and rows.
+//! Input of the trust report, from the record and the rows of a run.
 
 mod start_times;
 
@@ -10,13 +10,14 @@ use crate::rows::Rows;
 use crate::trust::{EndedEarly, Limits, Load, MissingEvents, Progress, StartTimes, Starts, TrustInput};
 
 impl TrustInput {
-    /// Collects the input from the rows of a run and its record: conditions of both hosts, the end of the run, and missing measurements.
+    /// Collects the input from the rows of a run and from its record, which has the conditions of both hosts, the end of the run and the number
+    /// of missing measurements.
     pub fn from_run(record: &RunRecord, rows: &Rows) -> Self {
         let hosts = [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten();
         let conditions: Vec<Condition> = hosts.flat_map(|host| host.conditions.iter().cloned()).collect();
         let unseen = MissingEvents {
             count: record.counts.unseen,
-            reason: "measured, but this program was too busy to take them".to_owned(),
+            reason: "measured, but this program was too busy to receive them".to_owned(),
         };
         let from_rows = Self::from_rows(rows, &conditions);
         let times = StartTimes::from_run(record, rows);
@@ -36,17 +37,17 @@ impl TrustInput {
     }
 }
 
-/// Returns the configured limits of a run. If a program with other limits wrote the record, no limit is returned.
+/// Returns the configured limits of a run; no limits if another version wrote the record with limits of another form.
 fn limits(record: &RunRecord) -> Limits {
     record.pipeline.get("limit").and_then(|limit| Limits::deserialize(limit).ok()).unwrap_or_default()
 }
 
-/// Returns the configured load of a run. If a program with another kind of load wrote the record, no rate is returned.
+/// Returns the configured load of a run; no rate if another version wrote the record with a load of another form.
 fn load(record: &RunRecord) -> Load {
     record.pipeline.get("load").and_then(|load| Load::deserialize(load).ok()).unwrap_or_default()
 }
 
-/// Returns how far the run was when it ended, if it ended before its limits; else `None`. The iterations of the run are
+/// Returns the progress of the run at its end, if it ended before its limits; else `None`. The iterations of the run are
 /// its rows and the iterations without a row, whose number is in the record.
 fn ended_early(record: &RunRecord, rows: &Rows, times: &StartTimes) -> Option<EndedEarly> {
     let counts = Counts::from_rows(rows, record.counts.unseen);
@@ -59,7 +60,7 @@ fn ended_early(record: &RunRecord, rows: &Rows, times: &StartTimes) -> Option<En
 }
 
 /// Describes the end of a run that was interrupted or broke off: `was interrupted after 57 of 120 iterations`. `None`
-/// if the run was complete, if it ended by itself before its limit, or if its end is not known.
+/// if the run is complete, if the run had nothing more to measure, or if its end is not known.
 pub(crate) fn early_end(record: &RunRecord, rows: &Rows) -> Option<String> {
     let times = StartTimes::from_run(record, rows);
     match (record.reason.failure(), ended_early(record, rows, &times)) {

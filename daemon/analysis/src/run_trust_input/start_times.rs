@@ -30,8 +30,9 @@ impl StartTimes {
         });
         // Missing iterations may have started during a pause between rows, which is then no standstill.
         let extent = extent.filter(|_| record.counts.unseen == 0);
-        let busy = started().map(start).map(|at| (at, at));
-        Self { first, last, standstill_s: extent.and_then(|extent| standstill(&extent, busy)) }
+        // A row has the time of one start, which is a range of length zero.
+        let start_ranges = started().map(start).map(|at| (at, at));
+        Self { first, last, standstill_s: extent.and_then(|extent| standstill(&extent, start_ranges)) }
     }
 }
 
@@ -42,7 +43,8 @@ mod tests {
     use crate::testing::row_of_values;
     use crate::trust::Starts;
 
-    /// Returns the record and the rows of a run with these starts, seconds after its begin, in the order of the end of their iterations.
+    /// Returns the record and the rows of a run. Each start is the number of an iteration and the seconds from a fixed time. The starts are in the
+    /// order in which their iterations ended.
     fn run(starts: &[(u64, f64)]) -> (RunRecord, Rows) {
         let row = |(iteration, at): &(u64, f64)| Row {
             iteration: *iteration,
@@ -53,38 +55,41 @@ mod tests {
     }
 
     #[test]
-    fn start_rate_spans_first_to_last_number() {
+    fn start_rate_spans_first_to_last_iteration() {
         let starts = |times: &[(u64, f64)], missing| {
             let (record, rows) = run(times);
             Starts { missing, times: StartTimes::from_run(&record, &rows), ..Starts::from_rows(&rows) }
         };
         let times = [(2, 10.5), (1, 10.0), (4, 12.0), (3, 11.5)];
         assert_eq!(starts(&times, Some(0)).actual_hz(), Some(1.5));
-        assert_eq!(starts(&times, Some(2)).actual_hz(), Some(2.5), "missing iterations were started, too");
+        assert_eq!(starts(&times, Some(2)).actual_hz(), Some(2.5), "missing iterations count as starts, too");
         assert_eq!(starts(&times, None).actual_hz(), None);
         assert_eq!([&[(1, 10.0)][..], &[]].map(|times| starts(times, Some(0)).actual_hz()), [None, None]);
     }
 
     #[test]
-    fn time_of_starts_is_unknown_after_clock_was_set() {
+    fn duration_of_starts_is_unknown_after_clock_was_set() {
         let times = |set_by_s: f64| {
             let starts = (1..=1_000_u32).map(|number| {
                 let correct = f64::from(number) / 10.0;
                 (u64::from(number), if number > 500 { correct + set_by_s } else { correct })
             });
             let (record, rows) = run(&starts.collect::<Vec<_>>());
-            (StartTimes::from_run(&record, &rows), StartTimes::from_run(&unseen(record), &rows))
+            (
+                StartTimes::from_run(&record, &rows),
+                StartTimes::from_run(&with_unseen_iteration(record), &rows),
+            )
         };
-        let unset = times(0.0).0;
-        assert!(unset.seconds().is_some_and(|seconds| (seconds - 99.9).abs() < 1e-6), "{unset:?}");
+        let not_set = times(0.0).0;
+        assert!(not_set.seconds().is_some_and(|seconds| (seconds - 99.9).abs() < 1e-6), "{not_set:?}");
         let (forward, with_missing) = times(3_600.0);
         assert_eq!(forward.seconds(), None);
         assert!(forward.standstill_s.is_some_and(|seconds| (seconds - 3_600.1).abs() < 1e-3), "{forward:?}");
-        assert_eq!(with_missing.standstill_s, None, "missing iterations may have started meanwhile");
+        assert_eq!(with_missing.standstill_s, None, "missing iterations may have started in the pause");
         assert_eq!(times(-3_600.0).0.seconds(), None);
     }
 
-    fn unseen(mut record: RunRecord) -> RunRecord {
+    fn with_unseen_iteration(mut record: RunRecord) -> RunRecord {
         record.counts.unseen = 1;
         record
     }

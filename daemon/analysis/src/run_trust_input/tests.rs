@@ -1,17 +1,17 @@
-//! Tests of the trust input that a record adds to the rows.
+//! Tests of the trust input that the record of a run adds to the input from its rows.
 
 use peernet_stream::Grade;
 
 use super::*;
 use crate::rows::Outcome;
-use crate::trust::testing::{about, governor, quiet, rows};
+use crate::trust::testing::{about, governor, rows, steady_totals};
 use crate::trust::{Publish, Report};
 
 #[test]
 fn skipped_starts_are_reported_and_graded() {
-    let judged = |load: serde_json::Value, skipped: u64| {
+    let grade_and_text = |load: serde_json::Value, skipped: u64| {
         let record = RunRecord { pipeline: serde_json::json!({ "load": load }), ..RunRecord::default() };
-        let mut rows = rows(quiet(1005));
+        let mut rows = rows(steady_totals(1005));
         // One start in the warm-up, one before an answer and one before a missing answer.
         rows.change(|row| match row.iteration {
             3 => row.values.push(("skipped-starts".into(), 70.0)),
@@ -31,31 +31,31 @@ fn skipped_starts_are_reported_and_graded() {
     for load in [&rate, &poisson] {
         let text = "1,041 of 2,041 starts (51\u{202f}%) were skipped because the pipeline could not keep up: \
                     40.0\u{202f}Hz were configured, 1.00\u{202f}Hz achieved. The pipeline worked at its limit, which shows in the latency.";
-        assert_eq!(judged(load.clone(), 1041), Some((Grade::Bad, text.to_owned())));
+        assert_eq!(grade_and_text(load.clone(), 1041), Some((Grade::Bad, text.to_owned())));
     }
-    let (grade, text) = judged(rate.clone(), 20).expect("a finding");
+    let (grade, text) = grade_and_text(rate.clone(), 20).expect("a finding");
     assert!(grade == Grade::Doubtful && text.starts_with("20 of 1,020 starts (2.0\u{202f}%)"), "{text}");
-    let (grade, text) = judged(rate.clone(), 1).expect("a finding");
+    let (grade, text) = grade_and_text(rate.clone(), 1).expect("a finding");
     assert!(grade == Grade::Good && text.starts_with("1 of 1,001 starts (0.10\u{202f}%) was"), "{text}");
-    let (_, text) = judged(serde_json::json!(null), 1041).expect("a finding");
+    let (_, text) = grade_and_text(serde_json::json!(null), 1041).expect("a finding");
     assert!(text.contains("could not keep up. The pipeline worked at its limit"), "{text}");
-    let kept = RunRecord { pipeline: serde_json::json!({ "load": rate }), ..RunRecord::default() };
-    let report = Report::new(&TrustInput::from_run(&kept, &rows(quiet(205))));
+    let record = RunRecord { pipeline: serde_json::json!({ "load": rate }), ..RunRecord::default() };
+    let report = Report::new(&TrustInput::from_run(&record, &rows(steady_totals(205))));
     let text = "No start was skipped: 40.0\u{202f}Hz were configured and achieved.";
     assert_eq!(about(&report, "skipped starts"), (Grade::Good, text));
 }
 
 #[test]
-fn record_adds_findings_without_rows() {
+fn record_adds_findings_to_those_of_rows() {
     let mut record = RunRecord { reason: "the model crashed".into(), ..RunRecord::default() };
     record.edge.conditions = vec![governor(Grade::Doubtful)];
     record.counts.unseen = 3;
     record.facts = vec![("Rehearsal of cloud".to_owned(), "+137 ms".to_owned())];
-    let report = Report::new(&TrustInput::from_run(&record, &rows(quiet(1005))));
+    let report = Report::new(&TrustInput::from_run(&record, &rows(steady_totals(1005))));
     assert_eq!(report.verdict, Publish::No);
     let grades: Vec<Grade> = report.findings.iter().map(|finding| finding.grade).collect();
-    assert_eq!(report.findings[0].about, "end", "that a run broke off stands before all else");
-    assert!(grades[1..].is_sorted_by(|a, b| a >= b), "then the most harmful first: {grades:?}");
+    assert_eq!(report.findings[0].about, "end", "the finding on the end of the run comes first");
+    assert!(grades[1..].is_sorted_by(|a, b| a >= b), "the other findings are sorted by severity: {grades:?}");
     assert_eq!(about(&report, "clock fault").0, Grade::Bad);
     assert_eq!(about(&report, "missing events").0, Grade::Doubtful);
     assert_eq!(about(&report, "end").1, "The run broke off: the model crashed.");
@@ -65,20 +65,20 @@ fn record_adds_findings_without_rows() {
 
 #[test]
 fn incomplete_run_is_reported_first() {
-    let judged = |limit: serde_json::Value, reason: &str| {
+    let verdict_and_text = |limit: serde_json::Value, reason: &str| {
         let record = RunRecord {
             reason: reason.into(),
             pipeline: serde_json::json!({ "limit": limit }),
             ..RunRecord::default()
         };
-        // 5 iterations of warm-up and 200 measured ones, one each second.
-        let report = Report::new(&TrustInput::from_run(&record, &rows(quiet(205))));
+        // The run has 5 iterations of warm-up and 200 measured iterations, one iteration per second.
+        let report = Report::new(&TrustInput::from_run(&record, &rows(steady_totals(205))));
         (report.verdict, report.findings[0].text.clone())
     };
     let iterations = |count: u32| serde_json::json!({ "iterations": count });
     let total = serde_json::json!({ "total": 205 });
     for (limit, reason) in [(iterations(200), "finished"), (total, "stopped"), (iterations(150), "stopped")] {
-        let (_, text) = judged(limit, reason);
+        let (_, text) = verdict_and_text(limit, reason);
         assert!(!text.starts_with("The run"), "{text}");
     }
     let cases = [
@@ -103,17 +103,17 @@ fn incomplete_run_is_reported_first() {
             "The run finished after 200 of 250 iterations: there was nothing more to measure.",
         ),
     ];
-    for (ordered, reason, verdict, text) in cases {
-        assert_eq!(judged(iterations(ordered), reason), (verdict, text.to_owned()));
+    for (limit, reason, verdict, text) in cases {
+        assert_eq!(verdict_and_text(iterations(limit), reason), (verdict, text.to_owned()));
     }
     let ten_minutes = serde_json::json!({ "duration_s": 600.0 });
-    let (verdict, text) = judged(ten_minutes.clone(), "stopped");
+    let (verdict, text) = verdict_and_text(ten_minutes.clone(), "stopped");
     assert_eq!(
         (verdict, text.as_str()),
         (Publish::No, "The run was interrupted after 199.0 of 600\u{202f}s.")
     );
     assert!(
-        !judged(ten_minutes, "finished").1.starts_with("The run"),
+        !verdict_and_text(ten_minutes, "finished").1.starts_with("The run"),
         "a finished run with a time limit is complete"
     );
 }

@@ -15,17 +15,17 @@ pub struct Limits {
     /// Number of episodes including the warm-up. The actuator may end an episode before its last step, so that the
     /// number of iterations is not known beforehand.
     pub episodes: Option<f64>,
-    /// Seconds from the first iteration that is not warm-up.
+    /// Duration from the first iteration that is not warm-up, seconds.
     pub duration_s: Option<f64>,
 }
 
 /// Part of a run that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Number of iterations without the warm-up, successful or failed. Iterations that were measured but whose events
-    /// were not received are included.
+    /// Number of iterations without the warm-up, successful or failed. Iterations whose events were not received are
+    /// included.
     pub measured: u64,
-    /// Number of iterations of the warm-up.
+    /// Number of iterations in the warm-up.
     pub warm_up: u64,
     /// Time from the first to the last start after the warm-up, seconds; `None` if it is not known.
     pub seconds: Option<f64>,
@@ -39,14 +39,14 @@ pub struct EndedEarly {
     /// Configured limit, in `unit`.
     pub limit: f64,
     /// Unit of both amounts.
-    pub unit: Unit,
-    /// True if somebody interrupted the run; false if it ended for another reason.
+    pub unit: LimitUnit,
+    /// True if somebody interrupted the run; false if the run ended for another reason.
     pub interrupted: bool,
 }
 
 /// Unit of a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unit {
+pub enum LimitUnit {
     /// Iterations, successful or failed.
     Iterations,
     /// Seconds of measuring.
@@ -59,27 +59,27 @@ impl EndedEarly {
     pub fn from_progress(limits: &Limits, progress: &Progress, reason: &EndReason) -> Option<Self> {
         let interrupted = *reason == EndReason::Stopped;
         let limits_and_reached = [
-            (limits.iterations, Some(progress.measured as f64), Unit::Iterations),
-            (limits.total, Some((progress.measured + progress.warm_up) as f64), Unit::Iterations),
-            (limits.duration_s, progress.seconds, Unit::Seconds),
+            (limits.iterations, Some(progress.measured as f64), LimitUnit::Iterations),
+            (limits.total, Some((progress.measured + progress.warm_up) as f64), LimitUnit::Iterations),
+            (limits.duration_s, progress.seconds, LimitUnit::Seconds),
         ];
         let amounts = limits_and_reached.into_iter().filter_map(|(limit, reached, unit)| {
             let limit = limit.filter(|limit| *limit > 0.0)?;
             Some(Self { reached: reached?, limit, unit, interrupted })
         });
-        // A run ends as soon as it reaches one of its limits, so the relevant limit is the one that the run came
+        // A run ends as soon as it reaches one of its limits. The relevant limit is therefore the limit that the run came
         // closest to.
-        let nearest = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
-        // The last iteration ends shortly before a limit of time, and episodes may end early, so the reason for the end decides whether
-        // such a run is complete.
+        let nearest = amounts.max_by(|a, b| a.reached_share().total_cmp(&b.reached_share()))?;
+        // With a limit of time, the last iteration starts shortly before the limit. With a limit of episodes, episodes may end early. The reason
+        // for the end therefore decides whether such a run is complete.
         let is_iteration_count_variable = limits.duration_s.is_some() || limits.episodes.is_some();
         let is_complete =
-            nearest.share() >= 1.0 || (*reason == EndReason::Finished && is_iteration_count_variable);
+            nearest.reached_share() >= 1.0 || (*reason == EndReason::Finished && is_iteration_count_variable);
         (!is_complete).then_some(nearest)
     }
 
-    /// Returns the share of the limit that was reached, at least 0.
-    pub fn share(&self) -> f64 {
+    /// Returns the share of the limit that the run reached: 1 if the run reached the limit.
+    pub fn reached_share(&self) -> f64 {
         self.reached / self.limit
     }
 
@@ -87,10 +87,10 @@ impl EndedEarly {
     pub(crate) fn progress_text(&self) -> String {
         let Self { reached, limit, unit, .. } = self;
         match unit {
-            Unit::Iterations => {
+            LimitUnit::Iterations => {
                 format!("after {} of {}", fixed(*reached, 0), counted(*limit as u64, "iteration"))
             }
-            Unit::Seconds => format!("after {} of {}\u{202f}s", fixed(*reached, 1), significant(*limit)),
+            LimitUnit::Seconds => format!("after {} of {}\u{202f}s", fixed(*reached, 1), significant(*limit)),
         }
     }
 }

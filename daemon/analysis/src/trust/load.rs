@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use crate::rows::{Rows, SKIPPED_STARTS};
 
-/// Configured rate of starts of a run: the `load` of its pipeline.
+/// Configured rate of a run's starts: the table `load` of its pipeline.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Load {
@@ -14,10 +14,10 @@ pub struct Load {
     pub hz: Option<f64>,
 }
 
-/// Numbers of actual and of skipped starts, without the warm-up, and their time.
+/// Numbers and times of actual starts, and number of skipped starts, without the warm-up.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Starts {
-    /// Configured starts per second; `None` in a closed loop, and if the rate is not known.
+    /// Configured starts per second; `None` in a closed loop, or if the rate is not known.
     pub hz: Option<f64>,
     /// Number of iterations that started and whose measurements are not missing.
     pub started: u64,
@@ -42,8 +42,8 @@ pub struct StartTimes {
 }
 
 impl Starts {
-    /// Returns the starts of these rows. The configured rate is `None`, because rows do not contain it, and no measurements are missing.
-    /// The times are unknown: [`StartTimes::from_run`] reads them.
+    /// Returns the starts of these rows. The configured rate is `None`, because rows do not contain this rate. No measurements count as
+    /// missing. The times are unknown: [`StartTimes::from_run`] reads them.
     pub fn from_rows(rows: &Rows) -> Self {
         let started = || rows.iter().filter(|row| !row.warm_up());
         let skipped = started().filter_map(|row| row.value(SKIPPED_STARTS)).filter(|value| *value > 0.0);
@@ -61,10 +61,11 @@ impl Starts {
     pub fn actual_hz(&self) -> Option<f64> {
         let started = self.started.saturating_add(self.missing?);
         let seconds = self.times.seconds().filter(|seconds| *seconds > 0.0)?;
+        // The time from the first to the last start contains one period less than there are starts.
         (started > 1).then(|| (started - 1) as f64 / seconds)
     }
 
-    /// Returns the number of scheduled starts: those that took place and those that were skipped.
+    /// Returns the number of scheduled starts: the starts that took place and the starts that were skipped.
     pub const fn total(&self) -> u64 {
         self.started + self.skipped
     }
@@ -85,7 +86,7 @@ impl Starts {
 
 impl StartTimes {
     /// Returns the time from the first to the last start, seconds. `None` if the first or the last start is not known,
-    /// if there was a standstill, or if the wall clock was set back, so that the last start lies before the first.
+    /// if there was a standstill, or if the last start lies before the first, because the wall clock was set back.
     pub fn seconds(&self) -> Option<f64> {
         let seconds = (self.last? - self.first?).seconds();
         (self.standstill_s.is_none() && seconds >= 0.0).then_some(seconds)

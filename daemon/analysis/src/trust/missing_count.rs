@@ -1,18 +1,18 @@
-//! Number of missing events in words.
+//! Number of missing events, as text.
 
 use peernet_statistics::number::{count, counted};
 
 /// Number of missing events in several gaps together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MissingCount {
-    /// Number of missing events in the gaps whose number is known.
+    /// Number of missing events in the gaps whose numbers are known.
     pub known: u64,
     /// True if at least one gap has an unknown number of missing events.
     pub is_incomplete: bool,
 }
 
 impl MissingCount {
-    /// Adds up the numbers of missing events of the gaps. A number of 0 means that the number is not known.
+    /// Adds up the numbers of missing events of several gaps. 0 stands for a number that is not known.
     pub fn from_gaps(counts: impl Iterator<Item = u64>) -> Self {
         let start = Self { known: 0, is_incomplete: false };
         counts.fold(start, |sum, count| Self {

@@ -1,11 +1,11 @@
-//! Answer to "can I publish this run?", with findings from before, during and after the run, in plain sentences.
+//! Answer to "can I publish this run?", with findings about the time before, during and after the run, in plain sentences.
 //!
 //! ```text
 //! rows (crate::rows) ──┐
 //! roll-ups of a store ─┴─ TrustInput ── Report: a verdict, sentences ── text, JSON, page
 //! ```
 //!
-//! The module does no I/O. The thresholds and methods, with their sources, are in the comments on each judgement and in `docs/trust.md`.
+//! The module does no I/O. The comments on each judgement and `docs/trust.md` have the thresholds and methods with their sources.
 
 mod ended_early;
 mod judge;
@@ -22,7 +22,7 @@ mod time_series;
 mod trend;
 mod trust_input;
 
-pub use ended_early::{EndedEarly, Limits, Progress, Unit};
+pub use ended_early::{EndedEarly, LimitUnit, Limits, Progress};
 pub use judge::NOTABLE_SHARE;
 pub use load::{Load, StartTimes, Starts};
 pub use missing_count::MissingCount;
@@ -31,7 +31,7 @@ pub use replayed::{DRAWN_LATENCY, OVERRUN, ReplayedLatencies};
 pub(crate) use replayed::{DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN};
 pub use restarts::Restarts;
 pub use time_series::{Beginning, Outliers, TimeSeries};
-pub use trust_input::{Clocks, MissingEvents, TrustInput, names_of_distributions};
+pub use trust_input::{DelayQuality, MissingEvents, TrustInput, names_of_distributions};
 
 use std::cmp::Reverse;
 
@@ -45,9 +45,9 @@ use serde::{Deserialize, Serialize};
 pub enum Publish {
     /// The results can be published as they are.
     Yes,
-    /// The results can be published together with the remarks of the findings.
+    /// The results can be published together with the texts of the doubtful findings.
     WithRemarks,
-    /// The results cannot be published before something is changed and the run is repeated.
+    /// The results cannot be published. A problem must be fixed and the run repeated.
     No,
 }
 
@@ -71,7 +71,7 @@ pub struct Finding {
     pub grade: Grade,
     /// Text of the finding: a plain sentence with numbers.
     pub text: String,
-    /// Advice; empty when there is nothing to do.
+    /// Advice; empty if there is nothing to do.
     pub advice: String,
 }
 
@@ -99,7 +99,7 @@ impl Report {
         Self { verdict, findings }
     }
 
-    /// Returns the answer in a sentence, with the number of caveats or of problems.
+    /// Returns the answer as a sentence, with the number of doubtful or bad findings.
     pub fn answer(&self) -> String {
         let count = |grade| self.findings.iter().filter(|finding| finding.grade == grade).count() as u64;
         match self.verdict {
@@ -116,8 +116,8 @@ impl Report {
         }
     }
 
-    /// Returns the text for a terminal: the answer, then a line for each finding. The line begins with a sign for the
-    /// grade, and the advice is on the next line.
+    /// Returns the text for a terminal: the answer, then a line for each finding. This line begins with a sign for the
+    /// grade. If the finding has advice, the advice is on the next line.
     pub fn text(&self) -> String {
         let mut lines = vec![format!("Can this run be published? {}", self.answer()), String::new()];
         for finding in &self.findings {

@@ -1,4 +1,4 @@
-//! Sentences about which of several runs can be published, for comparisons of runs.
+//! Sentences that say which of several runs can be published, for comparisons of runs.
 
 use std::collections::BTreeSet;
 
@@ -9,9 +9,10 @@ use super::{Publish, Report};
 /// Largest number of runs that a sentence names.
 const MAX_NAMED_RUNS: usize = 8;
 
-/// Returns a sentence about the runs that cannot be published, and one about those that can only be published with caveats, each with the
-/// grade of its findings. Each run is given by its name and its report. Edges that measured at the same time have the name of their
-/// run. The run has the findings of all its edges and is as good as the worst of them. Empty if all runs can be published as they are.
+/// Returns a sentence about the runs that cannot be published, and a sentence about the runs that can be published only with caveats. Each
+/// sentence has the grade of its findings. `runs` has the name and the report of each run. A run of several edges is given once for each edge,
+/// always with the name of the run. Such a run has the findings of all its edges and the worst of their verdicts. Empty if all runs can be
+/// published as they are.
 pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Report)>) -> Vec<(Grade, String)> {
     let mut reports_by_run: Vec<(String, Vec<&Report>)> = Vec::new();
     for (name, report) in runs {
@@ -75,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_are_named_with_reasons_against_publication() {
+    fn unpublishable_runs_are_named_with_subjects_of_findings() {
         let good = report(Publish::Yes, &[("warm-up", Grade::Good)]);
         let bad = report(
             Publish::No,

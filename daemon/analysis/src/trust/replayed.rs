@@ -7,15 +7,16 @@ use crate::rows::Rows;
 
 /// Name of the fact by which a model says that its latencies are drawn from a distribution.
 const REPLAYED_FACT: &str = "Replayed";
-/// Text before the seed, which the description of a distribution ends with.
+/// Text before the seed. The description of a distribution ends with the seed.
 const SEED: &str = ", seed ";
 
 /// Name of the node with the latency that was drawn for an iteration, seconds.
 pub const DRAWN_LATENCY: &str = "drawn-latency";
 /// Name of the node with the overrun: the time by which `inference` took longer than the latency that was drawn for the iteration, seconds.
 pub const OVERRUN: &str = "overrun";
-/// Columns of the two nodes in `data.csv`.
+/// Column of [`DRAWN_LATENCY`] in `data.csv`.
 pub(crate) const DRAWN_LATENCY_COLUMN: &str = "inference_drawn-latency";
+/// Column of [`OVERRUN`] in `data.csv`.
 pub(crate) const OVERRUN_COLUMN: &str = "inference_overrun";
 
 /// The mean overrun is reported if it is above this share of the mean drawn latency.
@@ -24,7 +25,7 @@ const MIN_REPORTED_OVERRUN_SHARE: f64 = 0.05;
 /// Latencies of a run's model that are drawn from a distribution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReplayedLatencies {
-    /// The distribution with the seed, as the model describes it.
+    /// Description of the distribution with the seed, from the model.
     pub distribution: String,
     /// Mean drawn latency, seconds; `None` if it is not known.
     pub drawn: Option<f64>,
@@ -33,7 +34,8 @@ pub struct ReplayedLatencies {
 }
 
 impl ReplayedLatencies {
-    /// Returns the distribution that the facts of a run name, without the means; `None` if the latencies are measured.
+    /// Returns the replayed latencies with the distribution from the facts of a run, without the means. `None` if the
+    /// latencies are measured.
     pub fn from_facts(facts: &[(String, String)]) -> Option<Self> {
         let (_, text) = facts.iter().find(|(name, _)| name == REPLAYED_FACT)?;
         Some(Self { distribution: text.clone(), drawn: None, overrun: None })
@@ -74,8 +76,8 @@ impl ReplayedLatencies {
         };
         let distribution = match without_seed(first) {
             _ if runs.iter().all(|run| run.distribution == first.distribution) => first.distribution.clone(),
-            same if runs.iter().all(|run| without_seed(run) == same) => {
-                format!("{same}, a seed of its own for each run")
+            shared if runs.iter().all(|run| without_seed(run) == shared) => {
+                format!("{shared}, a seed of its own for each run")
             }
             _ => first.distribution.clone(),
         };

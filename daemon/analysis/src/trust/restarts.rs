@@ -1,15 +1,15 @@
-//! Time that restarts of worker processes took from a run's iterations.
+//! Time for which the iterations of a run waited for restarts of processes.
 
 use peernet_logger::{Name, stage};
 
 use crate::rows::Rows;
 
-/// Iterations that waited for a process that was restarted.
+/// Iterations that waited for the restart of a process.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Restarts {
-    /// Owner of the process: `model`, `sensor`, `actuator`.
+    /// Owner of the process: `model`, `sensor` or `actuator`.
     pub owner: &'static str,
-    /// Number of affected iterations that statistics include.
+    /// Number of these iterations that are in the statistics.
     pub count: u64,
     /// Total time that these iterations waited for restarts, seconds.
     pub seconds: f64,

@@ -6,7 +6,7 @@ use peernet_stream::{Condition, Grade};
 use super::Report;
 use crate::rows::{Outcome, Row, Rows};
 
-/// Returns a row whose total is mostly inference.
+/// Returns a row with a total of `seconds`, of which 99 % are inference.
 pub(crate) fn row(iteration: u64, seconds: f64) -> Row {
     let values = [("inference", seconds * 0.99), ("total", seconds), ("unattributed", seconds * 0.01)];
     Row {
@@ -23,16 +23,18 @@ pub(crate) fn row(iteration: u64, seconds: f64) -> Row {
     }
 }
 
+/// Returns rows with these totals, seconds.
 pub(crate) fn rows(totals: impl IntoIterator<Item = f64>) -> Rows {
     (1..).zip(totals).map(|(iteration, seconds)| row(iteration, seconds)).collect()
 }
 
-/// Returns totals of 10 ms within 1 %, without outliers.
-pub(crate) fn quiet(count: usize) -> Vec<f64> {
+/// Returns totals of about 10 ms, with a standard deviation of 1 % and without outliers.
+pub(crate) fn steady_totals(count: usize) -> Vec<f64> {
     let mut noise = SplitMix64::new(7);
     (0..count).map(|_| 0.010 * (1.0 + 0.01 * noise.normal())).collect()
 }
 
+/// Returns a condition of this grade about the CPU governor of the host `robot`.
 pub(crate) fn governor(grade: Grade) -> Condition {
     Condition {
         host: "robot".to_owned(),
@@ -46,7 +48,7 @@ pub(crate) fn governor(grade: Grade) -> Condition {
 /// Returns the grade and the text of the finding about a subject.
 pub(crate) fn about<'a>(report: &'a Report, subject: &str) -> (Grade, &'a str) {
     let mut found = report.findings.iter().filter(|finding| finding.about == subject);
-    let finding = found.next().unwrap_or_else(|| panic!("nothing about {subject}: {report:#?}"));
-    assert!(found.next().is_none(), "more than one about {subject}");
+    let finding = found.next().unwrap_or_else(|| panic!("no finding about {subject}: {report:#?}"));
+    assert!(found.next().is_none(), "more than one finding about {subject}");
     (finding.grade, &finding.text)
 }

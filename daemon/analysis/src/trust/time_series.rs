@@ -7,9 +7,9 @@ use peernet_statistics::Summary;
 use crate::batches::{MAX_BATCHES, MIN_BATCH_VALUES, Series};
 use crate::order::SortedValues;
 
-/// Minimum number of iterations in the beginning of a run.
+/// Minimum number of iterations in the first block of a run, which is its beginning.
 const MIN_BEGINNING_VALUES: u64 = 20;
-/// Maximum number of blocks of a run. The first block is its beginning.
+/// Maximum number of blocks that a run is divided into.
 const MAX_BLOCKS: u64 = 200;
 /// Minimum change of the median from the first to the second half of a run that is reported, as a share of the first
 /// half's median.
@@ -19,7 +19,8 @@ const MAD_TO_STD: f64 = 1.4826;
 /// A value is an outlier if it exceeds the median by more than this number of standard deviations, where the standard
 /// deviation is computed from the MAD (Iglewicz and Hoaglin 1993).
 const OUTLIER_DEVIATIONS: f64 = 3.5;
-/// Minimum of this standard deviation, as a share of the median: the resolution of the stored quantiles.
+/// Minimum of the standard deviation that is computed from the MAD, as a share of the median: the resolution of the stored
+/// quantiles.
 const MIN_RELATIVE_DEVIATION: f64 = 0.01;
 
 /// Statistics of a duration over the time of a run, in seconds. Only successful iterations that are not warm-up are included.
@@ -71,17 +72,17 @@ pub struct Outliers {
 }
 
 /// Series that can return the median of a range of its buckets.
-trait Medians: Series {
+trait MedianSeries: Series {
     fn median(&self, range: Range<usize>) -> Option<f64>;
 }
 
-impl Medians for [f64] {
+impl MedianSeries for [f64] {
     fn median(&self, range: Range<usize>) -> Option<f64> {
         self[range].iter().copied().collect::<SortedValues>().median()
     }
 }
 
-impl Medians for [Summary] {
+impl MedianSeries for [Summary] {
     fn median(&self, range: Range<usize>) -> Option<f64> {
         merged(&self[range]).quantile(0.5)
     }
@@ -113,7 +114,7 @@ impl TimeSeries {
         Some(Self { count, median, mean, outliers, ..over_time })
     }
 
-    /// Returns the statistics of the summaries of buckets in order of time. Quantiles are within 1 %. `None` without values.
+    /// Returns the statistics from the summaries of buckets, which are in order of time. Quantiles are within 1 %. `None` without values.
     pub fn from_summaries(buckets: &[Summary]) -> Option<Self> {
         let whole_run = merged(buckets);
         let (median, max) = (whole_run.quantile(0.5)?, whole_run.moments.max);
@@ -143,13 +144,13 @@ impl TimeSeries {
         Some(if first > 0.0 { second / first - 1.0 } else { 0.0 })
     }
 
-    /// Returns whether the change is at least 5 %, which is large enough to be reported if it is more than chance.
+    /// Returns whether the median changes by at least 5 %. Such a change is reported if it is more than chance.
     pub fn has_notable_change(&self) -> bool {
         self.change().is_some_and(|share| share.abs() >= MIN_NOTABLE_CHANGE)
     }
 
-    /// Returns the fields that depend on the order of the values; the other fields have their defaults.
-    fn over_time<S: Medians + ?Sized>(series: &S) -> Self {
+    /// Computes the fields that depend on the order of the values. The other fields have their defaults.
+    fn over_time<S: MedianSeries + ?Sized>(series: &S) -> Self {
         let count = series.total_count();
         let medians = |ranges: &[Range<usize>]| -> Vec<f64> {
             ranges.iter().filter_map(|range| series.median(range.clone())).collect()
@@ -201,7 +202,7 @@ mod tests {
 
     #[test]
     fn values_and_summaries_give_same_statistics() {
-        // The values are a saw tooth with a tenth of slow values, and a slow beginning.
+        // The values are a saw tooth. A tenth of the values are slow, and so are the first 30 values.
         let value = |n: u32| {
             let slow = if n % 10 == 9 { 0.04 } else { 0.0 };
             let cold = if n < 30 { 0.02 } else { 0.0 };
@@ -226,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_has_no_outliers() {
+    fn equal_values_have_no_outliers() {
         let constant = TimeSeries::from_values(&[0.005; 100]).expect("values");
         assert_eq!((constant.outliers.count, constant.outliers.influence), (0, 0.0));
         assert_eq!(TimeSeries::from_values(&[f64::NAN]), None);

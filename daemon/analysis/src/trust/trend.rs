@@ -5,8 +5,8 @@ use statrs::distribution::{ContinuousCDF, Normal};
 use crate::fit::{Point, theil_sen};
 use crate::order::SortedValues;
 
-/// Maximum autocorrelation that is used. Above it, the number of equivalent independent values is so small that it
-/// means nothing.
+/// Maximum autocorrelation that is used. Above this value, the number of equivalent independent values is too small to be
+/// meaningful.
 const MAX_AUTOCORRELATION: f64 = 0.95;
 
 /// Returns the two-sided probability that a series without a trend rises or falls as clearly as this series. This is the test of Mann (1945)
@@ -42,7 +42,7 @@ pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
 /// In simulations of series without a trend, the test reports a trend in 4 % of all cases if the values are
 /// independent, and in 9 % at an autocorrelation of 0.5. At an autocorrelation of 0.5, the test without any correction
 /// reports a trend in 23 % of all cases, and the test with a correction over all lags (Hamed and Rao 1998) in 18 %,
-/// because the latter underestimates the correlation of few values.
+/// because the correction over all lags underestimates the correlation of few values.
 fn variance_inflation(series: &[f64]) -> f64 {
     let n = series.len();
     let count = n as f64;
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn step_at_any_place_is_trend() {
+    fn step_at_any_index_is_trend() {
         let mut noise = SplitMix64::new(3);
         for at in [8, 15, 22] {
             let series: Vec<f64> =
@@ -137,7 +137,7 @@ mod tests {
         }
     }
 
-    /// Returns how often the test at 5 % finds a trend in a series without one, in 400 tries.
+    /// Returns in how many of 400 series without a trend the test finds a trend, at a significance level of 5 %.
     fn false_alarms(correlation: f64, seed: u64) -> usize {
         let mut noise = SplitMix64::new(seed);
         (0..400)
@@ -160,6 +160,9 @@ mod tests {
         let independent = false_alarms(0.0, 1);
         assert!(independent <= 33, "{independent}");
         let correlated = false_alarms(0.5, 2);
-        assert!(correlated <= 56, "14 % at most: without the correction it is a quarter; {correlated}");
+        assert!(
+            correlated <= 56,
+            "more than 14 % of 400; without the correction, it would be about 23 %: {correlated}"
+        );
     }
 }

@@ -33,10 +33,10 @@ pub struct TrustInput {
     pub starts: Starts,
     /// Measurements that are missing.
     pub missing: Vec<MissingEvents>,
-    /// Reason for which the run broke off. `None` if it finished or was stopped, or is in progress.
+    /// Reason for which the run broke off. `None` if the run finished, was stopped or is in progress.
     pub failure: Option<String>,
     /// True if the run has not ended yet.
-    pub open: bool,
+    pub in_progress: bool,
     /// Progress of the run, if it ended before its limit.
     pub ended_early: Option<EndedEarly>,
     /// True if the clock of a host was made wrong on purpose.
@@ -49,12 +49,12 @@ pub struct TrustInput {
     pub split: StageSplit,
     /// Number of iterations in the statistics whose answer was not acted on, because it was superseded.
     pub superseded: u64,
-    /// Distributions with two modes, by name: the total, and the length of answers in tokens.
+    /// Distributions that have two modes, by name. Only the total and the length of answers in tokens are tested.
     pub two_modes: Vec<(String, TwoModes)>,
     /// Processes that were restarted while iterations waited for them.
     pub restarts: Vec<Restarts>,
     /// Quality of the one-way delays, for each direction.
-    pub clocks: Vec<Clocks>,
+    pub clocks: Vec<DelayQuality>,
     /// Accuracy of the model, by column; empty if the right answers are not known.
     pub accuracy: BTreeMap<String, Accuracy>,
     /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
@@ -70,7 +70,7 @@ pub struct TrustInput {
 /// Events that were dropped or never arrived.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MissingEvents {
-    /// Number of missing events; 0 if it is not known.
+    /// Number of missing events; 0 if the number is not known.
     pub count: u64,
     /// Reason for which the events are missing.
     pub reason: String,
@@ -78,7 +78,7 @@ pub struct MissingEvents {
 
 /// Quality of the one-way delays of a stage.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Clocks {
+pub struct DelayQuality {
     /// `upload` or `download`.
     pub stage: String,
     /// Number of delays by verdict.
@@ -115,7 +115,7 @@ impl TrustInput {
             clocks: directions
                 .into_iter()
                 .filter_map(|(name, delay)| {
-                    Clocks::from_delays(name.as_str(), in_statistics().filter_map(|row| delay(&row)))
+                    DelayQuality::from_delays(name.as_str(), in_statistics().filter_map(|row| delay(&row)))
                 })
                 .collect(),
             accuracy: Accuracy::by_column(rows),
@@ -168,14 +168,14 @@ fn two_modes(rows: &Rows) -> Vec<(String, TwoModes)> {
     names_of_distributions(with_values).into_iter().filter_map(modes_of).collect()
 }
 
-impl Clocks {
+impl DelayQuality {
     fn from_delays(stage: &str, delays: impl Iterator<Item = OneWayDelay>) -> Option<Self> {
         let mut verdicts = BTreeMap::<usize, (Verdict, u64)>::new();
         let (mut known_delays, mut bounds) = (Vec::new(), Vec::new());
         for delay in delays {
             let verdict = delay.verdict;
-            // Verdicts are listed in the order in which the store numbers them, so that input from rows and from the
-            // store is the same.
+            // Verdicts are listed in the order in which the store numbers them, so that input from rows equals input from
+            // the store.
             let order = Verdict::ALL.iter().position(|other| *other == verdict).unwrap_or(usize::MAX);
             verdicts.entry(order).or_insert((verdict, 0)).1 += 1;
             if let Some(seconds) = delay.known_seconds() {

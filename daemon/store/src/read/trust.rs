@@ -5,8 +5,8 @@ use peernet_analysis::outcomes::Counts;
 use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::standstill::{RunExtent, standstill};
 use peernet_analysis::trust::{
-    Clocks, DRAWN_LATENCY, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts, StartTimes,
-    Starts, TimeSeries, TrustInput, names_of_distributions,
+    DRAWN_LATENCY, DelayQuality, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts,
+    StartTimes, Starts, TimeSeries, TrustInput, names_of_distributions,
 };
 use peernet_logger::stage;
 use peernet_statistics::TwoModes;
@@ -135,7 +135,7 @@ fn collect(
     let input = TrustInput {
         conditions: run.conditions.clone(),
         counts,
-        open: run.summary.ended.is_none(),
+        in_progress: run.summary.ended.is_none(),
         ended_early: configured
             .and_then(|configured| ended_early(run, &counts, &times, missing_events?, configured.limit)),
         starts: Starts {
@@ -172,7 +172,7 @@ fn collect(
             .iter()
             .map(|bound| {
                 let delay = statistics_of(&bound.stage);
-                Clocks {
+                DelayQuality {
                     stage: bound.stage.to_string(),
                     verdicts: bound.verdicts.clone(),
                     delay: delay.as_ref().map(|statistics| statistics.p50),

@@ -1,4 +1,4 @@
-//! Judgement of the scores. It reports iterations whose answers were not scored as right or wrong.
+//! Judgement of the scores. The findings report iterations whose answers were not scored as right or wrong.
 
 use peernet_statistics::number;
 use peernet_stream::Grade;
@@ -7,23 +7,23 @@ use super::{finding, iterations, percent, with_advice};
 use crate::accuracy::Accuracy;
 use crate::trust::{Finding, TrustInput};
 
-/// Returns a finding for each accuracy that does not cover all iterations. Accuracies that lack the same number of iterations share one
-/// finding.
+/// Returns a finding for each accuracy that does not cover all iterations. Accuracies in which the same number of iterations is missing share
+/// one finding. A separate finding reports unknown labels.
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
-    let with_unknown_label = input.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
+    let unknown_label_count = input.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
     // Iterations with an unknown label have their own finding.
-    let unscored = |accuracy: &Accuracy| accuracy.unscored.saturating_sub(with_unknown_label);
+    let unscored = |accuracy: &Accuracy| accuracy.unscored.saturating_sub(unknown_label_count);
     // Names of accuracies, number of iterations without a score, number of all iterations.
-    let mut partial: Vec<(Vec<&str>, u64, u64)> = Vec::new();
+    let mut incomplete: Vec<(Vec<&str>, u64, u64)> = Vec::new();
     for (name, accuracy) in input.accuracy.iter().filter(|(_, accuracy)| unscored(accuracy) > 0) {
-        match partial.iter_mut().find(|(_, other, _)| *other == unscored(accuracy)) {
+        match incomplete.iter_mut().find(|(_, other, _)| *other == unscored(accuracy)) {
             Some((names, ..)) => names.push(name),
-            None => partial.push((vec![name], unscored(accuracy), accuracy.count + accuracy.unscored)),
+            None => incomplete.push((vec![name], unscored(accuracy), accuracy.count + accuracy.unscored)),
         }
     }
-    let partial_finding = |(names, unscored, total): (Vec<&str>, u64, u64)| {
+    let incomplete_finding = |(names, unscored, total): (Vec<&str>, u64, u64)| {
         let text = format!(
-            "{} of {} ({}) have no valid score for {}: the accuracy covers only the others.",
+            "{} of {} ({}) have no valid score for {}: the accuracy covers only the other iterations.",
             number::count(unscored),
             iterations(total),
             percent(unscored as f64 / total as f64),
@@ -32,16 +32,15 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
         let advice = "check that each sample has a label and each answer names a class, or report this with the accuracy";
         with_advice(finding("accuracy", Grade::Doubtful, text), advice)
     };
-    judge_unknown_labels(input).into_iter().chain(partial.into_iter().map(partial_finding)).collect()
+    judge_unknown_labels(input).into_iter().chain(incomplete.into_iter().map(incomplete_finding)).collect()
 }
 
-/// Returns the finding about iterations that cannot be scored because of their label. If no iteration at all was
-/// scored, there is no accuracy to publish and the other results are not affected, so that the grade is `Unknown` and
-/// not `Doubtful`.
+/// Returns the finding about iterations that cannot be scored because of their label. If no iteration was scored, the
+/// grade is `Unknown` and not `Doubtful`: there is no accuracy to publish, and the other results are not affected.
 fn judge_unknown_labels(input: &TrustInput) -> Option<Finding> {
     let unknown = input.unknown_labels.as_ref()?;
     let grade = if input.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };
-    let advice = "name the folders, or the labels in the file of labels, as the model's card names its classes; \
+    let advice = "give the folders, or the labels in the file of labels, the names that the classes have in the model's card; \
                   numbers of classes are not translated to names";
     Some(with_advice(finding("accuracy", grade, unknown.sentence(input.counts.ok)), advice))
 }
@@ -70,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_labels_are_separate_finding() {
+    fn unknown_labels_have_separate_finding() {
         let text =
             "Not scored: 3 of 100 iterations, because the label is not a class of the model.".to_owned();
         assert_eq!(grades_and_texts([3, 3], 3), [(Grade::Doubtful, text.clone())]);
@@ -78,13 +77,13 @@ mod tests {
         assert!(both.len() == 2 && both[0].1 == text && both[1].1.starts_with("2 of 100"), "{both:?}");
         let none = TrustInput { unknown_labels: UnknownLabels::new(7, &[]), ..TrustInput::default() };
         let findings = findings(&none);
-        assert_eq!((findings.len(), findings[0].grade), (1, Grade::Unknown), "no accuracy is given");
+        assert_eq!((findings.len(), findings[0].grade), (1, Grade::Unknown), "no accuracy can be published");
     }
 
     #[test]
     fn unscored_iterations_are_reported_once() {
         assert_eq!(texts([0, 0]), Vec::<String>::new());
-        let both = "3 of 100 iterations (3.0\u{202f}%) have no valid score for top-1 and top-5: the accuracy covers only the others.";
+        let both = "3 of 100 iterations (3.0\u{202f}%) have no valid score for top-1 and top-5: the accuracy covers only the other iterations.";
         assert_eq!(texts([3, 3]), [both]);
         let apart = texts([0, 12]);
         assert!(

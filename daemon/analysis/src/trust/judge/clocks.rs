@@ -7,19 +7,20 @@ use peernet_stream::Grade;
 
 use super::{finding, percent, with_advice};
 use crate::delays::ClockInterval;
-use crate::trust::{Clocks, Finding, TrustInput};
+use crate::trust::{DelayQuality, Finding, TrustInput};
 
-/// If at least this share of the delays has no value, the grade is bad.
+/// If at least this share of the delays has no value, the finding is bad.
 const MAJORITY_SHARE: f64 = 0.5;
 
+/// Returns a finding for each direction that has judged delays.
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     input.clocks.iter().filter_map(judge_direction).collect()
 }
 
-fn judge_direction(clocks: &Clocks) -> Option<Finding> {
+fn judge_direction(clocks: &DelayQuality) -> Option<Finding> {
     let stage = &clocks.stage;
     let about = format!("clocks, {stage}");
-    // Pages use the same rule for the verdict that they show beside these delays.
+    // Pages choose the verdict that they show beside these delays by the same rule.
     let prevailing = Verdict::prevailing(clocks.verdicts.iter().copied())?;
     let total: u64 = clocks.verdicts.iter().map(|(_, count)| count).sum();
     let verdict_shares: Vec<String> = clocks

@@ -1,5 +1,5 @@
-//! Judgement of the conditions of the hosts before the run. Each host has one finding about all its good conditions, one about all its unknown
-//! conditions, and one about each doubtful or bad condition.
+//! Judgement of the conditions of the hosts before the run. Each host has one finding about all its good conditions, one finding about all its
+//! unknown conditions, and one finding about each doubtful or bad condition.
 
 use peernet_stream::{Condition, Grade};
 
@@ -28,12 +28,12 @@ pub(super) fn findings(conditions: &[Condition]) -> Vec<Finding> {
                 condition.advice.as_str(),
             ));
         }
-        for (grade, words) in [(Grade::Unknown, "not known"), (Grade::Good, "as it should be")] {
+        for (grade, state) in [(Grade::Unknown, "not known"), (Grade::Good, "as it should be")] {
             let texts: Vec<String> = with_grade(grade)
                 .map(|condition| format!("{} ({})", condition.about, condition.found))
                 .collect();
             if !texts.is_empty() {
-                findings.push(finding("hosts", grade, format!("On {host}, {words}: {}.", texts.join("; "))));
+                findings.push(finding("hosts", grade, format!("On {host}, {state}: {}.", texts.join("; "))));
             }
         }
     }

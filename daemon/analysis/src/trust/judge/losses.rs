@@ -11,8 +11,8 @@ use crate::trust::{EndedEarly, Finding, MissingCount, MissingEvents, Starts, Tru
 /// A finding about failed iterations, skipped starts or superseded answers is doubtful if their share is above this
 /// value.
 pub const NOTABLE_SHARE: f64 = 0.001;
-/// If the share of failed iterations, skipped starts or superseded answers is above this value, the finding is bad,
-/// because the latency of the successful iterations is misleading.
+/// A finding about failed iterations, skipped starts or superseded answers is bad if their share is above this value,
+/// because the latency of the successful iterations is then misleading.
 const MISLEADING_SHARE: f64 = 0.1;
 /// If at least this share of the events is missing, the received events do not represent the whole run.
 const MAX_MISSING_SHARE: f64 = 0.05;
@@ -41,7 +41,7 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
 
 /// Returns the finding about a run that is shorter than configured or not finished; `None` if the run is complete.
 fn judge_end(input: &TrustInput) -> Option<Finding> {
-    if input.open {
+    if input.in_progress {
         return Some(finding(
             END,
             Grade::Unknown,
@@ -61,9 +61,10 @@ fn judge_end(input: &TrustInput) -> Option<Finding> {
         (None, None) => return None,
     };
     Some(match &input.ended_early {
-        Some(early) if early.share() < MIN_REACHED_SHARE => {
-            with_advice(finding(END, Grade::Bad, text), "repeat it")
+        Some(early) if early.reached_share() < MIN_REACHED_SHARE => {
+            with_advice(finding(END, Grade::Bad, text), "repeat the run")
         }
+        // Nobody knows what the missing part of the run would have shown, so that the run is doubtful at best.
         _ => with_advice(
             finding(END, Grade::Doubtful, text),
             "repeat the run, or report this beside the results",
@@ -109,11 +110,12 @@ fn judge_failed(counts: &Counts) -> Finding {
         percent(share),
         outcome_texts.join(", ")
     );
-    let advice = "the statistics leave out failed iterations, which are rarely fast: report their share beside the latency";
+    let advice = "the statistics leave out failed iterations, which are rarely fast: report the share of failed iterations beside the latency";
     match share {
-        share if share > MISLEADING_SHARE => {
-            with_advice(finding(about, Grade::Bad, text), format!("{advice}; find out why there are so many"))
-        }
+        share if share > MISLEADING_SHARE => with_advice(
+            finding(about, Grade::Bad, text),
+            format!("{advice}; find out why so many iterations failed"),
+        ),
         share if share > NOTABLE_SHARE => with_advice(finding(about, Grade::Doubtful, text), advice),
         _ => finding(about, Grade::Good, text),
     }
@@ -154,13 +156,13 @@ fn judge_superseded(input: &TrustInput) -> Option<Finding> {
     let share = input.superseded as f64 / input.counts.ok as f64;
     let text = format!(
         "{} of {} ({}) {} superseded: the actuator did not act on them, because it had acted on a newer answer or the \
-         episode had ended. The latency includes them, although they moved nothing.",
+         episode had ended. The latency includes superseded answers, although they moved nothing.",
         count(input.superseded),
         counted(input.counts.ok, "answer"),
         percent(share),
         if input.superseded == 1 { "was" } else { "were" }
     );
-    let advice = "report their share beside the latency; with a lower rate, or fewer iterations in flight, answers arrive in order";
+    let advice = "report the share of superseded answers beside the latency; with a lower rate, or fewer iterations in flight, answers arrive in order";
     Some(match share {
         share if share > MISLEADING_SHARE => {
             let text = format!("{text} The robot acted less often than it got answers.");
@@ -185,7 +187,7 @@ fn judge_missing_events(counts: &Counts, missing: &[MissingEvents]) -> Finding {
     }
     let expected = counts.measured() + counts.warm_up + missing_count.known;
     let share = missing_count.known as f64 / expected.max(1) as f64;
-    // Without the events of gaps that have no count, the share would understate the loss.
+    // The share would not include the events of gaps whose number of events is unknown, so it would understate the loss.
     let share_text =
         if missing_count.is_incomplete { String::new() } else { format!(" ({})", percent(share)) };
     let text = format!(

@@ -7,11 +7,11 @@ use crate::trust::{Finding, TrustInput};
 
 /// A finding reports the mean overrun if it is at least this share of the mean total.
 const NOTABLE_OVERRUN_SHARE: f64 = 0.01;
-/// If the mean overrun is at least this share of the mean total, the finding is bad: the latencies come from this host
-/// rather than from the distribution.
+/// If the mean overrun is at least this share of the mean total, the finding is bad: the latencies are then those of the
+/// model's host rather than those of the distribution.
 const BAD_OVERRUN_SHARE: f64 = 0.1;
 
-/// Returns the findings about drawn latencies; none if the latencies of the model are measured.
+/// Returns the findings about drawn latencies; empty if the latencies of the model are measured.
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let Some(replayed) = input.replayed_latencies() else { return Vec::new() };
     let replayed = replayed.describe();
@@ -31,11 +31,10 @@ fn judge_overrun(input: &TrustInput) -> Option<Finding> {
         _ => return None,
     };
     let text = format!(
-        "Inference took longer than the replayed latencies, by {} on average, {} of the total: the inner model is slower, or this host was \
-         busy.",
+        "Inference took longer than the replayed latencies, by {} on average, {} of the total: the inner model is slower than the drawn latencies, or the host of the model was busy.",
         ms(overrun),
         percent(share)
     );
-    let advice = "name a faster model as `inner`, or none, and stop other programs on the host of the model";
+    let advice = "name a faster model as `inner`, or no `inner` model, and stop other programs on the host of the model";
     Some(with_advice(finding("overrun", grade, text), advice))
 }

@@ -1,4 +1,5 @@
-//! Judgement of restarts: answered iterations that waited for a process because it had died in an earlier iteration.
+//! Judgement of restarts: answered iterations that waited for the restart of a process that had died in an earlier
+//! iteration.
 
 use peernet_statistics::number;
 use peernet_stream::Grade;
@@ -6,11 +7,11 @@ use peernet_stream::Grade;
 use super::{finding, iterations, ms, percent, with_advice};
 use crate::trust::{Finding, Restarts, TrustInput};
 
-/// Restarts are doubtful if they took at least this share of the time of all iterations. The limit for the contribution
-/// of outliers to the mean is the same.
+/// The finding about restarts is doubtful if they took at least this share of the time of all iterations. The limit for
+/// the contribution of outliers to the mean is the same, because a long restart is an outlier.
 const MAX_INFLUENCE: f64 = 0.05;
-/// Maximum number of iterations that a finding lists.
-const MAX_NAMED: usize = 5;
+/// Maximum number of iterations whose numbers a finding lists.
+const MAX_LISTED: usize = 5;
 
 /// Returns one finding for each process that was restarted.
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
@@ -18,14 +19,14 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let judge = |restarts: &Restarts| {
         let share = if total_seconds > 0.0 { restarts.seconds / total_seconds } else { 0.0 };
         let text = format!(
-            "The {}'s process was restarted in {}{}. The wait for it was {} in all, {} of the time of all iterations.",
+            "The {}'s process was restarted in {}{}. The waits for the restarts took {} in all, {} of the time of all iterations.",
             restarts.owner,
             iterations(restarts.count),
             list_of_numbers(&restarts.iterations),
             ms(restarts.seconds),
             percent(share)
         );
-        let advice = "leave these iterations out (in data.csv a column whose name ends in `restart` has a number), or give the \
+        let advice = "leave these iterations out (in data.csv, their rows have a number in a column whose name ends in `restart`), or publish the \
                       median; the failed iteration before each restart has the reason";
         let grade = if share < MAX_INFLUENCE { Grade::Good } else { Grade::Doubtful };
         with_advice(finding("restarts", grade, text), advice)
@@ -39,8 +40,8 @@ fn list_of_numbers(numbers: &[u64]) -> String {
         return String::new();
     }
     let mut texts: Vec<String> =
-        numbers.iter().take(MAX_NAMED).map(|number| number::count(*number)).collect();
-    if numbers.len() > MAX_NAMED {
+        numbers.iter().take(MAX_LISTED).map(|number| number::count(*number)).collect();
+    if numbers.len() > MAX_LISTED {
         texts.push("…".to_owned());
     }
     format!(" (number{} {})", if numbers.len() == 1 { "" } else { "s" }, texts.join(", "))

@@ -1,4 +1,4 @@
-//! Judgement of the total over time: trend, beginning, outliers, and time outside of all stages.
+//! Judgement of the total over time: trend, beginning and outliers. Also judgement of the time outside of all stages.
 
 use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
@@ -12,13 +12,13 @@ use crate::trust::{Finding, TimeSeries, TrustInput};
 /// If the median changes by at least this share from the first half to the second, the finding is bad, because one
 /// number for the whole run is meaningless.
 const STRONG_DRIFT: f64 = 0.2;
-/// If the relative change of the median is below this, the medians of both halves are printed as one number.
+/// If the relative change of the median is below this value, the medians of both halves are printed as one number.
 const MIN_VISIBLE_CHANGE: f64 = 0.000_5;
-/// Significance level: if chance alone causes such a trend with at least this probability, the trend is attributed to
-/// chance.
+/// Significance level: a trend is attributed to chance if chance alone causes such a trend with at least this
+/// probability.
 const MAX_CHANCE: f64 = 0.05;
-/// If the first iterations take longer than the rest by more than this share, the finding about the warm-up may be
-/// doubtful.
+/// The finding about the warm-up can be doubtful only if the first iterations take longer than the rest by more than
+/// this share.
 const MAX_COLD_EXCESS: f64 = 0.1;
 /// The finding about outliers is doubtful if they contribute at least this share of the mean.
 const MAX_INFLUENCE: f64 = 0.05;
@@ -26,6 +26,9 @@ const MAX_INFLUENCE: f64 = 0.05;
 const BAD_UNATTRIBUTED_SHARE: f64 = 0.25;
 /// Minimum number of iterations that can be judged over time.
 const MIN_ITERATIONS: u64 = 100;
+/// Minimum number of later blocks that the first block can be compared with. A run of [`MIN_ITERATIONS`] has five blocks
+/// of 20 iterations.
+const MIN_LATER_BLOCKS: usize = 4;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let Some(total) = &input.total else { return Vec::new() };
@@ -36,12 +39,12 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     findings
 }
 
-/// Returns the sentence that says why it cannot be told whether something is the case. `whether` is the clause after
-/// "whether": `the run drifted`.
+/// Returns the sentence that says what is unknown about a run, and why. `whether` is the clause after "whether":
+/// `the run drifted`.
 ///
 /// A run with enough iterations can have too few time buckets. The dashboard's buckets last a second or longer. After
 /// the clock was set forward, the run seems so long that its buckets are wide, and few of them contain iterations.
-fn too_short_text(total: &TimeSeries, whether: &str) -> String {
+fn unknown_text(total: &TimeSeries, whether: &str) -> String {
     if total.count < MIN_ITERATIONS {
         return format!(
             "The run is too short to tell whether {whether}: at least {MIN_ITERATIONS} iterations are needed."
@@ -58,7 +61,7 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
     let about = "stationarity";
     let statistics = total.halves.zip(total.change()).zip(chance_of_trend(&total.batches));
     let Some((((first, second), change), chance)) = statistics else {
-        return finding(about, Grade::Unknown, too_short_text(total, "the run drifted"));
+        return finding(about, Grade::Unknown, unknown_text(total, "the run drifted"));
     };
     let change_size = change.abs();
     let change_text = format!(
@@ -94,8 +97,8 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
         format!("; `{name}` changed most ({} to {})", ms(first), ms(second))
     });
     let text = format!("{change_text}, more than chance ({p_value}){stage_text}.");
-    let advice = "one figure for the whole run hides this: find out what changed (heat, load, network), or measure longer \
-                  and after it has settled";
+    let advice = "one number for the whole run hides this change: find out what changed (heat, load, network), or measure \
+                  longer and after the change has ended";
     with_advice(
         finding(about, if change_size >= STRONG_DRIFT { Grade::Bad } else { Grade::Doubtful }, text),
         advice,
@@ -104,8 +107,8 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
 
 fn judge_warm_up(total: &TimeSeries) -> Finding {
     let about = "warm-up";
-    let Some(beginning) = total.beginning.filter(|beginning| beginning.blocks >= 4) else {
-        return finding(about, Grade::Unknown, too_short_text(total, "the warm-up was long enough"));
+    let Some(beginning) = total.beginning.filter(|beginning| beginning.blocks >= MIN_LATER_BLOCKS) else {
+        return finding(about, Grade::Unknown, unknown_text(total, "the warm-up was long enough"));
     };
     let excess = relative_change(beginning.rest, beginning.median);
     let comparison = format!(
@@ -114,8 +117,8 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
         ms(beginning.median),
         ms(beginning.rest)
     );
-    // If nothing distinguishes the first block, it has every place in the order of all blocks with the same
-    // probability. `share_as_high` is then the probability that it is so high by chance.
+    // If nothing distinguishes the first block, each rank among all blocks is equally probable for it. `share_as_high` is
+    // then about the probability that the first block has such a high rank by chance.
     if excess > MAX_COLD_EXCESS && beginning.share_as_high < MAX_CHANCE {
         let text = format!(
             "{comparison}: {} more. Nearly all later groups of {} took less.",
@@ -124,7 +127,7 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
         );
         return with_advice(
             finding(about, Grade::Doubtful, text),
-            "make the warm-up longer, so that it includes them",
+            "make the warm-up longer, so that it includes these iterations",
         );
     }
     if excess > MAX_COLD_EXCESS {
@@ -170,8 +173,8 @@ fn judge_outliers(total: &TimeSeries) -> Finding {
 }
 
 /// Returns the finding about the time outside of all stages. Lateness and the wait for the restart of the model's
-/// process are subtracted from this time: they are not stages, but they are measured and have separate findings. `None`
-/// if the stages are not known.
+/// process are subtracted from this time: both are measured and have separate findings, although they are not stages.
+/// `None` if the stages are not known.
 fn judge_unattributed(split: &StageSplit) -> Option<Finding> {
     let about = "unattributed";
     let seconds = split.unexplained()?;
@@ -197,23 +200,23 @@ fn judge_unattributed(split: &StageSplit) -> Option<Finding> {
     if !split.is_notable(seconds, NOTABLE_UNEXPLAINED_SHARE) {
         return Some(finding(about, Grade::Good, text));
     }
-    let advice = "publish the measured total, not the sum of the stages; the columns of data.csv, and an iteration's waterfall on the dashboard, show where the rest is";
+    let advice = "publish the measured total, not the sum of the stages; the columns of data.csv, and an iteration's waterfall on the dashboard, show the remaining time";
     let grade = if share >= BAD_UNATTRIBUTED_SHARE { Grade::Bad } else { Grade::Doubtful };
     Some(with_advice(finding(about, grade, text), advice))
 }
 
-/// Returns the finding about lateness, the time for which iterations waited for earlier iterations. Lateness is a part
-/// of the total, not a defect.
+/// Returns the finding about lateness, the time for which iterations waited for earlier iterations. The finding is always
+/// good, because lateness is a measured part of the total and not a defect.
 fn judge_lateness(seconds: f64, split: &StageSplit) -> Finding {
     let text = format!(
-        "Iterations began {} after their scheduled start on average: this late start is {} of the total.",
+        "Iterations began {} after their intended start on average: this late start is {} of the total.",
         ms(seconds),
         percent(split.share_of_mean_total(seconds))
     );
     finding("late start", Grade::Good, text)
 }
 
-/// Returns the change from one value to the other, as a share of `from`; 0 if `from` is not above 0.
+/// Returns the change from `from` to `to`, as a share of `from`; 0 if `from` is not above 0.
 fn relative_change(from: f64, to: f64) -> f64 {
     if from > 0.0 { to / from - 1.0 } else { 0.0 }
 }

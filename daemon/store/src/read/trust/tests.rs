@@ -117,7 +117,9 @@ fn restarted_process_is_reported() {
     let report = report(&detail("", "finished"), vec![node(&stage::RESTART, 2, 0.5)]);
     let finding = report.findings.iter().find(|finding| finding.about == "restarts").expect("a finding");
     assert!(
-        finding.text.contains("The model's process was restarted in 2 iterations. The wait for it was 1,000"),
+        finding.text.contains(
+            "The model's process was restarted in 2 iterations. The waits for the restarts took 1,000"
+        ),
         "{finding:?}"
     );
 }
