@@ -1,5 +1,5 @@
 //! Benchmark of results: rows from trees, `data.csv`, summary, reading and comparing, for the paper's 10,005
-//! iterations and for up to fifty times as many. Prints seconds and the peak memory of each step.
+//! iterations and for up to fifty times as many. The benchmark prints the duration and the peak memory of each step.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
 use std::hint::black_box;
@@ -18,19 +18,19 @@ use peernet_stream::{Iteration, Outcome};
 
 fn main() {
     let clock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "system")));
-    println!("{:>10}  {:32}  {:>9}  {:>9}", "iterations", "what", "seconds", "peak MiB");
+    println!("{:>10}  {:32}  {:>9}  {:>9}", "iterations", "step", "seconds", "peak MiB");
     for iterations in [10_005, 100_000, 500_000] {
-        let time_step = |what: &str, work: &mut dyn FnMut()| {
+        let time_step = |step: &str, work: &mut dyn FnMut()| {
             reset_peak();
             let started_at = clock.mono();
             work();
             let seconds = (clock.mono() - started_at).seconds();
-            println!("{iterations:>10}  {what:32}  {seconds:>9.3}  {:>9.1}", peak_kib() as f64 / 1024.0);
+            println!("{iterations:>10}  {step:32}  {seconds:>9.3}  {:>9.1}", peak_kib() as f64 / 1024.0);
         };
         let temporary = tempfile::tempdir().expect("a temporary folder");
         let folder = ResultFolder::create(temporary.path(), Overwrite::Refuse).expect("it is empty");
         let mut rows = Rows::default();
-        time_step("rows of trees, data.csv", &mut || {
+        time_step("rows from trees, data.csv", &mut || {
             let mut writer = folder.writer().expect("writable");
             for row in (1..=iterations).map(|number| Row::from_iteration(&iteration(number))) {
                 writer.write(&row);
@@ -40,17 +40,17 @@ fn main() {
         });
         time_step("summary", &mut || drop(black_box(Summary::from_rows(&rows))));
         time_step("trust report", &mut || drop(black_box(Report::new(&TrustInput::from_rows(&rows, &[])))));
-        time_step("run.json, summary.*, check", &mut || {
+        time_step("run.json, summary.*, check rows", &mut || {
             folder.finish(&RunRecord::default(), &rows).expect("writable");
         });
         drop(std::mem::take(&mut rows));
         time_step("read back", &mut || drop(ResultFolder::open(temporary.path()).expect("readable")));
         let mut loaded = Vec::new();
-        time_step("two for a table read back", &mut || {
+        time_step("read back two runs for a table", &mut || {
             let open = || ResultFolder::open_columns(temporary.path(), &needs_column).expect("readable");
             loaded = vec![open(), Loaded { folder: "another".into(), ..open() }];
         });
-        time_step("table of two, ties", &mut || drop(black_box(Comparison::new(&loaded))));
+        time_step("table of two runs", &mut || drop(black_box(Comparison::new(&loaded))));
         let comparison = Comparison::new(&loaded);
         time_step("differences of every stage", &mut || {
             drop(black_box(Differences::between_lines(&comparison, &loaded, 0, 1, 1)));
@@ -71,7 +71,7 @@ fn peak_kib() -> u64 {
     line.trim().trim_end_matches(" kB").parse().expect("a number")
 }
 
-/// Returns a typical offloaded iteration; all differ.
+/// Returns a typical offloaded iteration. The iterations of different numbers have different durations.
 fn iteration(number: u64) -> Iteration {
     let anchor = Anchor { host: HostId::from_bytes([7; 16]), wall: wall(number) };
     let mut tree = Tree::new(stage::ITERATION, anchor);

@@ -37,7 +37,7 @@ impl Header {
         row.values.iter().all(|(name, _)| self.name_set.contains(name))
     }
 
-    /// Appends the columns of the row that are missing.
+    /// Appends the columns that the row has and the header does not.
     pub fn add(&mut self, row: &Row) {
         for (name, _) in &row.values {
             if self.name_set.insert(name.clone()) {
@@ -56,7 +56,7 @@ impl Header {
         write_line(out, self.names());
     }
 
-    /// Appends the line of a row to `out`; values without a column are left out.
+    /// Appends the line of a row to `out`. Values without a column are left out.
     pub fn write_row(&self, out: &mut Vec<u8>, row: &Row) {
         let fixed = FIXED_COLUMNS.iter().map(|(name, kind)| match kind {
             ColumnKind::Iteration => iteration_cell(row, name),
@@ -67,7 +67,7 @@ impl Header {
     }
 }
 
-/// Appends a line of cells to `out`. A cell that would break the line is quoted.
+/// Appends a line of cells to `out`. A cell with a comma, a quote or a line break is quoted.
 fn write_line(out: &mut Vec<u8>, cells: impl Iterator<Item = impl AsRef<str>>) {
     for (index, cell) in cells.enumerate() {
         let cell = cell.as_ref();
@@ -110,8 +110,8 @@ fn number_cell(value: Option<f64>) -> String {
     value.map(|value| value.to_string()).unwrap_or_default()
 }
 
-/// Copies a file of rows under a new header. Empty cells are appended to each row for the columns that the file does
-/// not have.
+/// Copies the rows of a file to a new file with another header. Empty cells are appended to each row for the columns that
+/// the old file does not have.
 pub(crate) fn pad_rows(from: &Path, to: &Path, header: &Header) -> io::Result<()> {
     let mut reader = csv::ReaderBuilder::new().has_headers(false).from_path(from)?;
     let mut out = BufWriter::new(std::fs::File::create(to)?);

@@ -4,16 +4,16 @@ use std::path::PathBuf;
 
 use peernet_analysis::WriteError;
 
-/// Reason that a result folder cannot be used.
+/// Reason why a result folder cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum FolderError {
-    /// The folder is not empty, and nothing may be replaced.
+    /// The folder is not empty, and its files must not be replaced.
     #[error(
-        "the folder {} is not empty; name another folder with --result-loc, add --overwrite to replace results in it, or remove it",
+        "the folder {} is not empty; name another folder with --result-loc, add --overwrite to replace the results in it, or remove the folder",
         .0.display()
     )]
     NotEmpty(PathBuf),
-    /// Another program writes its results to the folder.
+    /// Another process writes its results to the folder.
     #[error("another peernet is writing its results to {}; wait until it ends, stop it or name another folder", .0.display())]
     Busy(PathBuf),
     /// The path is not a folder.

@@ -1,4 +1,5 @@
-//! The last files of a run, and a temporary folder for all files if the result folder cannot be written.
+//! The files that are written at the end of a run, and a temporary folder for all files if the result folder cannot be
+//! written.
 
 use std::fs::{File, Permissions};
 use std::io::{BufWriter, ErrorKind, Write};
@@ -22,12 +23,12 @@ pub struct WrittenResults {
     pub folder: PathBuf,
     /// Paths of the written files.
     pub files: Vec<PathBuf>,
-    /// Reason that the requested folder cannot be written; `None` if it was written.
+    /// Reason why the requested folder cannot be written; `None` if it was written.
     pub write_error: Option<WriteError>,
 }
 
-/// Permission bits of users who are neither the owner nor in the group.
-const OTHERS: u32 = 0o007;
+/// Permission bits of accounts that are neither the owner nor in the group.
+const OTHER_ACCOUNTS: u32 = 0o007;
 
 pub(crate) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<WrittenResults, WriteError> {
     let write_error = match write_files(folder, record, rows) {
@@ -37,7 +38,7 @@ pub(crate) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<W
     let fallback = tempfile::Builder::new().prefix("peernet-results-").tempdir();
     let fallback = fallback
         .map_err(|error| combine_errors(&write_error, &std::env::temp_dir(), &error.to_string()))?
-        // The folder must outlive the program, because the user finds the results there.
+        // The folder must outlive the program, because it has the only complete results.
         .keep();
     match write_files(&fallback, record, rows) {
         Ok(files) => Ok(WrittenResults { folder: fallback, files, write_error: Some(write_error) }),
@@ -56,6 +57,7 @@ fn combine_errors(first: &WriteError, path: &Path, reason: &str) -> WriteError {
 }
 
 fn write_files(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<PathBuf>, WriteError> {
+    // The record is written after the rows, so that a folder with a record has all rows of its run.
     let data = folder.join(DATA);
     if !is_complete(&data, rows) {
         replace(&data, rows)?;
@@ -74,7 +76,7 @@ fn write_files(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<Pat
 }
 
 /// Returns whether the file has every row and the columns of all values. Rows that were written before a column was
-/// added have empty cells in this column, even if they have a value; such a file is not complete.
+/// added have empty cells in this column, even if they have a value for it. A file with such a row is not complete.
 fn is_complete(path: &Path, rows: &Rows) -> bool {
     let Ok(mut file) = File::open(path) else { return false };
     if !ends_with_line(&mut file).unwrap_or(false) {
@@ -123,10 +125,10 @@ fn write_rows(path: &Path, rows: &Rows) -> std::io::Result<()> {
 fn write_private(path: &Path, content: &[u8]) -> std::io::Result<()> {
     let mut file = File::options().create(true).truncate(true).write(true).mode(0o640).open(path)?;
     // An existing file keeps its mode when it is opened, so the mode is changed afterwards. File systems without
-    // permissions, such as FAT, refuse this, which is no error.
+    // permissions, such as FAT, refuse to change the mode, which is no error.
     let mode = file.metadata()?.permissions().mode();
-    if mode & OTHERS != 0
-        && let Err(error) = file.set_permissions(Permissions::from_mode(mode & !OTHERS))
+    if mode & OTHER_ACCOUNTS != 0
+        && let Err(error) = file.set_permissions(Permissions::from_mode(mode & !OTHER_ACCOUNTS))
         && error.kind() != ErrorKind::PermissionDenied
     {
         return Err(error);

@@ -16,15 +16,15 @@ use super::{FolderError, Overwrite, RowWriter, WrittenResults};
 #[derive(Clone, Debug)]
 pub struct ResultFolder {
     path: PathBuf,
-    /// Open file of the folder, which holds the lock.
+    /// The opened folder, which holds the lock.
     _lock: Arc<File>,
 }
 
 impl ResultFolder {
-    /// Prepares the folder, or a subfolder according to `overwrite`. [`Overwrite::Replace`] removes earlier results.
+    /// Prepares the folder, or a new subfolder if `overwrite` says so. [`Overwrite::Replace`] removes earlier results.
     ///
     /// # Errors
-    /// Those of [`Self::acquire`], and if results in the folder cannot be removed.
+    /// The errors of [`Self::acquire`], and an error if results in the folder cannot be removed.
     pub fn create(dir: &Path, overwrite: Overwrite) -> Result<Self, FolderError> {
         let folder = Self::acquire(dir, overwrite)?;
         if overwrite == Overwrite::Replace {
@@ -33,7 +33,7 @@ impl ResultFolder {
         Ok(folder)
     }
 
-    /// Locks the folder, or a subfolder according to `overwrite`, for this program. Files that are to be replaced are
+    /// Locks the folder, or a new subfolder if `overwrite` says so, for this program. Files that are to be replaced are
     /// not removed yet.
     ///
     /// # Errors
@@ -89,8 +89,8 @@ impl ResultFolder {
         super::read::open(path, wanted)
     }
 
-    /// Returns all result folders in a folder and below it, including the folder itself, in the natural order of their
-    /// names. Links are not followed, and hidden folders are skipped.
+    /// Returns all result folders below a folder, and the folder itself if it is one, in the natural order of their
+    /// names (`run-2` before `run-10`). Links are not followed, and hidden folders are skipped.
     pub fn find(dir: &Path) -> Vec<PathBuf> {
         super::preparation::find(dir)
     }

@@ -27,7 +27,7 @@ pub(crate) enum ParseError {
 /// State of reading a file line by line.
 pub(crate) struct RowParser {
     columns: Vec<ColumnParser>,
-    /// True if the file does not have the sum of the stages, so the parser adds it.
+    /// True if the file has no sum of the stages. The parser then adds the sum.
     needs_sum: bool,
     rows: Rows,
 }
@@ -45,10 +45,10 @@ struct ColumnParser {
 }
 
 impl RowParser {
-    /// Reads all rows with the wanted columns. The second value says whether the file has a column that marks the
-    /// rows of the warm-up. If it has not, the first `warm_up` rows are the warm-up.
+    /// Reads all rows, with the columns that `wanted` accepts. The second value says whether the file has a column that
+    /// marks the rows of the warm-up. Without such a column, the first `warm_up` rows are the warm-up.
     ///
-    /// A truncated last line of this program's file is ignored, because the program was killed while it wrote the line.
+    /// If this program wrote the file, a truncated last line is ignored: the program was killed while it wrote the line.
     pub(crate) fn read_rows(
         path: &Path,
         warm_up: usize,
@@ -73,9 +73,11 @@ impl RowParser {
         if !columns.iter().any(|column| matches!(column.kind, Some(ColumnKind::Node))) {
             return Err(ParseError::NoRunColumn);
         }
-        let (has_warm_up_column, is_ours, needs_sum) = (has("warm-up"), has("outcome"), !has("stages-total"));
+        let (has_warm_up_column, is_of_this_program, needs_sum) =
+            (has("warm-up"), has("outcome"), !has("stages-total"));
         let mut parser = Self { columns, needs_sum, rows: Rows::default() };
-        let is_truncated = is_ours && !ends_with_line;
+        // Other programs and editors may leave out the line feed after a complete last line.
+        let is_truncated = is_of_this_program && !ends_with_line;
         let mut records = reader.into_records().peekable();
         while let Some(record) = records.next() {
             if is_truncated && records.peek().is_none() {
@@ -118,7 +120,7 @@ impl RowParser {
                 Err(_) if column_parser.name.as_ref() == "warm-up" && ["true", "false"].contains(&cell) => {
                     f64::from(u8::from(cell == "true"))
                 }
-                // A text that a user added to the numbers is ignored.
+                // A text in a column that a person added is ignored.
                 Err(_) if column_parser.kind.is_none() => continue,
                 Err(_) => return Err(invalid_cell("a number")),
             };
@@ -127,7 +129,7 @@ impl RowParser {
             }
             match column_parser.name.as_ref() {
                 "warm-up" => row.warm_up = number != 0.0,
-                // Zero means that the time was not recorded.
+                // 0 means that the start was not recorded.
                 "at" if number == 0.0 => {}
                 _ if column_parser.is_wanted && column_parser.is_meaningful(number) => {
                     let index = *column_parser
@@ -142,7 +144,7 @@ impl RowParser {
         let number = rows.len() as f64 + 1.0;
         let iteration = row.column_index(rows, &column("iteration"));
         row.numbers[iteration].get_or_insert(number);
-        // A stage whose duration is unknown is not part of the sum.
+        // A stage that the row does not have is left out of the sum.
         let sum: Option<f64> = stages.into_iter().flatten().reduce(|sum, stage| sum + stage);
         if let Some(sum) = sum.filter(|sum| self.needs_sum && sum.is_finite()) {
             let index = row.column_index(rows, &column("stages-total"));
@@ -156,12 +158,12 @@ impl RowParser {
 impl ColumnParser {
     /// Returns whether the column contains text.
     fn is_text(&self) -> bool {
-        let words =
+        let text_columns =
             ["outcome", "reason", "upload-verdict", "upload-source", "download-verdict", "download-source"];
-        self.kind.is_some() && words.contains(&self.name.as_ref())
+        self.kind.is_some() && text_columns.contains(&self.name.as_ref())
     }
 
-    /// Returns whether the number is meaningful: only upper bounds may be infinite.
+    /// Returns whether the number is meaningful. Infinity is meaningful only as an upper bound.
     fn is_meaningful(&self, number: f64) -> bool {
         number.is_finite() || (number == f64::INFINITY && self.name.ends_with("-hi"))
     }
@@ -198,11 +200,11 @@ fn store_text(
 
 /// Returns whether the file ends with a complete line. Afterwards the file is read from its beginning.
 pub(crate) fn ends_with_line(file: &mut File) -> std::io::Result<bool> {
-    let mut last = [0];
+    let mut last_byte = [0];
     if file.metadata()?.len() > 0 {
         file.seek(SeekFrom::End(-1))?;
-        file.read_exact(&mut last)?;
+        file.read_exact(&mut last_byte)?;
         file.rewind()?;
     }
-    Ok(last == *b"\n")
+    Ok(last_byte == *b"\n")
 }

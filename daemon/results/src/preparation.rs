@@ -16,7 +16,7 @@ use super::file_names::{DATA, RECORD, SUMMARIES};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Overwrite {
-    /// Refuses the folder with an error.
+    /// Returns an error.
     #[default]
     Refuse,
     /// Replaces the results in the folder. Other files stay.
@@ -48,7 +48,8 @@ pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, 
         return Ok((dir.to_owned(), lock?));
     }
     let mut entries = std::fs::read_dir(dir).map_err(creation_error(dir))?;
-    match (entries.next().is_none(), lock, overwrite) {
+    let is_empty = entries.next().is_none();
+    match (is_empty, lock, overwrite) {
         (true, Ok(lock), _) => Ok((dir.to_owned(), lock)),
         (_, _, Overwrite::Subfolder) => {
             let path = subfolder(dir).map_err(creation_error(dir))?;
@@ -60,7 +61,7 @@ pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, 
     }
 }
 
-/// Locks the folder itself. This needs no file in the folder, and the kernel releases the lock however the program
+/// Locks the folder itself. Such a lock needs no file in the folder, and the kernel releases the lock however the program
 /// ends.
 fn lock(dir: &Path) -> Result<File, FolderError> {
     let creation_error =
@@ -68,7 +69,8 @@ fn lock(dir: &Path) -> Result<File, FolderError> {
     let folder = File::open(dir).map_err(creation_error)?;
     match folder.try_lock() {
         Err(TryLockError::WouldBlock) => Err(FolderError::Busy(dir.to_owned())),
-        // Not every network file system can lock a folder. Results are more important there than the protection.
+        // Not every network file system can lock a folder. Without a lock, results can still be written, which is more
+        // important than the protection.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
     }
 }
@@ -119,7 +121,7 @@ fn search(dir: &Path, remaining_depth: usize, result_folders: &mut Vec<PathBuf>)
         result_folders.push(dir.to_owned());
     }
     let Some(remaining_depth) = remaining_depth.checked_sub(1) else { return };
-    // A folder that cannot be read contains nothing that could be read.
+    // A folder that cannot be listed is skipped, because results in it could not be read either.
     let entries = std::fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
     let mut folders: Vec<PathBuf> = entries
         .filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()))

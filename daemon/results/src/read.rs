@@ -13,8 +13,8 @@ use super::FolderError;
 use super::file_names::{DATA, RECORD};
 use super::parse::RowParser;
 
-/// Number of first rows that the figures of the paper leave out. Rows without a record and without marks have this
-/// warm-up.
+/// Number of rows at the beginning of a run that the figures of the paper leave out. These rows are the warm-up if a file
+/// has neither a record nor warm-up flags.
 const PUBLISHED_WARM_UP_ROWS: usize = 5;
 
 /// Reads results, with the columns that `wanted` accepts.
@@ -29,7 +29,7 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     }
     // The record belongs to `data.csv` only, not to other files in the folder.
     let record = if data.ends_with(DATA) { record(&folder.join(RECORD))? } else { None };
-    // A program that writes a record marks the warm-up rows.
+    // A program that writes a record also writes warm-up flags.
     let warm_up = if record.is_none() { PUBLISHED_WARM_UP_ROWS } else { 0 };
     let (rows, has_warm_up_flags) =
         RowParser::read_rows(&data, warm_up, wanted).map_err(read_error(&data))?;
@@ -57,7 +57,7 @@ fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
 
 /// Returns a record for rows without a record file, with the facts that follow from the path and the rows.
 fn record_without_file(path: &Path, rows: &Rows, has_warm_up_flags: bool) -> RunRecord {
-    // A path such as `.` has no name of its own.
+    // A path such as `.` contains no name.
     let name = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let name = if path.is_file() { name.file_stem() } else { name.file_name() };
     let name = name.unwrap_or_default().to_string_lossy().into_owned();

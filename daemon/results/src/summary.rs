@@ -14,7 +14,7 @@ use peernet_analysis::table::{Table, csv_text, decimals_of};
 use peernet_analysis::trust::Starts;
 use peernet_statistics::number::{self, NONE as UNKNOWN, bound_ms, column_decimals, count, fixed, join_ends};
 
-/// Columns of the *Tabulated Metrics* in the paper's appendix, with their names in the paper, and then both totals.
+/// Columns of the *Tabulated Metrics* in the paper's appendix, with their names in the paper. The two totals follow.
 const PAPER_METRICS: [(&str, &str); 10] = [
     ("sensing", "Sensing Time"),
     ("upload-bytes", "Upload Size"),
@@ -84,7 +84,13 @@ fn table(summary: &Summary) -> Table {
         });
     let rest = rest.map(|quantity| {
         let column = quantity.column.as_ref();
-        (quantity, COLUMN_NAMES.iter().find(|(name, _)| *name == column).map_or(column, |(_, words)| words))
+        (
+            quantity,
+            COLUMN_NAMES
+                .iter()
+                .find(|(name, _)| *name == column)
+                .map_or(column, |(_, clear_name)| clear_name),
+        )
     });
     let digits = Digits::for_summary(summary);
     let header = ["metric", "unit", "count", "mean ± std", "median", "clock bounds", "p95", "p99", "max"];
@@ -106,7 +112,7 @@ fn sentences(summary: &Summary) -> String {
     let bounds = if needs_explanation { "Clock bounds contain the median of the true values." } else { "" };
     let unknown_labels = summary.unknown_labels.as_ref().map(|labels| labels.sentence(summary.counts.ok));
     let replayed = replayed_configurations([(String::new(), summary.replayed.as_deref())]);
-    let parts = [
+    let paragraphs = [
         replayed.unwrap_or_default(),
         outcomes(summary),
         deadline(summary),
@@ -117,7 +123,7 @@ fn sentences(summary: &Summary) -> String {
         bounds.to_owned(),
         unknown_labels.unwrap_or_default(),
     ];
-    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n")
+    paragraphs.into_iter().filter(|paragraph| !paragraph.is_empty()).collect::<Vec<_>>().join("\n")
 }
 
 /// Returns the row of a quantity.
@@ -148,7 +154,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<
     ]
 }
 
-/// Numbers of decimals for ms and for MB/s: the same in all rows, so that the numbers of a column can be compared.
+/// Numbers of decimals for ms and for MB/s. They are the same in all rows, so that the numbers of a column can be compared.
 #[derive(Clone, Copy)]
 struct Digits {
     milliseconds: usize,
@@ -213,7 +219,7 @@ fn accuracies(summary: &Summary) -> String {
     ACCURACIES.into_iter().zip(["Top-1", "Top-5"]).filter_map(sentence).collect::<Vec<_>>().join("\n")
 }
 
-/// Returns the sentence about skipped starts; empty if there are none.
+/// Returns the sentence about skipped starts; empty if no start was skipped.
 fn starts(starts: &Starts) -> String {
     starts.skipped_text().map_or_else(String::new, |text| format!("Skipped: {text}."))
 }

@@ -1,4 +1,4 @@
-//! Writer of `data.csv` during the run.
+//! Writer of `data.csv` during a run.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Seek, SeekFrom, Write};
@@ -9,12 +9,12 @@ use peernet_analysis::rows::Row;
 
 use super::cells::{self, Header};
 
-/// Longest time between two writes, in seconds between the starts of the rows' iterations.
+/// Rows are written as soon as the starts of their iterations span this time, seconds.
 const WRITE_INTERVAL_S: f64 = 1.0;
 /// Number of waiting bytes at which rows are written even before [`WRITE_INTERVAL_S`] is over.
 const MAX_PENDING_BYTES: usize = 256 * 1024;
 
-/// Writes rows to `data.csv` as they come: at least once a second, and at the end.
+/// Writer of `data.csv` during a run. While rows come, they are written at least once a second, and the rest at the end.
 ///
 /// No measurement is lost if the disk is full or missing. Rows that cannot be written stay in memory and are written
 /// with the next rows. The file always ends with a complete row.
@@ -25,18 +25,19 @@ pub struct RowWriter {
     header: Header,
     /// Length of the complete rows in the file, bytes.
     complete_bytes: u64,
-    /// Rows that are not in the file yet, each with as many cells as the header.
+    /// Rows that are not in the file yet. Each row has as many cells as the header.
     pending: Vec<u8>,
-    /// Number of rows so far.
+    /// Number of rows so far, written or pending.
     row_count: u64,
     /// Number of rows at the last attempt to rewrite the file.
     row_count_at_rewrite: u64,
-    /// Start of the last iteration that was written, seconds.
+    /// Start of the iteration whose row caused the last attempt to write, seconds.
     written_at: f64,
-    /// Number of bytes that were still waiting after the last attempt to write.
+    /// Length of `pending` after the last attempt to write.
     pending_after_attempt: usize,
     /// True if the file may have a part of a row after the complete rows.
     has_partial_row: bool,
+    /// Error of the last attempt to write; `None` if the attempt succeeded.
     write_error: Option<WriteError>,
 }
 
@@ -71,16 +72,17 @@ impl RowWriter {
 
     /// Adds a row.
     ///
-    /// A row may have columns that no earlier row had. They are appended: the file is rewritten if its number of rows
-    /// has at least doubled since the last rewriting, so rewriting costs no more than writing. Values without a
-    /// column are left out until [`ResultFolder::finish`](super::ResultFolder::finish) adds them.
+    /// A row may have columns that no earlier row had. The file is then rewritten with these columns, but only if its
+    /// number of rows has at least doubled since the last rewriting, so that rewriting takes no more time in all than
+    /// writing. Values without a column are left out until [`ResultFolder::finish`](super::ResultFolder::finish) adds them.
     pub fn write(&mut self, row: &Row) {
         if self.row_count >= 2 * self.row_count_at_rewrite && !self.header.covers(row) {
             self.add_columns(row);
         }
         self.header.write_row(&mut self.pending, row);
         self.row_count += 1;
-        // Bytes that the last attempt left do not count; on a full disk, each row would otherwise try again.
+        // Bytes that the last attempt could not write do not count. On a full disk, each row would otherwise cause an
+        // attempt.
         let has_many_bytes = self.pending.len() >= self.pending_after_attempt + MAX_PENDING_BYTES;
         // The absolute difference is used, because a clock that was set back must not stop the writing.
         if has_many_bytes || (row.at - self.written_at).abs() >= WRITE_INTERVAL_S {
@@ -89,22 +91,22 @@ impl RowWriter {
         }
     }
 
-    /// Writes the waiting rows; to be called when no rows come.
+    /// Writes the pending rows. The caller calls this function while no rows come.
     pub fn flush(&mut self) {
         self.write_error = self.write_pending().map_err(WriteError::at(&self.path)).err();
         self.pending_after_attempt = self.pending.len();
     }
 
-    /// Returns the reason that rows wait in memory; `None` if they were written.
+    /// Returns the reason why rows are still pending; `None` if they were written.
     pub fn write_error(&self) -> Option<&WriteError> {
         self.write_error.as_ref()
     }
 
-    /// Writes the waiting rows a last time and syncs the file.
+    /// Writes the pending rows and syncs the file.
     ///
     /// # Errors
     /// If rows cannot be written. The file then ends with the last row that was written;
-    /// [`ResultFolder::finish`](super::ResultFolder::finish) finds another place for all rows.
+    /// [`ResultFolder::finish`](super::ResultFolder::finish) writes all rows to another folder if necessary.
     pub fn finish(mut self) -> Result<PathBuf, WriteError> {
         let result = self.write_pending().and_then(|()| self.file.sync_all());
         result.map_err(WriteError::at(&self.path))?;
@@ -125,7 +127,7 @@ impl RowWriter {
         outcome
     }
 
-    /// Removes the part of a row that a failed write may have left. Truncating works on a full disk as well.
+    /// Removes the part of a row that a failed write may have left. A file can be truncated on a full disk, too.
     fn truncate_partial_row(&mut self) -> std::io::Result<()> {
         if self.has_partial_row {
             self.file.set_len(self.complete_bytes)?;
@@ -135,8 +137,8 @@ impl RowWriter {
         Ok(())
     }
 
-    /// Rewrites the file with the further columns of a row. If this fails, file and header stay as they are, and the
-    /// next attempt is delayed.
+    /// Rewrites the file with the further columns of a row. If this fails, the file and the header stay as they are, and
+    /// the next attempt follows after the number of rows has doubled.
     fn add_columns(&mut self, row: &Row) {
         self.row_count_at_rewrite = self.row_count;
         self.flush();
@@ -168,7 +170,7 @@ impl RowWriter {
     }
 }
 
-/// Writes like `write_all`, but returns the number of written bytes also after an error.
+/// Writes all bytes. In contrast to `write_all`, it returns the number of written bytes even after an error.
 fn write_counted(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<()>) {
     let mut written = 0;
     while written < bytes.len() {
@@ -182,7 +184,7 @@ fn write_counted(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<
     (written, Ok(()))
 }
 
-/// Returns the length of the complete rows. A line feed within quotes does not end a row.
+/// Returns the length of the complete rows at the beginning of `bytes`. A line feed within quotes does not end a row.
 fn complete_rows_len(bytes: &[u8]) -> usize {
     let (mut is_quoted, mut complete_len) = (false, 0);
     for (index, byte) in bytes.iter().enumerate() {
@@ -216,29 +218,29 @@ mod tests {
     }
 
     #[test]
-    fn rows_are_written_after_full_disk_has_space() {
+    fn rows_are_written_when_full_disk_has_space_again() {
         let folder = tempfile::tempdir().expect("a folder");
         let mut writer = RowWriter::create(folder.path().join("data.csv")).expect("writable");
         writer.write(&row(1));
         let disk = std::mem::replace(
             &mut writer.file,
-            OpenOptions::new().write(true).open("/dev/full").expect("there is one"),
+            OpenOptions::new().write(true).open("/dev/full").expect("Linux has this device"),
         );
         writer.write(&row(2));
-        let write_error = writer.write_error().expect("it is full").to_string();
+        let write_error = writer.write_error().expect("the disk is full").to_string();
         assert!(write_error.contains("data.csv: No space left on device"), "{write_error}");
         writer.write(&row(3));
         writer.file = disk;
         writer.write(&row(4));
         assert!(writer.write_error().is_none());
-        let path = writer.finish().expect("there is room");
+        let path = writer.finish().expect("writable again");
         let text = std::fs::read_to_string(path).expect("text");
         let numbers: Vec<_> = text.lines().skip(1).filter_map(|line| line.split(',').next()).collect();
         assert_eq!(numbers, ["1", "2", "3", "4"]);
     }
 
     #[test]
-    fn rows_written_before_full_disk_are_complete() {
+    fn only_complete_rows_count_as_written_to_full_disk() {
         let rows = b"1,ok\n2,\"a \"\"b\"\"\nc\"\n3,ok\n";
         let complete_lens = [4, 5, 14, rows.len() - 6, rows.len() - 1, rows.len()].map(|free_bytes| {
             let mut disk = vec![0; free_bytes];
@@ -253,9 +255,9 @@ mod tests {
     fn permanently_full_disk_is_reported_at_end() {
         let folder = tempfile::tempdir().expect("a folder");
         let mut writer = RowWriter::create(folder.path().join("data.csv")).expect("writable");
-        writer.file = OpenOptions::new().write(true).open("/dev/full").expect("there is one");
+        writer.file = OpenOptions::new().write(true).open("/dev/full").expect("Linux has this device");
         writer.write(&row(1));
-        let error = writer.finish().expect_err("it is full").to_string();
+        let error = writer.finish().expect_err("the disk is full").to_string();
         assert!(error.contains("data.csv"), "{error}");
     }
 }

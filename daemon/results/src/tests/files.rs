@@ -14,11 +14,11 @@ use super::*;
 use crate::iterations::START_NANOS;
 
 #[test]
-fn header_of_fixed_columns_is_written_at_once() {
+fn header_of_fixed_columns_is_written_before_rows() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
     let path = folder.writer().expect("writable").finish().expect("writable");
-    let text = std::fs::read_to_string(path).expect("it is there at once");
+    let text = std::fs::read_to_string(path).expect("the file exists");
     let published = peernet_analysis::rows::published_columns().collect::<Vec<_>>().join(",");
     assert_eq!(
         text,
@@ -41,8 +41,8 @@ fn record() -> RunRecord {
         model: Some(ModelRecord { name: "s".to_owned(), device: Some("cpu".to_owned()), sha256: None }),
         pipeline: serde_json::json!({"load": {"kind": "closed"}}),
         seeds: [("order".to_owned(), 7)].into(),
-        counts: Counts::from_rows(&kept(&rows(10)), 3),
-        clocks: Clocks::from_rows(&kept(&rows(10))),
+        counts: Counts::from_rows(&to_rows(&rows(10)), 3),
+        clocks: Clocks::from_rows(&to_rows(&rows(10))),
         accuracy: [("top-1".to_owned(), Accuracy::from_counts(8, 9, 1).expect("answers"))].into(),
         trust: Some(Report::new(&TrustInput::default())),
         ..RunRecord::default()
@@ -50,11 +50,11 @@ fn record() -> RunRecord {
 }
 
 fn write(folder: &Path, rows: &[Row]) -> WrittenResults {
-    let folder = ResultFolder::create(folder, Overwrite::Replace).expect("it can be made");
+    let folder = ResultFolder::create(folder, Overwrite::Replace).expect("it can be created");
     let mut writer = folder.writer().expect("writable");
     rows.iter().for_each(|row| writer.write(row));
     writer.finish().expect("writable");
-    folder.finish(&record(), &kept(rows)).expect("writable")
+    folder.finish(&record(), &to_rows(rows)).expect("writable")
 }
 
 #[test]
@@ -65,7 +65,7 @@ fn written_rows_are_read_back() {
     let names: Vec<_> = finished.files.iter().filter_map(|file| file.file_name()?.to_str()).collect();
     assert_eq!(names, ["data.csv", "run.json", "summary.md", "summary.csv", "summary.tex"]);
     let loaded = ResultFolder::open(folder.path()).expect("readable");
-    assert_eq!(loaded.rows, kept(&rows(10)));
+    assert_eq!(loaded.rows, to_rows(&rows(10)));
     assert_eq!((loaded.record.clone(), loaded.damage()), (record(), None));
     let by_file = ResultFolder::open(&folder.path().join("data.csv")).expect("readable");
     assert_eq!((by_file.rows, by_file.record), (loaded.rows, loaded.record));
@@ -90,7 +90,7 @@ fn rows_are_written_during_the_run() {
     let first = lines();
     row.at += 0.5;
     writer.write(&row);
-    assert_eq!((first, lines()), (2, 2), "half a second is not enough");
+    assert_eq!((first, lines()), (2, 2), "rows wait in memory for a second");
     row.at += 0.6;
     writer.write(&row);
     assert_eq!(lines(), 4);
@@ -103,7 +103,7 @@ fn rows_are_written_during_the_run() {
 }
 
 #[test]
-fn late_columns_are_written() {
+fn columns_that_first_rows_lack_are_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut rows = rows(40);
     for (at, name) in [(3, "grip"), (4, "slip, left"), (30, "late")] {
@@ -115,10 +115,11 @@ fn late_columns_are_written() {
     writer.flush();
     let header = |path: &Path| std::fs::read_to_string(path).expect("text").lines().next().map(str::to_owned);
     let header = header(writer.path()).expect("a header");
+    // The file was rewritten for `grip` and `late`. For `slip, left`, it had too few new rows.
     assert!(header.ends_with("reason,inference_pre,grip,late"), "{header}");
     writer.finish().expect("writable");
-    result.finish(&record(), &kept(&rows)).expect("writable");
-    assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, kept(&rows));
+    result.finish(&record(), &to_rows(&rows)).expect("writable");
+    assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, to_rows(&rows));
 }
 
 #[test]
@@ -129,19 +130,23 @@ fn truncated_file_gives_complete_rows() {
     let text = std::fs::read_to_string(&path).expect("text");
     std::fs::write(&path, &text[..text.len() - 3]).expect("writable");
     let loaded = ResultFolder::open(folder.path()).expect("readable");
-    assert_eq!(loaded.rows, kept(&rows(9)));
-    let damage = loaded.damage().expect("one is missing");
+    assert_eq!(loaded.rows, to_rows(&rows(9)));
+    let damage = loaded.damage().expect("a row is missing");
     assert_eq!(damage.to_string(), "data.csv has 9 rows, but run.json counts 10 iterations");
     let text = text.replace(",lost,", ",timeout,");
     std::fs::write(&path, &text).expect("writable");
     let damage = ResultFolder::open(folder.path()).expect("readable").damage();
     assert_eq!(damage, Some(RowsDamage::Outcomes));
     std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
-    assert_eq!(ResultFolder::open(folder.path()).expect("readable").damage(), None, "nothing counts them");
+    assert_eq!(
+        ResultFolder::open(folder.path()).expect("readable").damage(),
+        None,
+        "there are no counts without run.json"
+    );
 }
 
 #[test]
-fn partial_results_are_marked() {
+fn incomplete_results_have_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let incompleteness = |limit: u64, reason: &str| {
         let pipeline = serde_json::json!({ "limit": { "total": limit } });
@@ -152,8 +157,12 @@ fn partial_results_are_marked() {
     };
     write(folder.path(), &rows(10));
     assert_eq!(incompleteness(10, "finished"), None);
-    assert_eq!(incompleteness(10, "stopped"), None, "it reached its limit; three iterations have no row");
-    assert_eq!(incompleteness(20, "").as_deref(), None, "the reason is unknown");
+    assert_eq!(
+        incompleteness(10, "stopped"),
+        None,
+        "the run reached its limit: three of its 13 iterations have no row"
+    );
+    assert_eq!(incompleteness(20, "").as_deref(), None, "the reason for the end is unknown");
     let interrupted = "the run was interrupted after 13 of 20 iterations";
     assert_eq!(incompleteness(20, "stopped").as_deref(), Some(interrupted));
     let broken_off = "the run broke off after 13 of 20 iterations: the cloud went";
@@ -172,10 +181,10 @@ fn partial_results_are_marked() {
     assert_eq!(
         ResultFolder::open(&separate_file).expect("readable").incompleteness(),
         None,
-        "it never had a record"
+        "only data.csv has a record"
     );
     std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.1\n").expect("writable");
-    assert_eq!(current_incompleteness(), None, "nor has a file of the paper's program");
+    assert_eq!(current_incompleteness(), None, "a file of the paper's program has no record");
 }
 
 #[test]
@@ -187,12 +196,12 @@ fn unwritable_folder_loses_no_rows() {
     let mut writer = result.writer().expect("writable");
     rows(10).iter().for_each(|row| writer.write(row));
     writer.finish().expect("writable");
-    let finished = result.finish(&record(), &kept(&rows(10))).expect("there is another place");
-    let write_error = finished.write_error.expect("the folder failed").to_string();
+    let finished = result.finish(&record(), &to_rows(&rows(10))).expect("the temporary folder is writable");
+    let write_error = finished.write_error.expect("the folder cannot be written").to_string();
     assert!(write_error.contains("run.json") && write_error.contains("No space left"), "{write_error}");
     assert_ne!(finished.folder, folder.path());
-    assert_eq!(ResultFolder::open(&finished.folder).expect("readable").rows, kept(&rows(10)));
-    std::fs::remove_dir_all(finished.folder).expect("it is ours");
+    assert_eq!(ResultFolder::open(&finished.folder).expect("readable").rows, to_rows(&rows(10)));
+    std::fs::remove_dir_all(finished.folder).expect("it can be removed");
 }
 
 #[test]
@@ -200,7 +209,7 @@ fn full_disk_is_reported_at_start() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
     std::os::unix::fs::symlink("/dev/full", folder.path().join("data.csv")).expect("a link");
-    let error = folder.writer().expect_err("it is full").to_string();
+    let error = folder.writer().expect_err("the disk is full").to_string();
     assert!(error.contains("No space left on device"), "{error}");
 }
 
@@ -211,14 +220,15 @@ fn existing_results_are_replaced_only_with_overwrite() {
     for name in ["data.csv", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt"] {
         std::fs::write(at.join(name), "x").expect("writable");
     }
-    let refused = ResultFolder::create(at, Overwrite::Refuse).expect_err("it holds something").to_string();
+    let refused = ResultFolder::create(at, Overwrite::Refuse).expect_err("it is not empty").to_string();
     assert!(refused.contains("is not empty") && refused.contains("--overwrite"), "{refused}");
-    let subfolders =
-        [2, 3].map(|_| ResultFolder::create(at, Overwrite::Subfolder).expect("made").path().to_owned());
+    let subfolders = [2, 3].map(|_| {
+        ResultFolder::create(at, Overwrite::Subfolder).expect("it can be created").path().to_owned()
+    });
     assert_eq!(subfolders, [at.join("run-2"), at.join("run-3")]);
-    ResultFolder::create(at, Overwrite::Replace).expect("it may");
-    let left = ["data.csv", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt", "run-2"];
-    assert_eq!(left.map(|name| at.join(name).exists()), [false, false, false, false, true, true]);
+    ResultFolder::create(at, Overwrite::Replace).expect("results may be replaced");
+    let names = ["data.csv", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt", "run-2"];
+    assert_eq!(names.map(|name| at.join(name).exists()), [false, false, false, false, true, true]);
     let file =
         ResultFolder::create(&at.join("notes.txt"), Overwrite::Replace).expect_err("a file").to_string();
     assert!(file.ends_with("notes.txt is not a folder"), "{file}");
@@ -227,17 +237,20 @@ fn existing_results_are_replaced_only_with_overwrite() {
 #[test]
 fn folder_is_locked_for_one_program() {
     let folder = tempfile::tempdir().expect("a folder");
-    let first = ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is free");
+    let first = ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is not locked");
     for overwrite in [Overwrite::Replace, Overwrite::Refuse] {
-        let refused = ResultFolder::create(folder.path(), overwrite).expect_err("it is taken").to_string();
+        let refused = ResultFolder::create(folder.path(), overwrite).expect_err("it is locked").to_string();
         assert!(refused.contains("another peernet is writing"), "{refused}");
     }
-    let subfolder =
-        ResultFolder::create(folder.path(), Overwrite::Subfolder).expect("there is another place");
+    let subfolder = ResultFolder::create(folder.path(), Overwrite::Subfolder).expect("it can be created");
     assert_eq!(subfolder.path(), folder.path().join("run-2"));
-    assert_eq!(std::fs::read_dir(first.path()).expect("a folder").count(), 1, "a lock leaves nothing behind");
+    assert_eq!(
+        std::fs::read_dir(first.path()).expect("a folder").count(),
+        1,
+        "only the subfolder is in it: a lock needs no file"
+    );
     drop(first);
-    ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is free again");
+    ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is not locked any more");
 }
 
 #[test]
@@ -260,7 +273,7 @@ fn invalid_file_error_names_line_and_column() {
     let folder = tempfile::tempdir().expect("a folder");
     let open = |text: &str| {
         std::fs::write(folder.path().join("data.csv"), text).expect("writable");
-        ResultFolder::open(folder.path()).expect_err("it makes no sense").to_string()
+        ResultFolder::open(folder.path()).expect_err("invalid rows").to_string()
     };
     assert!(
         open("iteration,sensing\n1,0.5\n2,fast\n")
@@ -269,14 +282,14 @@ fn invalid_file_error_names_line_and_column() {
     assert!(open("x,y\n1,2\n").contains("it has no column of a run"));
     assert!(open("iteration,sensing\n1,0.5,7\n").contains("data.csv"));
     std::fs::remove_file(folder.path().join("data.csv")).expect("it is there");
-    let error = ResultFolder::open(folder.path()).expect_err("nothing there").to_string();
+    let error = ResultFolder::open(folder.path()).expect_err("no rows").to_string();
     assert!(error.contains("it has no data.csv"), "{error}");
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
     #[test]
-    fn any_number_and_any_text_come_back(
+    fn any_number_and_any_text_are_read_back(
         numbers in prop::collection::vec(prop::num::f64::NORMAL | prop::num::f64::ZERO | prop::num::f64::SUBNORMAL, 1..8),
         reason in "[^\r]{1,20}x", name in "[a-z ,\"]{0,8}x", at in 1.0..4e9_f64,
     ) {
@@ -288,25 +301,25 @@ proptest! {
             upload: None, download: None,
         }).collect();
         write(folder.path(), &rows);
-        prop_assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, kept(&rows));
+        prop_assert_eq!(ResultFolder::open(folder.path()).expect("readable").rows, to_rows(&rows));
     }
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
-    fn late_columns_give_same_file_as_early_ones(
+    fn file_is_same_whichever_row_introduces_column(
         count in 1..60_usize,
         cells in prop::collection::vec((0..60_usize, "[a-e]", 0.0..1.0_f64), 0..12),
     ) {
         let mut rows = rows(count as u64);
-        for (place, name, value) in cells {
-            rows[place % count].values.push((Column::Owned(name), value));
+        for (index, name, value) in cells {
+            rows[index % count].values.push((Column::Owned(name), value));
         }
         let folders = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
         write(folders[0].path(), &rows);
-        let at_once = ResultFolder::create(folders[1].path(), Overwrite::Refuse).expect("it is empty");
-        at_once.finish(&record(), &kept(&rows)).expect("writable");
+        let without_writer = ResultFolder::create(folders[1].path(), Overwrite::Refuse).expect("it is empty");
+        without_writer.finish(&record(), &to_rows(&rows)).expect("writable");
         let [written, expected] =
             folders.map(|folder| std::fs::read_to_string(folder.path().join("data.csv")).expect("text"));
         prop_assert_eq!(written, expected);

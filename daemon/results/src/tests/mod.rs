@@ -1,4 +1,4 @@
-//! Tests of results as a whole: rows are written to files and read back.
+//! Tests that write rows to files and read them back.
 
 mod files;
 mod published;
@@ -16,7 +16,7 @@ fn rows(count: u64) -> Vec<Row> {
     iterations(count).iter().map(Row::from_iteration).collect()
 }
 
-/// Returns rows in the form in which they are kept.
-fn kept(rows: &[Row]) -> Rows {
+/// Appends the rows to an empty [`Rows`] and returns it.
+fn to_rows(rows: &[Row]) -> Rows {
     rows.iter().cloned().collect()
 }

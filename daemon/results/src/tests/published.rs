@@ -35,7 +35,7 @@ fn published_file_without_record_is_read() {
     let sum = last.value("stages-total").expect("the paper's Total");
     assert!((sum - 0.1187).abs() < 1e-12, "{sum}");
     assert_eq!(loaded.rows.get(5).and_then(|row| row.value("download-throughput")), None);
-    assert_eq!((last.upload(), last.download()), (None, None), "nobody bounded its delays");
+    assert_eq!((last.upload(), last.download()), (None, None), "the file has no bounds of delays");
     assert_eq!((loaded.record.name.as_str(), loaded.record.format), ("jetson", 0));
     assert_eq!(loaded.record.counts, Counts { ok: 2, warm_up: 5, ..Counts::default() });
     let summary = Summary::from_rows(&loaded.rows);
@@ -43,7 +43,7 @@ fn published_file_without_record_is_read() {
 }
 
 #[test]
-fn stage_with_nested_nodes_has_its_own_duration() {
+fn stage_with_nested_nodes_keeps_its_own_duration() {
     let folder = tempfile::tempdir().expect("a folder");
     let text = "iteration,sensing,upload,inference_val,inference_backbone,inference_head,download\n\
                 1,0.001,0.02,0.09,0.06,0.025,0.0005\n";
@@ -68,7 +68,7 @@ fn export_of_dashboard_is_read() {
     let rows: Vec<_> = loaded.rows.iter().map(|row| (row.warm_up(), row.value("total"))).collect();
     assert_eq!(rows, [(true, Some(0.5)), (false, Some(0.4))]);
     std::fs::write(&path, text.replace("true", "maybe")).expect("writable");
-    let error = ResultFolder::open(&path).expect_err("neither").to_string();
+    let error = ResultFolder::open(&path).expect_err("neither true nor false").to_string();
     assert!(error.contains("line 2, column warm-up: \"maybe\" is not a number"), "{error}");
 }
 
@@ -86,11 +86,11 @@ fn infinite_number_is_unknown_except_upper_bound() {
     assert_eq!(cells("grip"), [None, None]);
     assert_eq!(cells("upload-throughput-lo"), [None, Some(2.0)]);
     assert_eq!(cells("upload-throughput-hi"), [Some(f64::INFINITY), None]);
-    assert_eq!(cells("stages-total"), [None, Some(2.0)], "a sum of what is not known is not known");
+    assert_eq!(cells("stages-total"), [None, Some(2.0)], "the sum is unknown if a stage is infinite");
 }
 
 #[test]
-fn record_of_other_version_is_read_partly() {
+fn known_fields_of_other_versions_record_are_read() {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.5\n").expect("writable");
     std::fs::write(
@@ -102,6 +102,6 @@ fn record_of_other_version_is_read_partly() {
     assert_eq!((loaded.record.title.as_str(), loaded.record.edge.name.as_str()), ("x", "e"));
     assert!(loaded.rows.get(0).is_some_and(|row| !row.warm_up()), "rows with a run.json have a warm-up flag");
     std::fs::write(folder.path().join("run.json"), "{").expect("writable");
-    let error = ResultFolder::open(folder.path()).expect_err("broken").to_string();
+    let error = ResultFolder::open(folder.path()).expect_err("invalid JSON").to_string();
     assert!(error.contains("run.json: EOF"), "{error}");
 }

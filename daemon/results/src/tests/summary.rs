@@ -3,7 +3,7 @@
 use peernet_analysis::rows::Units;
 use peernet_logger::{Measure, Unit};
 use peernet_statistics::number::counted;
-use peernet_stream::Outcome as Ended;
+use peernet_stream::Outcome as StreamOutcome;
 
 use super::*;
 use crate::iterations::{add, iteration, offloaded, timer};
@@ -14,7 +14,8 @@ fn labels_outside_model_classes_are_reported() {
     let mut rows = rows(20);
     rows.iter_mut().for_each(|row| row.values.push(("unknown-label".into(), 1.0)));
     let facts = vec![("Classes".to_owned(), "4: good, dented".to_owned())];
-    let summary = Summary::from_rows(&kept(&rows)).with_record(&RunRecord { facts, ..RunRecord::default() });
+    let summary =
+        Summary::from_rows(&to_rows(&rows)).with_record(&RunRecord { facts, ..RunRecord::default() });
     let (text, ok) = (text(&summary), summary.counts.ok);
     let sentence = format!(
         "Not scored: {ok} of {}, because the label is not a class of the model (classes: good, dented).",
@@ -24,13 +25,13 @@ fn labels_outside_model_classes_are_reported() {
 }
 
 #[test]
-fn counts_are_sums_and_shares() {
+fn sentences_have_skipped_starts_and_accuracy() {
     let mut rows = rows(20);
     for row in &mut rows {
         let is_correct = f64::from(u8::from(row.iteration % 4 != 0));
         row.values.extend([("top-1".into(), is_correct), ("skipped-starts".into(), 2.0)]);
     }
-    let summary = Summary::from_rows(&kept(&rows));
+    let summary = Summary::from_rows(&to_rows(&rows));
     let text = text(&summary);
     let starts = summary.starts;
     assert!(starts.started > summary.counts.ok && starts.skipped == 2 * starts.started, "{starts:?}");
@@ -38,7 +39,7 @@ fn counts_are_sums_and_shares() {
     assert!(text.contains(&sentence) && !text.contains("skipped-starts"), "{text}");
     let line = text.lines().find(|line| line.starts_with("Top-1: ")).expect("a sentence");
     assert!(line.contains(" % of ") && !text.contains("top-1"), "{text}");
-    assert!(csv(&summary).contains("\nskipped-starts,"), "for programs");
+    assert!(csv(&summary).contains("\nskipped-starts,"), "summary.csv has all columns");
 }
 
 #[test]
@@ -48,25 +49,30 @@ fn missed_deadlines_are_share_of_all_iterations() {
         let is_late = row.outcome != Outcome::Ok || row.iteration % 4 == 0;
         row.values.push(("deadline-missed".into(), f64::from(u8::from(is_late))));
     }
-    let counted: Vec<_> = rows.iter().filter(|row| !row.warm_up).collect();
-    let missed = counted.iter().filter(|row| row.outcome != Outcome::Ok || row.iteration % 4 == 0).count();
+    let measured: Vec<_> = rows.iter().filter(|row| !row.warm_up).collect();
+    let missed = measured.iter().filter(|row| row.outcome != Outcome::Ok || row.iteration % 4 == 0).count();
     let record = RunRecord { deadline_s: Some(0.1), ..RunRecord::default() };
-    let summary = Summary::from_rows(&kept(&rows)).with_record(&record);
+    let summary = Summary::from_rows(&to_rows(&rows)).with_record(&record);
     let text = text(&summary);
-    let sentence = format!("Deadline of 100\u{202f}ms: missed by {missed} of {} iterations (", counted.len());
+    let sentence =
+        format!("Deadline of 100\u{202f}ms: missed by {missed} of {} iterations (", measured.len());
     assert!(text.contains(&sentence) && !text.contains("deadline-missed"), "{text}");
     let csv = csv(&summary);
-    let line = csv.lines().find(|line| line.starts_with("deadline-missed,")).expect("for programs");
+    let line =
+        csv.lines().find(|line| line.starts_with("deadline-missed,")).expect("summary.csv has all columns");
     let mean: f64 = line.split(',').nth(2).and_then(|cell| cell.parse().ok()).expect("a number");
-    assert!((mean - missed as f64 / counted.len() as f64).abs() < 1e-12, "the miss rate: {line}");
+    assert!(
+        (mean - missed as f64 / measured.len() as f64).abs() < 1e-12,
+        "the mean is the miss rate: {line}"
+    );
 }
 
 #[test]
-fn failed_iterations_have_words_of_finding_on_losses() {
+fn failed_iterations_are_counted_by_outcome() {
     let mut rows = rows(10);
     (rows[8].outcome, rows[9].outcome) = (Outcome::Failed, Outcome::Timeout);
     rows[0].outcome = Outcome::Failed;
-    let text = text(&Summary::from_rows(&kept(&rows)));
+    let text = text(&Summary::from_rows(&to_rows(&rows)));
     let sentence = "Iterations: 5 succeeded; 1 with an error of sensor, model or actuator; 1 lost; 1 timed out; \
                     2 warm-up, left out (1 of them failed).";
     assert!(text.contains(sentence), "{text}");
@@ -76,7 +82,7 @@ fn failed_iterations_have_words_of_finding_on_losses() {
 fn episodes_are_reported_below_table() {
     let mut rows = rows(20);
     for row in &mut rows {
-        // A lost iteration ends an episode as well.
+        // Some of these iterations are lost or warm-up, but their episodes count.
         if row.iteration % 2 == 0 {
             row.values.push(("episode-success".into(), 1.0));
             row.values.push(("episode-return".into(), row.iteration as f64));
@@ -86,7 +92,7 @@ fn episodes_are_reported_below_table() {
     }
     rows[10].values.push(("superseded".into(), 1.0));
     let episodes = rows.iter().filter(|row| row.iteration % 2 == 0).count();
-    let summary = Summary::from_rows(&kept(&rows));
+    let summary = Summary::from_rows(&to_rows(&rows));
     let text = text(&summary);
     assert!(text.contains(&format!("Success: 100.0 % of {episodes} episodes (95 % confidence: ")), "{text}");
     assert!(
@@ -97,7 +103,7 @@ fn episodes_are_reported_below_table() {
     assert!(has_row("reward") && has_row("episode-return"), "{text}");
     assert!(!has_row("success") && !has_row("episode-success") && !has_row("superseded"), "{text}");
     let csv = csv(&summary);
-    assert!(csv.contains(&format!("\nepisode-success,{episodes},1,")), "for programs: {csv}");
+    assert!(csv.contains(&format!("\nepisode-success,{episodes},1,")), "summary.csv has all columns: {csv}");
 }
 
 const TEXT: &str = "\
@@ -126,7 +132,7 @@ Clock bounds contain the median of the true values.";
 #[test]
 fn summary_has_metrics_of_the_paper() {
     let record = RunRecord { title: "robot_1".to_owned(), ..RunRecord::default() };
-    let summary = Summary::from_rows(&kept(&rows(10))).with_record(&record);
+    let summary = Summary::from_rows(&to_rows(&rows(10))).with_record(&record);
     assert_eq!(text(&summary), TEXT);
     let markdown = markdown(&summary);
     assert!(markdown.starts_with("# robot_1\n\n| metric | unit | count | mean ± std |"), "{markdown}");
@@ -147,12 +153,12 @@ fn summary_has_metrics_of_the_paper() {
 }
 
 #[test]
-fn columns_named_like_stages_are_durations() {
+fn columns_of_standard_nodes_are_durations() {
     let values =
         [("ipc", 0.001), ("capture_capture-ipc", 0.002), ("mine_capture-ipc_2", 0.003), ("mine", 4.0)];
     let mut rows = rows(9).split_off(8);
     rows[0].values = values.map(|(name, value)| (name.into(), value)).to_vec();
-    let text = text(&Summary::from_rows(&kept(&rows)));
+    let text = text(&Summary::from_rows(&to_rows(&rows)));
     let unit = |metric: &str| {
         let line =
             text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
@@ -160,8 +166,12 @@ fn columns_named_like_stages_are_durations() {
     };
     assert_eq!(unit("IPC with the model's process")[..3], ["ms", "1", "1.00"]);
     assert_eq!(unit("IPC with the sensor's process")[..3], ["ms", "1", "2.00"]);
-    assert_eq!(unit("mine_capture-ipc_2")[..2], ["1", "0.00300"], "its unit is unknown, too");
-    assert_eq!(unit("mine ")[..2], ["1", "4.00"], "its unit is unknown");
+    assert_eq!(
+        unit("mine_capture-ipc_2")[..2],
+        ["1", "0.00300"],
+        "the unit of a custom node below a custom node is unknown"
+    );
+    assert_eq!(unit("mine ")[..2], ["1", "4.00"], "the unit of a custom node is unknown");
 }
 
 #[test]
@@ -176,16 +186,16 @@ fn custom_nodes_keep_their_unit() {
         add(&mut tree, &[], "force", value(9.81, Unit::new("N")));
         add(&mut tree, &[], "tries", value(3.0, Unit::NONE));
         add(&mut tree, &[], "mixed", value(5.0, mixed));
-        iteration(number, Ended::Ok, tree)
+        iteration(number, StreamOutcome::Ok, tree)
     };
     let mut units = Units::default();
     let iterations = [logged(3, Unit::WATTS), logged(4, Unit::JOULES)];
-    let own: Vec<Row> = iterations.iter().map(|iteration| units.row(iteration)).collect();
-    assert_eq!(own, iterations.each_ref().map(Row::from_iteration), "the rows are the same");
+    let rows: Vec<Row> = iterations.iter().map(|iteration| units.row(iteration)).collect();
+    assert_eq!(rows, iterations.each_ref().map(Row::from_iteration), "the units do not change the rows");
     let record = RunRecord { units, ..RunRecord::default() };
     let json = serde_json::to_value(&record).expect("JSON");
     assert_eq!((&json["units"]["grip_val"], &json["units"]["force"]), (&"s".into(), &"N".into()));
-    let text = text(&Summary::from_rows(&kept(&own)).with_record(&record));
+    let text = text(&Summary::from_rows(&to_rows(&rows)).with_record(&record));
     let line = |metric: &str| {
         let line =
             text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
@@ -198,12 +208,12 @@ fn custom_nodes_keep_their_unit() {
     assert_eq!(line("camera"), ["camera", "MB/s", "2", "100.00"]);
     assert_eq!(line("force"), ["force", "N", "2", "9.81"]);
     assert_eq!(line("tries"), ["tries", "2", "3.00", "±"]);
-    assert_eq!(line("mixed"), ["mixed", "2", "5.00", "±"], "watts are not added to joules");
+    assert_eq!(line("mixed"), ["mixed", "2", "5.00", "±"], "watts and joules have no common unit");
 }
 
 #[test]
 fn replayed_latencies_are_named_below_every_table() {
-    let rows = kept(&rows(20));
+    let rows = to_rows(&rows(20));
     let facts = vec![("Replayed".to_owned(), "inference is drawn from x".to_owned())];
     let record = RunRecord { facts, ..RunRecord::default() };
     let note = "Replayed latencies, not measured: inference is drawn from x.";
