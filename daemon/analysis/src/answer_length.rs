@@ -95,8 +95,8 @@ pub struct Growth {
 
 impl Growth {
     /// Returns the line whose slope is the median of the slopes of all pairs of iterations, given as length and latency. This slope is
-    /// robust against long tails of the latencies and any distribution of the lengths. Of more than 1,000 iterations, every second, every third
-    /// and so on is used.
+    /// robust against long tails of the latencies and any distribution of the lengths. Of more than 1,000 iterations, only every
+    /// n-th is used, so that at most 1,000 remain.
     ///
     /// # Errors
     /// If there are too few iterations, or too few different lengths.

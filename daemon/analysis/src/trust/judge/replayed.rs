@@ -31,7 +31,8 @@ fn judge_overrun(input: &TrustInput) -> Option<Finding> {
         _ => return None,
     };
     let text = format!(
-        "Inference took longer than the replayed latencies, by {} on average, {} of the total: the inner model is slower than the drawn latencies, or the host of the model was busy.",
+        "Inference took longer than the replayed latencies, by {} on average, {} of the total: the inner model is slower than \
+         the drawn latencies, or the host of the model was busy.",
         ms(overrun),
         percent(share)
     );
