@@ -1,4 +1,4 @@
-//! Arguments of programs in runs that were stored by agents of earlier versions.
+//! Agents of earlier versions sent the arguments of programs, which may be secrets. The store does not serve them.
 
 use peernet_logger::RunId;
 use peernet_stream::{Event, RunDescription};

@@ -66,7 +66,7 @@ async fn clock_sample_is_read_as_sent() {
     assert_eq!((link.edge, link.cloud), (test_store.edge, test_store.cloud));
     assert_eq!((link.edge_name.as_str(), link.cloud_name.as_str()), ("edge", "cloud"));
     assert_eq!((link.first, link.last), (generate::at(1.0), generate::at(3.0)));
-    // The values that a later judgement needs are stored, too.
+    // The exchanges and their assumptions are stored, too: delays are judged again with them.
     assert_eq!(
         test_store.count(
             "SELECT count(*) FROM clock_sample WHERE max_drift_ppm = 50 AND upper_received_ns - upper_sent_ns = 250040000 \
@@ -90,10 +90,10 @@ async fn two_networks_of_pair_are_two_links() {
     let mut test_store = TestStore::new().await;
     let udp: NetworkName = "zmq-udp".parse().expect("a name");
     let over_udp = |second| ClockSample { network: udp.clone(), ..sample(test_store.cloud, second, 60) };
-    let samples = [over_udp(1), over_udp(2)];
-    store(&mut test_store, samples.clone()).await;
-    let [first, last] = [1, 2].map(|second| sample(test_store.cloud, second, 40));
-    store(&mut test_store, [first.clone(), last.clone()]).await;
+    let udp_samples = [over_udp(1), over_udp(2)];
+    store(&mut test_store, udp_samples.clone()).await;
+    let tcp_samples = [1, 2].map(|second| sample(test_store.cloud, second, 40));
+    store(&mut test_store, tcp_samples.clone()).await;
     let links = test_store.store.links().await.expect("answers");
     let keys: Vec<LinkKey> = links.iter().map(crate::types::LinkRow::key).collect();
     assert_eq!(
@@ -103,7 +103,7 @@ async fn two_networks_of_pair_are_two_links() {
             LinkKey { network: udp, ..key(test_store.edge, test_store.cloud) }
         ]
     );
-    for (key, expected) in keys.iter().zip([[first, last], samples]) {
+    for (key, expected) in keys.iter().zip([tcp_samples, udp_samples]) {
         let series = test_store.store.clock_series(key, ALWAYS.0, ALWAYS.1, 10).await.expect("answers");
         assert_eq!(series.points, expected.map(point), "{key:?}");
     }
@@ -129,7 +129,7 @@ async fn series_holds_only_requested_link_and_time() {
 }
 
 #[tokio::test]
-async fn sample_of_same_second_replaces_only_one_with_same_window() {
+async fn sample_replaces_sample_of_same_second_and_window() {
     let mut test_store = TestStore::new().await;
     let mut repeated = sample(test_store.cloud, 1, 60);
     repeated.probes.lost = 5;
@@ -139,7 +139,7 @@ async fn sample_of_same_second_replaces_only_one_with_same_window() {
     store(&mut test_store, samples.clone()).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 2);
     assert_eq!(test_store.count("SELECT probes_lost FROM clock_sample WHERE window <> 7").await, 5);
-    // The same batch sent again replaces nothing.
+    // A batch that arrives again replaces nothing.
     let work = test_store.batch_numbered(1, samples.map(event));
     test_store.commit(&[work]).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 2);
@@ -147,31 +147,32 @@ async fn sample_of_same_second_replaces_only_one_with_same_window() {
 }
 
 #[tokio::test]
-async fn seconds_of_window_are_kept_after_wall_clock_set_back() {
+async fn samples_with_repeated_wall_times_are_all_kept() {
     let mut test_store = TestStore::new().await;
     let cloud = test_store.cloud;
     // The free-running clock continues, and the wall clock shows seconds 6 to 10 three times.
-    let raw = |raw: i64, second: i64| {
-        let at_raw = Some(RawTime::from_nanos(raw * 1_000_000_000));
+    let sample_at = |raw_second: i64, wall_second: i64| {
+        let at_raw = Some(RawTime::from_nanos(raw_second * 1_000_000_000));
         let basis = EstimateBasis { clocks: RelatedClocks::Raw, at_raw, ..EstimateBasis::default() };
-        ClockSample { window: 1, basis: Some(basis), ..sample(cloud, second, 40) }
+        ClockSample { window: 1, basis: Some(basis), ..sample(cloud, wall_second, 40) }
     };
-    let shown = (1..=10).chain(6..=10).chain(6..=10);
-    let samples: Vec<_> = shown.zip(1..).map(|(second, at)| raw(at, second)).collect();
+    let wall_seconds = (1..=10).chain(6..=10).chain(6..=10);
+    let samples: Vec<_> =
+        (1..).zip(wall_seconds).map(|(raw_second, wall_second)| sample_at(raw_second, wall_second)).collect();
     store(&mut test_store, samples.clone()).await;
     assert_eq!(test_store.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
-    // A second that arrives again replaces only itself.
+    // A sample that arrives again replaces no sample with another raw time.
     store(&mut test_store, samples).await;
     assert_eq!(test_store.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 20);
     let read = series(&test_store, 1_000).await.points;
     let sent: Vec<u32> = read.iter().map(|point| point.probes.sent).collect();
-    assert_eq!(sent, [[10; 5], [30; 5]].concat(), "they are of the same seconds");
+    assert_eq!(sent, [[10; 5], [30; 5]].concat(), "each repeated second has the probes of three samples");
 }
 
 #[tokio::test]
 async fn later_window_is_used_for_repeated_seconds() {
-    // Numbers of windows are random: the window that arrived later counts, also if its number is smaller.
+    // Numbers of windows are random. The window that arrived later counts, even if its number is smaller.
     for (first_window, second_window) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
         let mut test_store = TestStore::new().await;
         let cloud = test_store.cloud;
@@ -183,7 +184,7 @@ async fn later_window_is_used_for_repeated_seconds() {
         let read = series(&test_store, 1_000).await.points;
         let expected = (1..=5).map(|second| sample_with(first_window, second, 90)).chain(set_back);
         assert_eq!(read, expected.map(point).collect::<Vec<_>>());
-        // A bucket with the step shows the time after it.
+        // A bucket that contains the step shows the offset after the step.
         for point in series(&test_store, 2).await.points {
             let width = point.offset.as_ref().map(|offset| offset.bounds.width());
             let expected_width = if point.window == first_window { 90 } else { 40 };
@@ -197,11 +198,11 @@ async fn later_window_is_used_for_repeated_seconds() {
 }
 
 #[tokio::test]
-async fn samples_from_1970_hide_no_later_samples() {
+async fn samples_of_slow_clock_hide_no_other_samples() {
     let mut test_store = TestStore::new().await;
     let cloud = test_store.cloud;
     let sample_with = |window, second| ClockSample { window, ..sample(cloud, second, 40) };
-    // The clock of a host without a battery begins far back, and is set when the host finds a time server.
+    // After a restart, the clock of a host without a battery is far behind until the host finds a time server.
     for (window, seconds) in [(1, 1_000..1_010), (2, 10..20), (3, 1_020..1_030)] {
         store(&mut test_store, seconds.map(|second| sample_with(window, second))).await;
     }
@@ -233,22 +234,23 @@ async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
     }
     let series = series(&test_store, 100).await;
     assert_eq!(series.points.len(), 100);
-    // Zero is a multiple of ten: the buckets are 1 to 10, 11 to 20 …
-    let second = &series.points[1];
-    assert_eq!((second.at, second.probes.lost), (generate::at(20.0), 10));
-    let offset = second.offset.as_ref().expect("known");
+    // A bucket ends at a multiple of its width: the buckets hold the seconds 1 to 10, 11 to 20 …
+    let second_bucket = &series.points[1];
+    assert_eq!((second_bucket.at, second_bucket.probes.lost), (generate::at(20.0), 10));
+    let offset = second_bucket.offset.as_ref().expect("known");
     assert_eq!((offset.bounds, offset.at), (micros(249_951, 250_049), generate::at(19.0)));
-    let trip = second.round_trip.expect("measured");
+    let trip = second_bucket.round_trip.expect("measured");
     assert_eq!((trip.min, trip.median), (Span::from_micros(80), Span::from_micros(3 * 44)));
-    let (up, down) = (second.up.expect("judged"), second.down.expect("judged"));
+    let (up, down) = (second_bucket.up.expect("judged"), second_bucket.down.expect("judged"));
     assert_eq!((up.count, down.count), (50, 40));
     let median = up.median.expect("has one");
     assert_eq!(median.value, Span::from_micros(3_994));
     let rate =
         |point: &ClockPoint| point.up.and_then(|up| up.median).and_then(|sample| sample.bits_per_second);
     let (read, sent) = (median.bits_per_second, rate(&point(sample(cloud, 14, 44))));
-    assert_eq!(read, sent.map(f64::trunc), "to the bit");
-    assert_eq!((up.verdict, down.verdict), (Verdict::Stale, Verdict::Limited), "a tenth is enough");
+    assert_eq!(read, sent.map(f64::trunc), "rates are stored in whole bits per second");
+    // A verdict applies to a bucket if a twentieth of the delays has it. Here a tenth of the uploads is stale.
+    assert_eq!((up.verdict, down.verdict), (Verdict::Stale, Verdict::Limited));
     let wide_series = test_store
         .store
         .clock_series(&key(test_store.edge, cloud), generate::at(1.0), ALWAYS.1, 20)
@@ -258,7 +260,7 @@ async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
 }
 
 #[tokio::test]
-async fn buckets_equal_points_that_a_page_merges() {
+async fn store_and_page_merge_clock_points_equally() {
     let mut test_store = TestStore::new().await;
     let cloud = test_store.cloud;
     let samples = (1..=60).map(|second| {
@@ -304,13 +306,13 @@ async fn impossible_clock_values_are_stored_as_unknown() {
         sample_with(3, |sample| sample.offset.as_mut().expect("known").estimate = Span::from_nanos(i64::MAX)),
         sample_with(4, |sample| {
             let sources = &mut sample.offset.as_mut().expect("known").sources;
-            let one = sources[0];
-            sources.extend((0..100_000).map(|_| one));
+            let first_source = sources[0];
+            sources.extend((0..100_000).map(|_| first_source));
             sources.push((DelaySource::Kernel, micros(9, -9)));
         }),
         sample_with(5, |sample| {
-            for second in [&mut sample.up, &mut sample.down].into_iter().flatten() {
-                let median = second.median.as_mut().expect("has one");
+            for delay in [&mut sample.up, &mut sample.down].into_iter().flatten() {
+                let median = delay.median.as_mut().expect("has one");
                 (median.value, median.bounds) = (Span::from_millis(-4), micros(-4_001, -3_999));
             }
         }),
@@ -338,13 +340,13 @@ async fn impossible_clock_values_are_stored_as_unknown() {
     assert_eq!(offset_at(3).expect("known").sources.len(), 2);
     assert_eq!((points[4].up.expect("judged").median, points[4].down.expect("judged").median), (None, None));
     assert_eq!(points[5].up.expect("judged").median.expect("has one").bits_per_second, None);
-    // The whole range of time is also answered in few points.
+    // The point limit also holds for a series over all times.
     assert!(series(&test_store, 1_000).await.points.len() <= 1_000);
     assert_eq!(test_store.store.links().await.expect("answers").len(), 1);
 }
 
 #[tokio::test]
-async fn silent_cloud_has_last_name_given_by_edge() {
+async fn unintroduced_cloud_has_latest_name_given_by_edge() {
     let mut test_store = TestStore::new().await;
     test_store.cloud = HostId::random();
     let sample_of_cloud = |name: &str, second| ClockSample {

@@ -1,5 +1,5 @@
-//! Statistics of connections: their times are limited to the times of their link's clock samples, and both are deleted
-//! together.
+//! Statistics of connections. Their times are limited to the times of the clock samples of the same link, because
+//! retention deletes clock samples and the statistics of connections together.
 
 use peernet_clock::{Span, WallTime};
 use peernet_logger::HostId;
@@ -53,9 +53,9 @@ fn connection_report(test_store: &TestStore, cloud: HostId, at: WallTime, bytes:
 #[tokio::test]
 async fn connections_are_stored_within_time_of_clock_samples() {
     let mut test_store = TestStore::new().await;
-    let (edge_reported, cloud) = (generate::at(2.0), test_store.cloud);
-    let early = connection_report(&test_store, cloud, edge_reported, 1);
-    test_store.writer.store_connections(&[early]).await.expect("stores");
+    let (reported_at, cloud) = (generate::at(2.0), test_store.cloud);
+    let report_before_link = connection_report(&test_store, cloud, reported_at, 1);
+    test_store.writer.store_connections(&[report_before_link]).await.expect("stores");
     assert_eq!(
         test_store.count("SELECT count(*) FROM connection_sample").await,
         0,
@@ -65,10 +65,10 @@ async fn connections_are_stored_within_time_of_clock_samples() {
     let clocks = (1..=3).map(|second| Event::Clock(Box::new(sample(test_store.cloud, second, 40)))).collect();
     let work = test_store.batch(clocks);
     test_store.commit(&[work]).await;
-    let stranger = HostId::random();
+    let unknown_host = HostId::random();
     let samples = [
-        connection_report(&test_store, cloud, edge_reported, 2),
-        connection_report(&test_store, stranger, edge_reported, 3),
+        connection_report(&test_store, cloud, reported_at, 2),
+        connection_report(&test_store, unknown_host, reported_at, 3),
         connection_report(&test_store, cloud, WallTime::from_unix_nanos(i64::MAX), 4),
         connection_report(&test_store, cloud, WallTime::from_unix_nanos(i64::MIN), 5),
     ];
@@ -89,7 +89,7 @@ async fn connections_are_stored_within_time_of_clock_samples() {
     assert_eq!(test_store.count(without_cloud_counts).await, 3, "the cloud reported no counts");
     let within_clock_samples = "SELECT count(*) FROM connection_sample WHERE at_ns BETWEEN (SELECT min(at_ns) FROM clock_sample) \
                   AND (SELECT max(at_ns) FROM clock_sample)";
-    assert_eq!(test_store.count(within_clock_samples).await, 3, "whatever time was reported");
+    assert_eq!(test_store.count(within_clock_samples).await, 3, "reported times are limited");
 }
 
 #[tokio::test]
@@ -97,7 +97,7 @@ async fn connection_reports_of_cloud_and_edge_are_both_stored() {
     let mut test_store = TestStore::new().await;
     let work = test_store.batch(vec![Event::Clock(Box::new(sample(test_store.cloud, 1, 40)))]);
     test_store.commit(&[work]).await;
-    let mut counted = connection_report(&test_store, test_store.cloud, generate::at(2.0), 900);
+    let mut report_of_both_hosts = connection_report(&test_store, test_store.cloud, generate::at(2.0), 900);
     let direction = |bytes, messages, lost, retransmitted| DirectionStatistics {
         bytes,
         messages,
@@ -105,7 +105,7 @@ async fn connection_reports_of_cloud_and_edge_are_both_stored() {
         retransmitted,
         ..DirectionStatistics::default()
     };
-    counted.connection.cloud = Some(ConnectionStatistics {
+    report_of_both_hosts.connection.cloud = Some(ConnectionStatistics {
         sent: direction(500, 5, None, Some(12)),
         received: direction(800, 8, Some(9), None),
         malformed_messages: 1,
@@ -117,7 +117,7 @@ async fn connection_reports_of_cloud_and_edge_are_both_stored() {
             variation: Span::from_micros(44),
         }),
     });
-    test_store.writer.store_connections(&[counted]).await.expect("stores");
+    test_store.writer.store_connections(&[report_of_both_hosts]).await.expect("stores");
     let stored = "SELECT count(*) FROM connection_sample WHERE (sent_bytes, cloud_received_bytes, cloud_received_messages, \
                   cloud_received_lost, cloud_sent_bytes, cloud_sent_messages, cloud_sent_retransmitted) \
                   = (900, 800, 8, 9, 500, 5, 12) AND cloud_received_retransmitted IS NULL AND cloud_sent_lost IS NULL \
@@ -137,13 +137,13 @@ async fn writer_continues_after_sqlite_rollback() {
     test_store.commit(&[work]).await;
     let samples = [connection_report(&test_store, test_store.cloud, generate::at(2.0), 2)];
 
-    // A full disk has the same effect.
+    // When the disk is full, SQLite also rolls the whole transaction back.
     let full =
         "CREATE TRIGGER full BEFORE INSERT ON connection_sample BEGIN SELECT RAISE(ROLLBACK, 'undone'); END";
     let mut other = test_store.second_connection().await;
     sqlx::raw_sql(full).execute(&mut other).await.expect("makes the trigger");
-    test_store.writer.store_connections(&samples).await.expect_err("it is undone");
-    sqlx::raw_sql("DROP TRIGGER full").execute(&mut other).await.expect("removes it");
+    test_store.writer.store_connections(&samples).await.expect_err("the transaction is rolled back");
+    sqlx::raw_sql("DROP TRIGGER full").execute(&mut other).await.expect("removes the trigger");
     test_store.writer.store_connections(&samples).await.expect("stores");
     assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 1);
 }

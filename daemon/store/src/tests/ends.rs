@@ -1,4 +1,4 @@
-//! Runs whose agent was killed, runs known by their iterations only, and gaps left by quarantined batches.
+//! Runs whose agent was killed, runs whose start is not stored, and gaps that quarantined batches leave.
 
 use peernet_logger::RunId;
 use peernet_stream::{BatchHead, EndReason, Event, RunEnded, codec};
@@ -27,7 +27,7 @@ async fn run_ends(test_store: &TestStore) -> Vec<Option<(f64, String)>> {
 }
 
 #[tokio::test]
-async fn new_process_ends_runs_of_previous_one_only() {
+async fn only_new_process_ends_runs_of_previous_process() {
     let mut test_store = TestStore::new().await;
     test_store.store_run(10).await;
     let (repeated_hello, after_restart) = (hello(&test_store, 1), hello(&test_store, 1));
@@ -36,10 +36,10 @@ async fn new_process_ends_runs_of_previous_one_only() {
     test_store.commit(&[after_restart]).await;
     assert_eq!(run_ends(&test_store).await, [None]);
 
-    // The hello of the next process and its first run are in one transaction.
-    let (greeting, run) = (hello(&test_store, u64::MAX), RunId::random());
+    // One transaction holds the hello of the next process and the first run of that process.
+    let (hello_of_next, run) = (hello(&test_store, u64::MAX), RunId::random());
     let run_started = test_store.batch(vec![generate::run_started(run, "other", NOW)]);
-    test_store.commit(&[greeting, run_started]).await;
+    test_store.commit(&[hello_of_next, run_started]).await;
     assert_eq!(run_ends(&test_store).await, [Some((2.0, END_WITHOUT_REPORT.to_owned())), None]);
 }
 
@@ -73,22 +73,22 @@ async fn new_run_of_pipeline_ends_previous_one() {
     test_store.commit(&[run_started]).await;
     assert_eq!(run_ends(&test_store).await, [Some((2.0, END_WITHOUT_REPORT.to_owned())), None, None]);
 
-    // Late iterations are stored and move the end; the reported end replaces it.
-    let late = iterations(&test_store, first, 11..=15);
-    let late = test_store.batch(late);
-    test_store.commit(&[late]).await;
+    // Late iterations are stored and move the assumed end. A reported end replaces the assumed end and is not moved.
+    let late_iterations = iterations(&test_store, first, 11..=15);
+    let late_batch = test_store.batch(late_iterations);
+    test_store.commit(&[late_batch]).await;
     assert_eq!(run_ends(&test_store).await[0], Some((3.0, END_WITHOUT_REPORT.to_owned())));
     assert_eq!(test_store.count("SELECT ok FROM run WHERE number = 1").await, 15);
     let end = RunEnded { run: first, ended: generate::at(2.5), reason: EndReason::Stopped };
-    let later = iterations(&test_store, first, 16..=16);
+    let iteration_after_end = iterations(&test_store, first, 16..=16);
     let reported_end = test_store.batch(vec![Event::RunEnded(end)]);
-    let later = test_store.batch(later);
-    test_store.commit(&[reported_end, later]).await;
+    let iteration_after_end = test_store.batch(iteration_after_end);
+    test_store.commit(&[reported_end, iteration_after_end]).await;
     assert_eq!(run_ends(&test_store).await[0], Some((2.5, "stopped".to_owned())));
 }
 
 #[tokio::test]
-async fn live_event_names_run_known_by_iterations_once() {
+async fn run_without_start_is_named_once_by_own_host() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let events = iterations(&test_store, run, 4..=6);
@@ -101,16 +101,16 @@ async fn live_event_names_run_known_by_iterations_once() {
         let pipeline = pipeline.parse().expect("a name");
         Work::Name(Box::new(RunName { host, run, pipeline, placement: generate::remote() }))
     };
-    let (foreign, first) = (name(test_store.cloud, "stolen"), name(test_store.edge, "line"));
-    let (second, unknown_run) = (name(test_store.edge, "later"), RunId::random());
+    let (name_by_other_host, first_name) = (name(test_store.cloud, "stolen"), name(test_store.edge, "line"));
+    let (second_name, unknown_run) = (name(test_store.edge, "later"), RunId::random());
     let name_of_unknown_run = Work::Name(Box::new(RunName {
         host: test_store.edge,
         run: unknown_run,
         pipeline: "line".parse().expect("a name"),
         placement: generate::remote(),
     }));
-    test_store.commit(&[foreign, first]).await;
-    test_store.commit(&[second, name_of_unknown_run]).await;
+    test_store.commit(&[name_by_other_host, first_name]).await;
+    test_store.commit(&[second_name, name_of_unknown_run]).await;
     let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((detail.summary.pipeline.as_str(), &detail.summary.placement), ("line", &generate::remote()));
     assert_eq!(test_store.count("SELECT count(*) FROM run").await, 1);
@@ -121,22 +121,22 @@ async fn live_event_names_run_known_by_iterations_once() {
 async fn events_of_quarantined_batches_count_as_missing() {
     let mut test_store = TestStore::new().await;
     let run = test_store.store_run(5).await;
-    // A batch with an iteration three times, a truncated batch, and one whose head claims more events than it has
-    // bytes.
+    // A batch that holds one iteration three times, a truncated batch, and a truncated batch whose head claims more
+    // events than the batch has bytes. The number of missing events of the last batch is unknown, which is stored as 0.
     let repeated = [6, 6, 6].map(|n| iterations(&test_store, run, n..=n)).concat();
     let repeated = test_store.batch(repeated);
     let mut unreadable = |events: u32| {
         let body = generate::body(&vec![generate::run_started(run, "line", NOW); 2]);
-        let number = test_store.next;
-        test_store.next += 1;
+        let number = test_store.next_number;
+        test_store.next_number += 1;
         let head = BatchHead { events, ..test_store.head(number, &body, 2) };
         let mut frame = codec::encode_batch(&head, &body, false);
         frame.truncate(frame.len() / 2);
         let reason = "cut off".into();
         Work::UnstorableBatch(Box::new(UnstorableBatch { head, frame: frame.into(), body: None, reason }))
     };
-    let (short, impossible) = (unreadable(2), unreadable(u32::MAX));
-    let committed = test_store.commit(&[repeated, short, impossible]).await;
+    let (truncated, impossible_count) = (unreadable(2), unreadable(u32::MAX));
+    let committed = test_store.commit(&[repeated, truncated, impossible_count]).await;
     assert_eq!(committed.quarantined.len(), 3);
     let (stored, _) = committed.hosts[&test_store.edge];
     assert_eq!((stored.quarantined, stored.gaps, stored.missing), (3, 3, 5));

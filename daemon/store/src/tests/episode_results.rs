@@ -8,8 +8,8 @@ use peernet_stream::{Event, Iteration, Outcome, RunDescription};
 use super::{NOW, TestStore, generate};
 use crate::rebuild::rebuild;
 
-/// Stores a run with these facts: three episodes, of which the first ends with a lost answer and the second with a
-/// warm-up step.
+/// Stores a run with these facts and with three episodes. The first episode ends with a lost answer, the second with a
+/// warm-up iteration.
 async fn store(test_store: &mut TestStore, facts: &[(&str, &str)]) {
     let run = RunId::random();
     let Event::RunStarted(description) = generate::run_started(run, "line", NOW) else {
@@ -17,14 +17,14 @@ async fn store(test_store: &mut TestStore, facts: &[(&str, &str)]) {
     };
     let facts = facts.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
     let mut events = vec![Event::RunStarted(RunDescription { facts, ..description })];
-    let ends = [
+    let iterations = [
         (Outcome::Ok, false, vec![("superseded", 1.0)]),
         (Outcome::Lost("gone".into()), false, vec![("episode-success", 0.0), ("episode-return", 1.0)]),
         (Outcome::Ok, true, vec![("episode-success", 1.0), ("episode-return", 2.0)]),
         (Outcome::Failed("stuck".into()), false, vec![("superseded", 1.0)]),
         (Outcome::Ok, false, vec![("episode-success", 1.0), ("episode-return", 6.0)]),
     ];
-    for (number, (outcome, warm_up, values)) in (1..).zip(ends) {
+    for (number, (outcome, warm_up, values)) in (1..).zip(iterations) {
         let mut iteration =
             generate::iteration(run, number, test_store.hosts(), &mut generate::Numbers::new(number));
         for (name, value) in values {
@@ -41,20 +41,21 @@ async fn results(test_store: &TestStore, run: i64) -> ActuatorResults {
 }
 
 #[tokio::test]
-async fn episodes_count_whatever_their_last_iteration_was() {
+async fn episodes_with_failed_last_iteration_have_results() {
     let mut test_store = TestStore::new().await;
     store(&mut test_store, &[("Load", "closed"), ("Actuator", "an arm")]).await;
     store(&mut test_store, &[("Load", "closed")]).await;
-    let found = results(&test_store, 1).await;
+    let results_of_run = results(&test_store, 1).await;
     let (success, returns) =
-        (found.success.expect("is reported"), found.episode_return.expect("is reported"));
+        (results_of_run.success.expect("is reported"), results_of_run.episode_return.expect("is reported"));
     assert_eq!((success.episodes, (success.rate * 3.0).round(), returns.mean), (3, 2.0, 3.0));
-    assert_eq!(found.superseded, 1, "that of the answered iteration");
-    assert_eq!(results(&test_store, 2).await, found, "without an actuator, as the columns of files");
+    assert_eq!(results_of_run.superseded, 1, "only iterations in the statistics count");
+    // The columns of result files do not depend on facts, either.
+    assert_eq!(results(&test_store, 2).await, results_of_run, "a run without an actuator has results, too");
     let listed = test_store.store.runs(&crate::types::RunFilter::default()).await.expect("answers");
-    assert_eq!(listed[1].actuator, found, "as in the list");
+    assert_eq!(listed[1].actuator, results_of_run, "the list of runs has the results, too");
 
     let mut connection = test_store.second_connection().await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
-    assert_eq!(results(&test_store, 1).await, found, "from the nodes");
+    assert_eq!(results(&test_store, 1).await, results_of_run, "rebuilt from the nodes");
 }

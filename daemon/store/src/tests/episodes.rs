@@ -8,14 +8,14 @@ use peernet_stream::{Event, Iteration, Outcome};
 use super::{TestStore, generate};
 use crate::types::Episodes;
 
-/// Sets episode and step as an agent does.
+/// Sets the episode and the step of an iteration as an agent does if each episode has `steps` iterations.
 fn set_episode(iteration: &mut Iteration, steps: u64) {
-    let preceding = iteration.number - 1;
-    (iteration.episode, iteration.step) = ((preceding / steps) as u32, (preceding % steps) as u32);
+    let index = iteration.number - 1;
+    (iteration.episode, iteration.step) = ((index / steps) as u32, (index % steps) as u32);
 }
 
-/// Stores a run of `iterations` iterations, five a second. `change` may change each one, or return `false` to leave it
-/// out.
+/// Stores a run of `iterations` iterations, five a second. `change` may change each iteration. An iteration for which
+/// `change` returns `false` is not stored.
 async fn store_run(test_store: &mut TestStore, iterations: u64, change: impl Fn(&mut Iteration) -> bool) {
     let (run, hosts, mut numbers) = (RunId::random(), test_store.hosts(), generate::Numbers::new(7));
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
@@ -66,9 +66,9 @@ async fn borders_are_at_starts_of_episodes() {
 }
 
 #[tokio::test]
-async fn warm_up_has_periods_of_all_rows() {
+async fn warm_up_periods_equal_those_of_rows() {
     // Iterations, steps of an episode, episodes of warm-up, steps of warm-up in each episode.
-    for (run, (iterations, steps, episodes, warm_up)) in (1..).zip([
+    for (case, (iterations, steps, episodes, warm_up)) in (1..).zip([
         (95, 30, 1, 1),
         (95, 30, 0, 4),
         (61, 30, 0, 2),
@@ -78,19 +78,23 @@ async fn warm_up_has_periods_of_all_rows() {
     ]) {
         let mut test_store = TestStore::new().await;
         let is_warm_up = |iteration: &Iteration| iteration.episode < episodes || iteration.step < warm_up;
-        let in_order = std::sync::Mutex::new(Vec::new());
+        let starts_in_order = std::sync::Mutex::new(Vec::new());
         store_run(&mut test_store, iterations, |iteration| {
             set_episode(iteration, steps);
             iteration.warm_up = is_warm_up(iteration);
-            in_order
+            starts_in_order
                 .lock()
-                .expect("alone")
+                .expect("not poisoned")
                 .push((generate::at(iteration.number as f64 * 0.2), iteration.warm_up));
             true
         })
         .await;
         let found = test_store.store.episodes(1).await.expect("answers").warm_up;
-        assert_eq!(found, warm_up_periods(in_order.into_inner().expect("alone")), "{run}");
+        assert_eq!(
+            found,
+            warm_up_periods(starts_in_order.into_inner().expect("not poisoned")),
+            "case {case}"
+        );
     }
 }
 
@@ -166,11 +170,12 @@ async fn inconsistent_step_numbers_have_no_border() {
 #[tokio::test]
 async fn episodes_of_different_lengths_have_borders() {
     let mut test_store = TestStore::new().await;
-    // Lengths 7, 3, 12, 5, 1 and the rest.
-    let begins = [1, 8, 11, 23, 28, 29];
+    // Episodes of 7, 3, 12, 5, 1 and the remaining 12 iterations.
+    let first_numbers = [1, 8, 11, 23, 28, 29];
     store_run(&mut test_store, 40, |iteration| {
-        let episode = begins.iter().rposition(|begin| *begin <= iteration.number).expect("after the first");
-        (iteration.episode, iteration.step) = (episode as u32, (iteration.number - begins[episode]) as u32);
+        let episode = first_numbers.iter().rposition(|first| *first <= iteration.number).expect("at least 1");
+        let step = iteration.number - first_numbers[episode];
+        (iteration.episode, iteration.step) = (episode as u32, step as u32);
         true
     })
     .await;
@@ -185,7 +190,7 @@ async fn episodes_of_different_lengths_have_borders() {
         .await
         .expect("deletes");
     let episodes = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!(episodes.borders, start_times([11, 23, 28, 29]), "the second episode has lost its beginning");
+    assert_eq!(episodes.borders, start_times([11, 23, 28, 29]), "the start of the second episode is deleted");
 }
 
 #[tokio::test]
@@ -208,9 +213,9 @@ async fn too_many_episodes_are_only_counted() {
 }
 
 #[tokio::test]
-async fn sample_of_failed_iterations_covers_whole_run() {
+async fn shown_failed_iterations_cover_whole_run() {
     let mut test_store = TestStore::new().await;
-    // Every second one at first, then a single one at the end.
+    // Up to iteration 1,200, every iteration with an even number is lost; after it only iteration 1,990.
     store_run(&mut test_store, 2_000, |iteration| {
         let is_lost = iteration.number % 2 == 0 && iteration.number <= 1_200 || iteration.number == 1_990;
         if is_lost {

@@ -108,11 +108,13 @@ async fn same_runs_are_excluded_in_store_and_in_files() {
         test_store.commit(&[work]).await;
     }
     let stored = test_store.store.runs_of_experiment("a", 10).await.expect("answers");
-    let results = |run: &RunSummary| Loaded {
+    let results_in_files = |run: &RunSummary| Loaded {
         folder: format!("runs/{}", run.number).into(),
         record: RunRecord {
             run: Some(run.id),
             name: run.pipeline.to_string(),
+            // The runs start at one time in this test. Runs of files are ordered by their starts, runs of the store by
+            // their numbers.
             started: Some(to_utc(run.started + Span::from_nanos(run.number))),
             reason: run.reason.clone().unwrap_or_default(),
             edge: HostRecord { id: Some(run.host), ..HostRecord::default() },
@@ -122,7 +124,7 @@ async fn same_runs_are_excluded_in_store_and_in_files() {
         rows: Rows::default(),
     };
     let exclusions_in_store = exclusions(&stored.iter().map(Candidate::from).collect::<Vec<_>>());
-    let files: Vec<Loaded> = stored.iter().map(results).collect();
+    let files: Vec<Loaded> = stored.iter().map(results_in_files).collect();
     let exclusions_in_files = exclusions(&files.iter().map(Candidate::from_results).collect::<Vec<_>>());
     assert_eq!(exclusions_in_store, exclusions_in_files);
     let name = |index: usize| format!("#{}", stored[index].number);
@@ -140,7 +142,7 @@ async fn same_runs_are_excluded_in_store_and_in_files() {
 }
 
 #[tokio::test]
-async fn buckets_hold_every_sample_in_order_of_time() {
+async fn stage_buckets_hold_all_values() {
     let mut test_store = TestStore::new().await;
     test_store.store_run(500).await;
     let names = [stage::TOTAL, Name::from_static("nothing"), stage::UPLOAD];

@@ -1,8 +1,8 @@
-//! The databases in `tests/fixtures/databases`, one of each migration, which must stay readable. They are stored as SQL
+//! The databases in `tests/fixtures/databases`, one for each migration, must stay readable. They are stored as SQL
 //! text.
 //!
-//! After a new migration, `cargo test -p peernet-store write_missing_fixtures -- --ignored` writes its file. An
-//! existing file is never overwritten.
+//! After a new migration, `cargo test -p peernet-store write_missing_fixtures -- --ignored` writes the file of this
+//! migration. An existing file is never overwritten.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -36,17 +36,17 @@ async fn page_content(store: &Store) -> String {
     )
 }
 
-/// Migrates the newest fixture to a version, so that all of them hold the same data.
+/// Makes a database of a version from the newest fixture of the earlier versions. All fixtures thus hold the same data.
 async fn migrate_fixture(folder: &Path, version: i64) -> PathBuf {
-    let earlier = database::MIGRATIONS
+    let earlier_versions = database::MIGRATIONS
         .iter()
         .map(|migration| migration.version)
         .filter(|version_before| *version_before < version);
-    let newest = earlier
+    let source_version = earlier_versions
         .filter(|version_before| fixture(*version_before).exists())
         .max()
         .expect("the first fixtures exist");
-    let text = fs::read_to_string(fixture(newest)).expect("reads");
+    let text = fs::read_to_string(fixture(source_version)).expect("reads");
     let path = folder.join(format!("{version}.sqlite"));
     let mut connection = database::write_options(&path).connect().await.expect("makes");
     sqlx::raw_sql(AssertSqlSafe(text)).execute(&mut connection).await.expect("is SQL");

@@ -1,4 +1,4 @@
-//! Logs beside a database that belong to it or to another file.
+//! Write-ahead logs beside a database: the database's own log is applied, the log of another database is refused.
 
 use std::fs;
 use std::os::unix::fs::FileExt;
@@ -35,7 +35,7 @@ async fn iterations(path: &Path) -> i64 {
     number(path, "SELECT count(*) FROM iteration").await
 }
 
-/// Returns the id in the file itself, without its log.
+/// Returns the id that stands in the database file. The write-ahead log may hold another id.
 fn file_id(path: &Path) -> [u8; 4] {
     fs::read(path).expect("reads")[60..64].try_into().expect("four bytes")
 }
@@ -44,7 +44,7 @@ fn log_of(path: &Path) -> PathBuf {
     PathBuf::from(format!("{}-wal", path.display()))
 }
 
-/// Copies the files in the state in which a killed process leaves them.
+/// Copies the database and its log in the state in which a killed process leaves the two files.
 fn copy_as_killed(test_store: &TestStore) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("peernet.sqlite");
@@ -84,7 +84,7 @@ async fn backup_is_not_spoilt_by_log_of_previous_database() {
     fs::copy(&copy, path.with_file_name("copy.sqlite")).expect("copies");
     fs::rename(path.with_file_name("copy.sqlite"), &path).expect("takes its place");
     let files = || (fs::read(&path).expect("is there"), fs::read(log_of(&path)).expect("is there"));
-    let before = files();
+    let files_before = files();
 
     let refused = start(&path).await.expect_err("refuses");
     assert!(matches!(refused, OpenError::ForeignLog(_)), "{refused}");
@@ -104,7 +104,7 @@ async fn backup_is_not_spoilt_by_log_of_previous_database() {
     assert!(matches!(cleared, Err(ClearSecretError::ForeignLog(_))), "{cleared:?}");
     let second_backup = Backup::prepare(&path, &path.with_file_name("again.sqlite")).await;
     assert!(matches!(second_backup, Err(BackupError::ForeignLog(_))), "{second_backup:?}");
-    assert!(files() == before, "nothing was written");
+    assert!(files() == files_before, "nothing was written");
 
     fs::remove_file(log_of(&path)).expect("removes");
     start(&path).await.expect("opens");
@@ -126,7 +126,7 @@ async fn log_of_idle_aggregator_identifies_its_database() {
     fs::copy(&copy, &path).expect("takes its place");
     assert!(matches!(start(&path).await, Err(OpenError::ForeignLog(_))));
 
-    // SQLite does not apply a log with wrong checksums.
+    // SQLite does not apply a log with wrong checksums. Such a log does no harm, so the database opens.
     let log = fs::File::options().write(true).open(log_of(&path)).expect("opens");
     log.write_all_at(&[0xa5; 4], 100).expect("writes");
     start(&path).await.expect("opens");
@@ -150,7 +150,7 @@ async fn database_of_killed_process_opens_with_its_log() {
     start(&path).await.expect("opens");
     assert_eq!(iterations(&path).await, 150);
 
-    // A database of an earlier version, whose log has the id first.
+    // The file of an earlier version has no id. The id that the writer adds is at first only in the log.
     test_store.writer.close().await.1.expect("closes");
     test_store.store.close().await;
     fs::File::options()
@@ -170,19 +170,20 @@ async fn database_of_killed_process_opens_with_its_log() {
 #[tokio::test]
 async fn each_file_has_own_id_and_keeps_it() {
     let folder = tempfile::tempdir().expect("a folder");
-    let fresh = folder.path().join("peernet.sqlite");
-    start(&fresh).await.expect("makes it");
-    let first = file_id(&fresh);
-    assert_ne!(first, [0; 4]);
-    start(&fresh).await.expect("opens");
-    assert_eq!(file_id(&fresh), first);
+    let new_file = folder.path().join("peernet.sqlite");
+    start(&new_file).await.expect("creates the file");
+    let id_of_new_file = file_id(&new_file);
+    assert_ne!(id_of_new_file, [0; 4]);
+    start(&new_file).await.expect("opens");
+    assert_eq!(file_id(&new_file), id_of_new_file);
 
     let mut test_store = TestStore::new().await;
     test_store.store_run(100).await;
     let (first_copy, second_copy) =
         (backup(&test_store, "one.sqlite").await, backup(&test_store, "other.sqlite").await);
     checkpoint(&test_store).await;
-    let mut ids = vec![first, file_id(&test_store.path), file_id(&first_copy), file_id(&second_copy)];
+    let mut ids =
+        vec![id_of_new_file, file_id(&test_store.path), file_id(&first_copy), file_id(&second_copy)];
     let root = number(&first_copy, "SELECT rootpage FROM sqlite_schema WHERE name = 'node'").await;
     let file = fs::File::options().write(true).open(&first_copy).expect("opens");
     file.write_all_at(&[0xa5; 4096], (root.cast_unsigned() - 1) * 4096).expect("writes");

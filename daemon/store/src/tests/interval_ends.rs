@@ -1,5 +1,5 @@
-//! Intervals of medians by the clock bounds: the same from statistics of the store and from single values, as files
-//! have them.
+//! Intervals of medians that follow from clock bounds. The store computes an interval from statistics, and results do so
+//! from the single values in files. Both intervals are equal.
 
 use peernet_analysis::delays::{ClockInterval, ClockedSummaries, IntervalMethod};
 use peernet_analysis::rows::{Row, Rows};
@@ -15,7 +15,7 @@ use crate::types::MergeableStatistics;
 
 /// Number of iterations.
 const COUNT: u64 = 300;
-/// Names of the quantities, each with its delay.
+/// Quantities with an interval, each with the delay whose bounds determine the interval.
 const QUANTITIES: [(Name, Name); 4] = [
     (stage::UPLOAD, stage::UPLOAD),
     (stage::DOWNLOAD, stage::DOWNLOAD),
@@ -24,8 +24,8 @@ const QUANTITIES: [(Name, Name); 4] = [
 ];
 
 impl TestStore {
-    /// Makes an iteration whose delays lie near the lower ends of their bounds. Two fifths of the lower ends are cut at
-    /// zero; downloads are negative, as those of an observed system may be. Sizes and widths vary.
+    /// Makes an iteration whose delays lie near the lower ends of their bounds. For two fifths of the uploads the lower
+    /// end is zero. Downloads are negative, as in an observed system. Message sizes and widths of bounds vary.
     fn iteration_with_uneven_bounds(&self, run: RunId, number: u64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
@@ -66,6 +66,7 @@ impl TestStore {
             stage::DOWNLOAD_BYTES,
             stage::DOWNLOAD_LOGGER_BYTES,
         ];
+        // Both parts of a message, payload and logger data, have half of its bytes.
         for name in sizes {
             if iteration.tree.find(&[name.as_str()]).is_none() {
                 iteration.tree.add(NodeId::ROOT, name, Span::ZERO, Measure::Value(bits / 16.0, Unit::BYTES));
@@ -85,7 +86,7 @@ fn interval(statistics: &MergeableStatistics, name: &Name, delay: &Name) -> Opti
     if name == delay { clocked.interval_of_median_delay() } else { clocked.interval_of_median_throughput() }
 }
 
-/// Asserts that the interval of each median is that of the rows, within the error of a sketch.
+/// Asserts that the interval of each median equals the interval from the rows, within the error of a sketch.
 fn assert_equal_to_rows(statistics: &MergeableStatistics, rows: &Rows) {
     for (name, delay) in &QUANTITIES {
         let page = interval(statistics, name, delay);
@@ -107,7 +108,7 @@ async fn median_of_stored_run_has_interval_of_files() {
     let iterations: Vec<Iteration> =
         (1..=COUNT).map(|number| test_store.iteration_with_uneven_bounds(run, number)).collect();
     let rows: Rows = iterations.iter().map(Row::from_iteration).collect();
-    // Two commits: the ends of the whole run are merged.
+    // Two commits: the second commit merges its interval ends with those of the first.
     let (first, second) = iterations.split_at(100);
     let started = std::iter::once(generate::run_started(run, "line", NOW));
     for events in [
@@ -119,7 +120,7 @@ async fn median_of_stored_run_has_interval_of_files() {
     }
     let stored = test_store.store.statistics_of(1).await.expect("answers");
     assert_equal_to_rows(&stored.mergeable, &rows);
-    assert!(median_bounds_of(&rows, "upload-throughput").is_some(), "infinite upper ends are bounds");
+    assert!(median_bounds_of(&rows, "upload-throughput").is_some(), "an upper end may be infinite");
     let upload_accuracy = stored.bounds.iter().find(|bound| bound.stage == stage::UPLOAD).expect("a delay");
     let delay = stored
         .stages
@@ -131,13 +132,15 @@ async fn median_of_stored_run_has_interval_of_files() {
         upload_accuracy.interval_of_median(&delay),
         interval(&stored.mergeable, &stage::UPLOAD, &stage::UPLOAD)
     );
-    // Buckets over time have no ends.
-    let narrow =
+    // Interval ends are stored for the whole run only, not for buckets over time.
+    let ends_of_buckets =
         test_store.count("SELECT count(*) FROM rollup WHERE quantity > 1 AND resolution_s > 0").await;
-    let whole = test_store.count("SELECT count(*) FROM rollup WHERE quantity > 1 AND resolution_s = 0").await;
-    assert!(narrow == 0 && whole >= 6, "{narrow} {whole}");
+    let ends_of_run =
+        test_store.count("SELECT count(*) FROM rollup WHERE quantity > 1 AND resolution_s = 0").await;
+    assert!(ends_of_buckets == 0 && ends_of_run >= 6, "{ends_of_buckets} {ends_of_run}");
 
-    // As an earlier version stored it, and after `peernetd rebuild-rollups`.
+    // Earlier versions stored no interval ends: intervals then follow from half widths, until `peernetd
+    // rebuild-rollups` computes the ends.
     let mut connection = test_store.second_connection().await;
     sqlx::query("DELETE FROM rollup WHERE quantity > 1").execute(&mut connection).await.expect("deletes");
     let earlier = test_store.store.statistics_of(1).await.expect("answers");

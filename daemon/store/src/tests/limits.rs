@@ -1,4 +1,4 @@
-//! Time limit of queries, read-only access, and the bounded log.
+//! Time limit of queries, read-only access, and the size limit of the write-ahead log.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -32,14 +32,14 @@ async fn endless_query_is_stopped_while_writer_commits() {
     let readers = open_readers_with_short_limit(&test_store.path);
     let pool = readers.pool();
     let endless = sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&pool);
-    // The writer finishes; the query would not.
+    // The writer finishes while the query runs. The query would never end.
     let (endless, _) = tokio::join!(endless, test_store.store_run(50));
     let error = endless.map_err(readers.failed("everything")).expect_err("it has no end");
     assert!(matches!(error, StoreError::TooLong { what: "everything", .. }), "{error}");
     assert!(error.to_string().contains("longer than the 0.1 s of [aggregator] question_limit_ms"), "{error}");
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 50);
 
-    // The only connection is still usable, and each query has the whole time limit.
+    // The readers' only connection is still usable, and each query has the whole time limit.
     for _ in 0..3 {
         let iterations: i64 = sqlx::query_scalar("SELECT count(*) FROM iteration")
             .fetch_one(&readers.pool())
@@ -60,21 +60,21 @@ async fn readers_cannot_write() {
 }
 
 #[tokio::test]
-async fn log_is_emptied_after_last_reader() {
+async fn log_is_emptied_only_without_readers() {
     let mut test_store = TestStore::new().await;
     let log = test_store.path.with_extension("sqlite-wal");
     let bytes = || std::fs::metadata(&log).expect("the log exists").len();
     let mut reader = test_store.second_connection().await;
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM host").execute(&mut reader).await.expect("reads");
     test_store.store_run(200).await;
-    let grown = bytes();
-    // While a reader is active the write-ahead log keeps its size, and nothing waits.
-    test_store.writer.bound_log(grown / 2).await.expect("tries");
-    assert_eq!(bytes(), grown);
+    let grown_bytes = bytes();
+    // While a reader is active, the write-ahead log keeps its size, and the writer does not wait for the reader.
+    test_store.writer.bound_log(grown_bytes / 2).await.expect("tries");
+    assert_eq!(bytes(), grown_bytes);
     sqlx::raw_sql("COMMIT").execute(&mut reader).await.expect("ends");
-    test_store.writer.bound_log(grown).await.expect("is short enough");
-    assert_eq!(bytes(), grown);
-    test_store.writer.bound_log(grown / 2).await.expect("empties it");
+    test_store.writer.bound_log(grown_bytes).await.expect("is short enough");
+    assert_eq!(bytes(), grown_bytes);
+    test_store.writer.bound_log(grown_bytes / 2).await.expect("empties it");
     assert_eq!(bytes(), 0);
     test_store.store_run(10).await;
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 210);

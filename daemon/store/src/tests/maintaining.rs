@@ -27,15 +27,15 @@ fn problems(report: &Report) -> Vec<&str> {
 }
 
 #[tokio::test]
-async fn copy_is_consistent_and_overwrites_no_file() {
+async fn backup_is_consistent_and_overwrites_no_file() {
     let mut test_store = TestStore::new().await;
     test_store.store_run(100).await;
     let target = test_store.path.with_file_name("copy.sqlite");
-    // A file that a killed backup left behind does not matter.
+    // A killed backup left a file behind. The next backup replaces this file.
     std::fs::write(target.with_file_name("copy.sqlite.partial"), b"left behind").expect("writable");
     let backup = Backup::prepare(&test_store.path, &target).await.expect("can be read");
     assert!(backup.expected_bytes() > 100_000);
-    let second_backup = Backup::prepare(&test_store.path, &target).await.expect_err("one is under way");
+    let second_backup = Backup::prepare(&test_store.path, &target).await.expect_err("a backup is under way");
     assert!(matches!(second_backup, BackupError::UnderWay(_)), "{second_backup}");
     let copied = backup.run(CancellationToken::new()).await.expect("copies");
     test_store.store_run(100).await;
@@ -47,19 +47,19 @@ async fn copy_is_consistent_and_overwrites_no_file() {
     let report = examine(&target, FULL).await.expect("opens");
     assert!(report.is_healthy(), "{report:?}");
 
-    let repeated_backup = Backup::prepare(&test_store.path, &target).await.expect_err("it exists");
+    let repeated_backup = Backup::prepare(&test_store.path, &target).await.expect_err("the target exists");
     assert!(matches!(repeated_backup, BackupError::Exists(_)), "{repeated_backup}");
-    // A file that was created under the name meanwhile is not replaced.
+    // A file that another program creates under the target's name during the backup is not replaced.
     let other = test_store.path.with_file_name("other.sqlite");
     let backup = Backup::prepare(&test_store.path, &other).await.expect("can be read");
     std::fs::write(&other, b"theirs").expect("writable");
-    backup.run(CancellationToken::new()).await.expect_err("it exists");
+    backup.run(CancellationToken::new()).await.expect_err("the target exists");
     assert_eq!(std::fs::read(&other).expect("is there"), b"theirs");
     assert!(!other.with_file_name("other.sqlite.partial").exists());
 }
 
 #[tokio::test]
-async fn stopped_copy_leaves_nothing() {
+async fn stopped_backup_leaves_no_file() {
     let mut test_store = TestStore::new().await;
     test_store.store_run(100).await;
     let target = test_store.path.with_file_name("copy.sqlite");
@@ -129,7 +129,7 @@ async fn spool_is_distinguished_from_database() {
         .fetch_one(&mut connection)
         .await
         .expect("reads");
-    assert_eq!(tables, 3, "none was added");
+    assert_eq!(tables, 3, "no table was added");
 }
 
 #[tokio::test]
@@ -146,13 +146,13 @@ async fn damaged_page_is_reported() {
         .await
         .expect("is there");
     drop(connection);
-    // The head of the table's first page: its type and number of cells.
+    // Overwrites the head of the table's first page, which holds the page's type and number of cells.
     file.write_all_at(&[0xa5; 16], (page.cast_unsigned() - 1) * 4096).expect("writes");
     let report = examine(&copy, QUICK).await.expect("opens");
     assert!(problems(&report).iter().any(|problem| problem.contains("damaged")), "{report:?}");
     assert!(report.findings.iter().all(|finding| !finding.advice.is_empty()));
 
-    // The same applies to a file that is no database, and to the database of another program.
+    // A file that is no database is reported, too, and so is the database of another program.
     file.write_all_at(&[0xa5; 100], 0).expect("writes");
     let report = examine(&copy, QUICK).await.expect("opens");
     assert!(problems(&report).iter().any(|problem| problem.contains("not a database")), "{report:?}");

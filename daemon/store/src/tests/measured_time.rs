@@ -1,4 +1,5 @@
-//! Times in which a run measured: single iterations, and buckets once retention has deleted the iterations.
+//! The time from the first to the last iteration of a run in the statistics. The time is exact while the iterations are
+//! stored. After retention has deleted iterations, the time has the resolution of the buckets.
 
 use peernet_clock::{Span, WallTime};
 use peernet_logger::RunId;
@@ -24,8 +25,9 @@ async fn measured_time(test_store: &TestStore, run: i64) -> Option<MeasuredTime>
     test_store.store.measured_time(&run).await.expect("answers")
 }
 
-/// Stores a run of two minutes with a warm-up, and with iterations without an answer at both ends and in between.
-async fn run_of_two_minutes() -> TestStore {
+/// Makes a store with a run of two minutes. The run begins with a warm-up. Iterations without an answer follow the
+/// warm-up, end the run and lie in the middle of the run.
+async fn store_with_run_of_two_minutes() -> TestStore {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let mut numbers = generate::Numbers::new(7);
@@ -47,7 +49,7 @@ async fn run_of_two_minutes() -> TestStore {
 
 #[tokio::test]
 async fn iterations_within_time_are_counted_exactly() {
-    let test_store = run_of_two_minutes().await;
+    let test_store = store_with_run_of_two_minutes().await;
     let rows = iterations_in_statistics(&test_store).await;
     let time = measured_time(&test_store, 1).await.expect("measured");
     let (first, last) = (rows[0].started, rows[rows.len() - 1].started);
@@ -74,7 +76,7 @@ async fn iterations_within_time_are_counted_exactly() {
 }
 
 #[tokio::test]
-async fn run_without_answer_measured_at_no_time() {
+async fn run_without_answers_has_no_measured_time() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
@@ -96,14 +98,19 @@ async fn resolution_is_that_of_remaining_buckets() {
     let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
     run_until_done(&mut retention, &mut connection, day(9.0)).await;
-    let coarse = measured_time(&test_store, 1).await.expect("hours are never deleted");
+    let coarse = measured_time(&test_store, 1).await.expect("buckets of an hour are never deleted");
     assert_eq!((exact.resolution_s, coarse.resolution_s), (0, 3_600));
     assert!(coarse.first >= exact.first && coarse.last <= exact.last, "{exact:?} {coarse:?}");
     let pinned = measured_time(&test_store, 2).await.expect("measured");
     assert_eq!(pinned.resolution_s, 0);
-    // Both runs are alike.
+    // Both runs have iterations with the same starts.
     let within =
         async |run| test_store.store.measured_within(run, coarse.first, coarse.last).await.expect("answers");
-    let (coarse, pinned) = (within(1).await, within(2).await);
-    assert!(coarse.count > 0 && coarse.count == pinned.count, "{} {}", coarse.count, pinned.count);
+    let (in_buckets, of_iterations) = (within(1).await, within(2).await);
+    assert!(
+        in_buckets.count > 0 && in_buckets.count == of_iterations.count,
+        "{} {}",
+        in_buckets.count,
+        of_iterations.count
+    );
 }

@@ -15,12 +15,12 @@ use super::{TestStore, database, generate, open};
 use crate::retention::Retention;
 use crate::types::{IterationFilter, RunFilter};
 
-/// The last version with statistics of two widths only.
-const LAST_COARSE: i64 = 4;
+/// Newest schema version whose roll-ups have only two widths: the whole run and buckets of 10 s.
+const LAST_VERSION_WITH_TWO_WIDTHS: i64 = 4;
 
-/// Copies the data into a file of an earlier version: only the columns of that version, and only the statistics that it
-/// kept.
-pub(super) async fn as_of_version(test_store: &TestStore, version: i64) -> PathBuf {
+/// Copies the data into a database of an earlier schema version. The copy has only the columns and the roll-ups of that
+/// version.
+pub(super) async fn copy_to_version(test_store: &TestStore, version: i64) -> PathBuf {
     let path = test_store.path.with_file_name(format!("version-{version}.sqlite"));
     let mut old = database::write_options(&path).connect().await.expect("makes");
     let migrations: Vec<_> =
@@ -50,15 +50,18 @@ pub(super) async fn as_of_version(test_store: &TestStore, version: i64) -> PathB
             .fetch_all(&mut old)
             .await
             .expect("describes");
-        // Columns and tables that later versions dropped keep their defaults.
+        // Columns and tables that later versions dropped have no data to copy. They keep their defaults.
         let columns: Vec<String> =
             columns.into_iter().filter(|column| new_columns.contains(column)).collect();
         if columns.is_empty() {
             continue;
         }
         let columns = columns.join(", ");
-        let condition =
-            if name == "rollup" && version <= LAST_COARSE { "WHERE resolution_s IN (0, 10)" } else { "" };
+        let condition = if name == "rollup" && version <= LAST_VERSION_WITH_TWO_WIDTHS {
+            "WHERE resolution_s IN (0, 10)"
+        } else {
+            ""
+        };
         let copy = format!(
             "INSERT OR REPLACE INTO main.{name} ({columns}) SELECT {columns} FROM new.{name} {condition}"
         );
@@ -90,7 +93,7 @@ async fn reopen(test_store: &mut TestStore, path: &Path) -> SqliteConnection {
     database::write_options(path).connect().await.expect("opens")
 }
 
-/// Version 5 is the first with statistics of all widths.
+/// Version 5 is the first schema with roll-ups of all widths.
 #[tokio::test]
 async fn database_without_experiments_is_migrated_unchanged() {
     let mut test_store = TestStore::new().await;
@@ -100,7 +103,7 @@ async fn database_without_experiments_is_migrated_unchanged() {
         test_store.store.statistics_of(1).await.expect("answers").stages,
     );
     let original_rollups = table(&mut test_store.second_connection().await).await;
-    let path = as_of_version(&test_store, 5).await;
+    let path = copy_to_version(&test_store, 5).await;
     let mut connection = reopen(&mut test_store, &path).await;
     let migrated = (
         test_store.store.run(1).await.expect("answers"),
@@ -118,7 +121,7 @@ async fn skipped_starts_of_stored_runs_are_counted_once() {
         let mut test_store = TestStore::new().await;
         test_store.store_run_with_skipped_starts().await;
         test_store.store_run(5).await;
-        let path = as_of_version(&test_store, version).await;
+        let path = copy_to_version(&test_store, version).await;
         reopen(&mut test_store, &path).await;
         assert_eq!(test_store.skipped_starts().await, [super::skipped::SKIPPED, 0], "version {version}");
         reopen(&mut test_store, &path).await;
@@ -130,7 +133,7 @@ async fn skipped_starts_of_stored_runs_are_counted_once() {
 
 #[tokio::test]
 async fn database_with_coarse_statistics_is_migrated_unchanged() {
-    for version in 1..=LAST_COARSE {
+    for version in 1..=LAST_VERSION_WITH_TWO_WIDTHS {
         let mut test_store = TestStore::new().await;
         test_store.store_run(1_000).await;
         let work = test_store.batch(vec![Event::Clock(Box::new(sample(test_store.cloud, 0, 40)))]);
@@ -139,12 +142,12 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
         let links = test_store.store.links().await.expect("answers");
         let recomputed = test_store.store.recompute(1).await.expect("answers").expect("exists");
         let original_rollups = table(&mut test_store.second_connection().await).await;
-        let path = as_of_version(&test_store, version).await;
+        let path = copy_to_version(&test_store, version).await;
 
         let mut connection = reopen(&mut test_store, &path).await;
         assert_eq!(page_content(&test_store).await, expected, "version {version}");
         assert_eq!(test_store.count("SELECT count(*) FROM node").await, 1_000 * 21);
-        // The coarser statistics were made from the stored statistics; finer statistics did not exist.
+        // The migration makes coarser roll-ups from the stored roll-ups. It cannot make finer roll-ups, those of 1 s.
         let coarser = original_rollups.into_iter().filter(|((_, width_s, ..), _)| *width_s != 1).collect();
         assert_same(&table(&mut connection).await, &coarser);
         assert_eq!(test_store.count("SELECT count(*) FROM rollup_debt").await, 0);
@@ -160,7 +163,7 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
             let recomputed = test_store.store.recompute(1).await.expect("answers").expect("exists");
             assert_eq!((recomputed.samples, recomputed.stages.len()), (0, 2));
         }
-        // After an update, data of any age stays for its whole period, so that the user can pin runs.
+        // After an update, data of any age stays for a whole retention period. There is thus time to pin runs.
         let mut retention = Retention::new(crate::retention_config::RetentionConfig::default());
         let steps = run_until_done(&mut retention, &mut connection, day(0.9)).await;
         assert_eq!(test_store.count("SELECT count(*) FROM node").await, 1_000 * 21, "{steps} steps");
@@ -169,9 +172,9 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
         test_store.commit(&[work]).await;
         let links = test_store.store.links().await.expect("answers");
         assert_eq!((links.len(), links[0].last), (1, generate::at(1.0)));
-        // Opening it again changes nothing.
-        let before = table(&mut connection).await;
+        // The migration runs once: opening the file again changes no roll-up.
+        let migrated_rollups = table(&mut connection).await;
         reopen(&mut test_store, &path).await;
-        assert_same(&table(&mut connection).await, &before);
+        assert_same(&table(&mut connection).await, &migrated_rollups);
     }
 }

@@ -59,10 +59,11 @@ use super::{Store, database};
 use crate::RetentionConfig;
 
 const NOW: WallTime = WallTime::from_unix_nanos(1_750_000_000_000_000_000);
-/// Readings of the aggregator's clocks.
+/// Readings of the aggregator's clocks when a test commits.
 const STAMP: Stamp = Stamp { wall: NOW, mono: MonoTime::from_nanos(0), raw: RawTime::from_nanos(0) };
 
 /// Number of the process that all batches come from.
+// The number is greater than SQLite's greatest integer, because agents draw process numbers from the whole `u64` range.
 const PROCESS: u64 = u64::MAX - 4;
 
 /// A database in a temporary folder with one agent that writes to it.
@@ -74,7 +75,7 @@ struct TestStore {
     edge: HostId,
     cloud: HostId,
     stream: StreamId,
-    next: u64,
+    next_number: u64,
 }
 
 impl TestStore {
@@ -84,7 +85,8 @@ impl TestStore {
         let writer = open(&path).await;
         let store = Store::new(readers(&path));
         let (edge, cloud, stream) = (HostId::random(), HostId::random(), StreamId::random());
-        let mut test_store = Self { _folder: folder, path, writer, store, edge, cloud, stream, next: 1 };
+        let mut test_store =
+            Self { _folder: folder, path, writer, store, edge, cloud, stream, next_number: 1 };
         test_store
             .commit(&[
                 hello(generate::host(test_store.edge, "edge"), 1),
@@ -100,8 +102,8 @@ impl TestStore {
 
     /// Makes the next batch of the stream.
     fn batch(&mut self, events: Vec<Event>) -> Work {
-        let number = self.next;
-        self.next += 1;
+        let number = self.next_number;
+        self.next_number += 1;
         self.batch_numbered(number, events)
     }
 
@@ -136,7 +138,7 @@ impl TestStore {
         run
     }
 
-    /// Opens a connection of another program that may write.
+    /// Opens a connection that may write, as another program would.
     async fn second_connection(&self) -> SqliteConnection {
         database::write_options(&self.path).connect().await.expect("opens")
     }

@@ -1,4 +1,5 @@
-//! Delays of an observed ROS system, whose messages have no known size: pages and `data.csv` judge them alike.
+//! Delays of an observed ROS system. The sizes of its messages are unknown. Pages and `data.csv` judge these delays
+//! alike.
 
 use peernet_analysis::rows::{Row, Rows};
 use peernet_analysis::trust::TrustInput;
@@ -12,7 +13,8 @@ const COUNT: u64 = 20;
 
 impl TestStore {
     /// Makes an iteration with the nodes that the agent writes for a pair of messages with stamps of the peer. The
-    /// delays of the first iterations are unknown, because a clock was stepped; one of the others is negative.
+    /// delays of the first eight iterations are unknown, because a clock was stepped. The upload of iteration 12 is
+    /// negative.
     fn observed_iteration(&self, run: RunId, number: u64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
@@ -74,13 +76,13 @@ async fn observed_delays_have_equal_verdicts_in_rows_and_store() {
     for (rows, stored) in from_rows.clocks.iter().zip(&stored.clocks) {
         let near = |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a / b - 1.0).abs() < 0.01);
         assert!(near(rows.delay, stored.delay), "{rows:?} {stored:?}");
-        // The finding names both ends, so that it agrees with the tables of summaries.
+        // A finding names both ends of the interval. They must agree with the tables of summaries.
         let [of_rows, of_store] = [rows, stored].map(|clocks| clocks.interval.expect("all have bounds"));
         let ends = [(of_rows.lo, of_store.lo), (of_rows.hi, of_store.hi)];
         assert!(ends.iter().all(|(a, b)| near(Some(*a), Some(*b))), "{rows:?} {stored:?}");
         assert_eq!(of_rows.method, of_store.method);
     }
-    // An unknown delay counts as the mean of the known ones, and not as no time.
+    // An unknown delay counts as the mean of the known delays, not as zero.
     assert_eq!(from_rows.split.parts.len(), stored.split.parts.len());
     for ((name, seconds), (stored_name, stored_seconds)) in
         from_rows.split.parts.iter().zip(&stored.split.parts)

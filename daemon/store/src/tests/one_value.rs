@@ -1,4 +1,4 @@
-//! Pages and `data.csv` count one value of a stage in each iteration, also if several nodes have its name.
+//! Pages and `data.csv` count one value of a stage in each iteration, even if several nodes have the stage's name.
 
 use peernet_analysis::accuracy::UNKNOWN_LABEL;
 use peernet_analysis::rows::Rows;
@@ -14,7 +14,7 @@ use crate::types::StageStatistics;
 const COUNT: u64 = 8;
 
 impl TestStore {
-    /// Makes an iteration of a model inside another one, which waited twice in the queue `send-queue`.
+    /// Makes an iteration with a model inside another model. The iteration waited twice in the queue `send-queue`.
     fn iteration_with_inner_model(&self, run: RunId, number: u64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
@@ -38,7 +38,8 @@ impl TestStore {
     }
 }
 
-/// Asserts that the statistics of each name with one value in an iteration equal those of the column in `data.csv`.
+/// Asserts that stored statistics equal the statistics of the columns in `data.csv`, for each name with one value in an
+/// iteration.
 fn assert_equal_to_columns(statistics: &[StageStatistics], rows: &Rows) {
     let with_one_value =
         |stage: &&StageStatistics| IterationValues::has_one_value(&stage.stage) && stage.statistics.count > 0;
@@ -64,7 +65,7 @@ fn assert_equal_to_columns(statistics: &[StageStatistics], rows: &Rows) {
 }
 
 #[tokio::test]
-async fn stage_of_several_nodes_has_values_of_results() {
+async fn stage_of_several_nodes_equals_column_of_results() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let iterations: Vec<Iteration> =

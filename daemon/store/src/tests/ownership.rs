@@ -1,4 +1,4 @@
-//! Reports of hosts on the runs of others, and the hosts' secrets.
+//! Events of a host about the runs of another host, and the secrets of hosts.
 
 use peernet_stream::{Gap, HostSecret, Incident, IncidentKind, RunEnded};
 
@@ -23,7 +23,7 @@ fn ended(run: RunId) -> Event {
 /// Continues as the other host, in another stream.
 fn continue_as_other_host(test_store: &mut TestStore) {
     (test_store.edge, test_store.cloud) = (test_store.cloud, test_store.edge);
-    (test_store.stream, test_store.next) = (StreamId::random(), 1);
+    (test_store.stream, test_store.next_number) = (StreamId::random(), 1);
 }
 
 #[tokio::test]
@@ -69,10 +69,10 @@ async fn run_claimed_by_other_host_is_stored_for_owner() {
     assert_eq!(committed.runs, [(test_store.edge, run, 2)]);
     assert_eq!(test_store.count("SELECT ok FROM run WHERE number = 2").await, 5);
     assert_eq!(test_store.count("SELECT count(*) FROM gap WHERE run IS NOT NULL").await, 0);
-    // Another writer finds it again, and its iterations are known when they arrive again.
+    // A new writer reads the run from the database. It does not store iterations twice that arrive again.
     test_store.writer = open(&test_store.path).await;
     test_store.stream = StreamId::random();
-    test_store.next = 1;
+    test_store.next_number = 1;
     let mut numbers = generate::Numbers::new(1);
     let repeated =
         (4..=6).map(|n| Event::Iteration(generate::iteration(run, n, test_store.hosts(), &mut numbers)));
@@ -90,11 +90,11 @@ async fn secret_is_stored_once_and_cleared_by_another_connection() {
     test_store.commit(&[work]).await;
     let (first, second) = (HostSecret::random(), HostSecret::random());
     for secret in [&first, &second] {
-        let Work::Hello(mut greeting) = hello(generate::host(test_store.edge, "edge"), 1) else {
-            panic!("a greeting")
+        let Work::Hello(mut introduction) = hello(generate::host(test_store.edge, "edge"), 1) else {
+            panic!("an introduction")
         };
-        greeting.secret = Some(secret.clone());
-        test_store.commit(&[Work::Hello(greeting)]).await;
+        introduction.secret = Some(secret.clone());
+        test_store.commit(&[Work::Hello(introduction)]).await;
     }
     let mut connection = test_store.second_connection().await;
     let known_hosts = read_host_secrets(&mut connection).await.expect("reads");
@@ -118,9 +118,9 @@ async fn secret_is_stored_once_and_cleared_by_another_connection() {
 }
 
 #[tokio::test]
-async fn hosts_named_only_by_others_are_unknown() {
+async fn hosts_without_introduction_are_unknown() {
     let mut test_store = TestStore::new().await;
-    // Agents that serve an experiment do not report to this aggregator: only iterations name them.
+    // The clouds of these iterations send no events to this aggregator: only the iterations name them.
     for seed in 1..=5 {
         let (run, cloud) = (RunId::random(), HostId::random());
         let mut numbers = generate::Numbers::new(seed);
@@ -135,5 +135,5 @@ async fn hosts_named_only_by_others_are_unknown() {
     assert_eq!(known_hosts, [test_store.edge], "only known hosts count against max_hosts");
     let counts = read_host_counts(&mut test_store.second_connection().await, 10).await.expect("reads");
     let counted_hosts: Vec<HostId> = counts.into_iter().map(|(host, _)| host).collect();
-    assert_eq!(counted_hosts, [test_store.edge, test_store.cloud], "no page waits for the others");
+    assert_eq!(counted_hosts, [test_store.edge, test_store.cloud], "only hosts that introduced themselves");
 }

@@ -1,4 +1,4 @@
-//! Pairs of values: which iterations are read, and the value of an iteration with several nodes of a name.
+//! Pairs of values: which iterations are read, and the value of an iteration with several nodes of the same name.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
@@ -9,18 +9,19 @@ use super::{NOW, TestStore, generate};
 use crate::retention::Retention;
 use crate::types::ValuePairs;
 
-/// Duration in milliseconds of an additional inference node.
-const SLOW: f64 = 1_000.0;
+/// Duration of an additional inference node.
+const ADDITIONAL_INFERENCE: Span = Span::from_millis(1_000);
 
 impl TestStore {
-    /// Makes an iteration whose answer has ten bytes and two tokens times its number, and takes as many seconds.
+    /// Makes the iteration with this number. The answer has 10 × `number` bytes and 2 × `number` tokens, and the
+    /// inference takes `number` seconds.
     fn iteration_with_answer(&self, run: RunId, number: u64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
         let tree = &mut iteration.tree;
         let (id, _) = tree.find(&[stage::INFERENCE.as_str()]).expect("a stage");
-        let seconds = Measure::Timer(Some(Span::from_seconds_f64(number as f64)));
-        *tree.measure_mut(id).expect("a node") = seconds;
+        let duration = Measure::Timer(Some(Span::from_seconds_f64(number as f64)));
+        *tree.measure_mut(id).expect("a node") = duration;
         let mut add = |name: &'static str, value: f64| {
             let measure = Measure::Value(value, Unit::NONE);
             tree.add(NodeId::ROOT, name.into(), Span::ZERO, measure);
@@ -38,7 +39,8 @@ impl TestStore {
         self.commit(&work).await;
     }
 
-    async fn run_with_answers(&mut self, numbers: std::ops::RangeInclusive<u64>) -> RunId {
+    /// Stores a run of iterations with these numbers.
+    async fn store_run_with_answers(&mut self, numbers: std::ops::RangeInclusive<u64>) -> RunId {
         let run = RunId::random();
         let work = self.batch(vec![generate::run_started(run, "line", NOW)]);
         self.commit(&[work]).await;
@@ -53,10 +55,10 @@ impl TestStore {
 }
 
 #[tokio::test]
-async fn sample_is_spread_over_run_and_reports_total() {
+async fn limited_pairs_are_spread_over_run() {
     let mut test_store = TestStore::new().await;
     assert_eq!(test_store.pairs("download-bytes", 10).await, ValuePairs::default(), "no such run");
-    test_store.run_with_answers(1..=400).await;
+    test_store.store_run_with_answers(1..=400).await;
     for (name, factor) in [("download-bytes", 10.0), ("completion-tokens", 2.0)] {
         let complete = test_store.pairs(name, 400).await;
         assert!(complete.is_complete());
@@ -65,10 +67,10 @@ async fn sample_is_spread_over_run_and_reports_total() {
             (complete.points, complete.read_iterations, complete.stored_iterations),
             (expected, 400, 400)
         );
-        let sample = test_store.pairs(name, 40).await;
-        assert!(!sample.is_complete());
-        assert_eq!((sample.points.len(), sample.read_iterations, sample.stored_iterations), (40, 40, 400));
-        for (index, (x, y)) in sample.points.iter().enumerate() {
+        let limited = test_store.pairs(name, 40).await;
+        assert!(!limited.is_complete());
+        assert_eq!((limited.points.len(), limited.read_iterations, limited.stored_iterations), (40, 40, 400));
+        for (index, (x, y)) in limited.points.iter().enumerate() {
             assert_eq!(x / factor, *y);
             assert_eq!((y - 1.0) as usize / 10, index, "one of every ten iterations");
         }
@@ -78,18 +80,19 @@ async fn sample_is_spread_over_run_and_reports_total() {
 }
 
 #[tokio::test]
-async fn values_outside_statistics_are_not_sampled() {
+async fn values_outside_statistics_make_no_pairs() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_with_answers(1..=4).await;
+    let run = test_store.store_run_with_answers(1..=4).await;
     let warm_up = Iteration { warm_up: true, ..test_store.iteration_with_answer(run, 5) };
-    let ends = [Outcome::Failed("no".into()), Outcome::Lost("gone".into()), Outcome::Timeout(String::new())];
-    let ends = (6..)
-        .zip(ends)
+    let outcomes =
+        [Outcome::Failed("no".into()), Outcome::Lost("gone".into()), Outcome::Timeout(String::new())];
+    let unanswered = (6..)
+        .zip(outcomes)
         .map(|(number, outcome)| Iteration { outcome, ..test_store.iteration_with_answer(run, number) });
     let mut without_bytes = test_store.iteration_with_answer(run, 9);
     let (id, _) = without_bytes.tree.find(&["download-bytes"]).expect("a node");
     *without_bytes.tree.measure_mut(id).expect("a node") = Measure::Custom("value".into(), Unit::BYTES, None);
-    let all: Vec<Iteration> = [warm_up, without_bytes].into_iter().chain(ends).collect();
+    let all: Vec<Iteration> = [warm_up, without_bytes].into_iter().chain(unanswered).collect();
     test_store.store_iterations(all.into_iter()).await;
     let pairs = test_store.pairs("download-bytes", 100).await;
     assert_eq!(pairs.points, [(10.0, 1.0), (20.0, 2.0), (30.0, 3.0), (40.0, 4.0)]);
@@ -104,13 +107,13 @@ async fn values_outside_statistics_are_not_sampled() {
 #[tokio::test]
 async fn nodes_of_one_name_are_summed() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_with_answers(1..=1).await;
+    let run = test_store.store_run_with_answers(1..=1).await;
     let mut repeated_nodes = test_store.iteration_with_answer(run, 2);
     let (model, _) = repeated_nodes.tree.find(&["inference"]).expect("a stage");
-    let seconds = Measure::Timer(Some(Span::from_millis(SLOW as i64)));
-    repeated_nodes.tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, seconds.clone());
-    // A child of the stage with the same name counts once.
-    repeated_nodes.tree.add(model, stage::INFERENCE, Span::ZERO, seconds);
+    let duration = Measure::Timer(Some(ADDITIONAL_INFERENCE));
+    repeated_nodes.tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, duration.clone());
+    // The time of a child with the same name is already part of the time of its parent.
+    repeated_nodes.tree.add(model, stage::INFERENCE, Span::ZERO, duration);
     for (parent, value) in [(model, 77.0), (NodeId::ROOT, 99.0)] {
         repeated_nodes.tree.add(
             parent,
@@ -126,29 +129,29 @@ async fn nodes_of_one_name_are_summed() {
         Measure::Value(5.0, Unit::BYTES),
     );
     test_store.store_iterations([repeated_nodes].into_iter()).await;
-    assert_eq!(test_store.pairs("download-bytes", 9).await.points, [(10.0, 1.0), (25.0, 3.0)], "sums");
+    assert_eq!(test_store.pairs("download-bytes", 9).await.points, [(10.0, 1.0), (25.0, 3.0)]);
     assert_eq!(
         test_store.pairs("completion-tokens", 9).await.points,
         [(2.0, 1.0), (4.0 + 77.0 + 99.0, 3.0)],
-        "pages group nodes by name"
+        "nodes under different parents are summed, too"
     );
 }
 
 #[tokio::test]
-async fn deleted_iterations_are_not_sampled() {
+async fn deleted_iterations_make_no_pairs() {
     let (test_store, _) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
     run_until_done(&mut retention, &mut connection, day(0.0)).await;
-    let before = test_store.pairs("upload-bytes", 20).await;
-    assert_eq!((before.points.len(), before.stored_iterations), (20, 288));
+    let pairs_before = test_store.pairs("upload-bytes", 20).await;
+    assert_eq!((pairs_before.points.len(), pairs_before.stored_iterations), (20, 288));
     run_until_done(&mut retention, &mut connection, day(4.0)).await;
     let remaining = test_store.count("SELECT 288 - nodes_from FROM run WHERE number = 1").await;
     assert!((50..200).contains(&remaining), "{remaining}");
-    let after = test_store.pairs("upload-bytes", 20).await;
+    let pairs_after = test_store.pairs("upload-bytes", 20).await;
     assert_eq!(
-        (after.points.len(), after.stored_iterations),
+        (pairs_after.points.len(), pairs_after.stored_iterations),
         (20, remaining as u64),
-        "every requested iteration is stored"
+        "only numbers of stored iterations are chosen"
     );
 }

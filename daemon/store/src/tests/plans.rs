@@ -1,4 +1,5 @@
-//! No query may read all nodes, nor all iterations of a run: a page over a hundred million must open at once.
+//! No query may read all nodes, nor all iterations of a run: a page must open at once even if the database has a hundred
+//! million nodes.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -10,7 +11,7 @@ use super::TestStore;
 use crate::read::sql;
 
 /// Tables that grow with every iteration or second. A look-up in such a table must use at least one of these lists of
-/// columns, in the order of a key, so it finds a few rows only.
+/// columns, in the order of a key. The look-up then reads few rows.
 const LARGE_TABLES: [(&str, &[&str]); 7] = [
     ("node", &["run=? AND iteration=?"]),
     ("transit", &["run=? AND iteration=?", "(run,iteration)"]),
@@ -30,8 +31,8 @@ const EXCEPTIONS: [(&str, &str, &str); 4] = [
     ("LINKS", "clock_sample", "min and max of a key: one row each"),
 ];
 
-/// Queries that sort, and the reason why few rows are sorted.
-const SORTING: [(&str, &str); 12] = [
+/// Queries that may sort, and the reason why each query sorts few rows.
+const SORTING_QUERIES: [(&str, &str); 12] = [
     ("SHAPES", "one row for each of a few thousand iterations"),
     ("SUMS_OVER_TIME", "at most a thousand buckets of a few names, without their sketches"),
     ("RUNS_FILTERED", "the rows of the runs of the requested pipelines only"),
@@ -56,7 +57,7 @@ async fn plan(test_store: &TestStore, name: &str, statement: &str) -> Vec<String
     steps.into_iter().map(|(_, _, _, step)| step).collect()
 }
 
-/// Returns the faults of a plan, and the exceptions that it needed.
+/// Returns the faults of a plan, and the exceptions that the plan needs.
 fn check_plan(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
     let (mut faults, mut needed) = (Vec::new(), HashSet::new());
     for step in steps {
@@ -78,7 +79,7 @@ fn check_plan(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
             }
         }
         if step.contains("TEMP B-TREE") {
-            if SORTING.iter().any(|(query, _)| *query == name) {
+            if SORTING_QUERIES.iter().any(|(query, _)| *query == name) {
                 needed.insert(format!("{name} sorts"));
             } else {
                 faults.push(format!("{name} sorts: {step}"));
@@ -91,20 +92,20 @@ fn check_plan(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
 #[tokio::test]
 async fn every_query_finds_its_rows_by_index() {
     let test_store = TestStore::new().await;
-    let (mut wrong, mut needed) = (Vec::new(), HashSet::new());
+    let (mut all_faults, mut needed) = (Vec::new(), HashSet::new());
     for (name, statement) in sql::ALL {
         let (faults, exceptions) = check_plan(name, &plan(&test_store, name, statement).await);
-        wrong.extend(faults);
+        all_faults.extend(faults);
         needed.extend(exceptions);
     }
     let excepted = EXCEPTIONS.iter().map(|(name, table, _)| format!("{name} of {table}"));
-    let allowed = excepted.chain(SORTING.iter().map(|(name, _)| format!("{name} sorts")));
-    wrong.extend(
+    let allowed = excepted.chain(SORTING_QUERIES.iter().map(|(name, _)| format!("{name} sorts")));
+    all_faults.extend(
         allowed
             .filter(|exception| !needed.contains(exception))
             .map(|exception| format!("an exception is not needed: {exception}")),
     );
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(all_faults.is_empty(), "{}", all_faults.join("\n"));
 }
 
 #[tokio::test]
@@ -140,7 +141,7 @@ fn all_queries_are_constants_of_sql_module() {
             let calls = text.match_indices("sqlx::query").filter(|(at, _)| {
                 let rest = &text[at + "sqlx::query".len()..];
                 let argument = rest.split_once('(').map_or("", |(_, argument)| argument.trim_start());
-                // `statement` is one of two constants.
+                // A variable `statement` always holds a constant of `sql`.
                 query_count += 1;
                 !argument.starts_with("sql::") && !argument.starts_with("statement)")
             });
@@ -153,7 +154,7 @@ fn all_queries_are_constants_of_sql_module() {
 }
 
 #[tokio::test]
-async fn rank_and_neighbours_are_read_from_index_alone() {
+async fn ranks_neighbours_and_experiments_use_their_indexes() {
     let test_store = TestStore::new().await;
     for (statement, index) in [
         (
@@ -180,38 +181,40 @@ async fn rank_and_neighbours_are_read_from_index_alone() {
     }
 }
 
-/// Instructions of SQLite's machine that a query about a run takes.
-async fn instructions(test_store: &TestStore, statement: &'static str, numbers: &[i64]) -> u64 {
+/// Returns the number of instructions of SQLite's virtual machine that a query executes. `arguments` are the values of
+/// the query's parameters.
+async fn count_instructions(test_store: &TestStore, statement: &'static str, arguments: &[i64]) -> u64 {
     let mut connection = test_store.second_connection().await;
-    let counted = Arc::new(AtomicU64::new(0));
-    let counter = Arc::clone(&counted);
-    let count = move || {
+    let executed = Arc::new(AtomicU64::new(0));
+    let counter = Arc::clone(&executed);
+    let count_instruction = move || {
         counter.fetch_add(1, Ordering::Relaxed);
+        // `true` lets the query continue.
         true
     };
-    connection.lock_handle().await.expect("a connection").set_progress_handler(1, count);
+    connection.lock_handle().await.expect("a connection").set_progress_handler(1, count_instruction);
     let mut query = sqlx::query(statement);
-    for number in numbers {
-        query = query.bind(number);
+    for argument in arguments {
+        query = query.bind(argument);
     }
     query.fetch_all(&mut connection).await.expect("answers");
-    counted.load(Ordering::Relaxed)
+    executed.load(Ordering::Relaxed)
 }
 
-/// The plan alone does not show whether a `min` or a `LIMIT` ends early: the instructions do.
+/// The plan of a query does not show whether a `min` or a `LIMIT` ends early. The number of instructions shows it.
 #[tokio::test]
-async fn extents_cost_the_same_in_long_run() {
+async fn extent_queries_cost_same_in_short_and_long_runs() {
     let mut test_store = TestStore::new().await;
     let mut costs = Vec::new();
     for iterations in [20, 1_000] {
         test_store.store_run(iterations).await;
         let run = test_store.count("SELECT max(number) FROM run").await;
         costs.push([
-            instructions(&test_store, sql::RUN_EXTENT, &[run]).await,
-            instructions(&test_store, sql::PREVIOUS, &[run, 10]).await,
-            instructions(&test_store, sql::NEXT, &[run, 10]).await,
-            instructions(&test_store, sql::ITERATIONS, &[run, 3, 10]).await,
-            instructions(&test_store, sql::SLOWEST, &[run, 10]).await,
+            count_instructions(&test_store, sql::RUN_EXTENT, &[run]).await,
+            count_instructions(&test_store, sql::PREVIOUS, &[run, 10]).await,
+            count_instructions(&test_store, sql::NEXT, &[run, 10]).await,
+            count_instructions(&test_store, sql::ITERATIONS, &[run, 3, 10]).await,
+            count_instructions(&test_store, sql::SLOWEST, &[run, 10]).await,
         ]);
     }
     for (short, long) in costs[0].iter().zip(&costs[1]) {

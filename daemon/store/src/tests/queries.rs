@@ -1,4 +1,4 @@
-//! Answers of the store to its readers.
+//! Answers of the store to queries.
 
 use peernet_analysis::slowness::Cause;
 use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
@@ -44,7 +44,7 @@ async fn statistics_of_run_are_those_of_its_iterations() {
         assert_eq!((quantity.min, quantity.max), (sorted[0], sorted[399]), "{name}");
         for (q, quantile) in [(0.5, Some(quantity.p50)), (0.95, quantity.p95), (0.99, quantity.p99)] {
             let exact = sorted[(q * 399.0_f64).round() as usize];
-            let quantile = quantile.expect("enough samples");
+            let quantile = quantile.expect("enough values");
             assert!((quantile - exact).abs() <= 0.0101 * exact.abs(), "{name} at {q}: {quantile} {exact}");
         }
     }
@@ -65,7 +65,7 @@ async fn statistics_of_run_are_those_of_its_iterations() {
 }
 
 #[tokio::test]
-async fn runs_read_together_equal_runs_read_alone() {
+async fn runs_read_in_one_query_equal_single_runs() {
     let mut test_store = TestStore::new().await;
     for iterations in [40, 30, 20] {
         test_store.store_run(iterations).await;
@@ -179,9 +179,10 @@ async fn slowest_iterations_come_first_with_causes() {
             cause_excesses
                 .iter()
                 .zip(&excesses)
-                .all(|(cause_excesses, excess)| is_close(*cause_excesses, *excess)),
+                .all(|(cause_excess, excess)| is_close(*cause_excess, *excess)),
             "{row:?}"
         );
+        // Causes are added until they explain 80 % of the time by which the iteration is slower than the median.
         let min_explained = 0.8 * (row.total.expect("known") - median(&stage::TOTAL).expect("in the run"));
         let explained: f64 = cause_excesses.iter().sum();
         assert!(explained >= min_explained || cause_excesses.len() == excesses.len(), "{row:?}");
@@ -217,9 +218,9 @@ async fn slowest_iterations_come_first_with_causes() {
 }
 
 #[tokio::test]
-async fn series_adds_up_to_run_for_any_buckets() {
+async fn series_adds_up_to_run_for_any_bucket_width() {
     let mut test_store = TestStore::new().await;
-    // 1,000 iterations of 0.2 s: 201 seconds, 21 buckets of 10 s.
+    // 1,000 iterations begin 0.2 s, 0.4 s … 200 s after the run's start: in 201 seconds and 21 buckets of 10 s.
     test_store.store_run(1_000).await;
     let names = [stage::UPLOAD, stage::TOTAL, "nonsense".into()];
     for (points, width) in [(201, 1), (200, 2), (100, 5), (21, 10), (8, 30), (4, 60), (1, 300)] {
@@ -238,7 +239,7 @@ async fn series_adds_up_to_run_for_any_buckets() {
 }
 
 #[tokio::test]
-async fn histogram_counts_each_sample_once() {
+async fn histogram_counts_each_value_once() {
     let mut test_store = TestStore::new().await;
     let run = test_store.store_run(500).await;
     for (stage, bins) in [("upload", 40), ("total", 1), ("upload-bytes", 20), ("inference", 500)] {
@@ -249,7 +250,7 @@ async fn histogram_counts_each_sample_once() {
         assert_eq!(histogram.counts.iter().sum::<u64>() + outside, 500, "{stage}");
         assert!(histogram.edges.windows(2).all(|pair| pair[0] < pair[1]));
     }
-    // The border of the two bins divides the samples correctly, within the sketch's 1 %.
+    // The border between two bins divides the values correctly, within the sketch's error of 1 %.
     let histogram = test_store.store.histogram(1, "upload", 2).await.expect("answers").expect("exists");
     let exact =
         values(&test_store, run, 500, "upload").iter().filter(|value| **value < histogram.edges[1]).count()
@@ -285,6 +286,7 @@ async fn runs_are_listed_newest_first_in_pages() {
 #[tokio::test]
 async fn run_with_clock_fault_is_marked_in_all_answers() {
     let mut test_store = TestStore::new().await;
+    // Earlier versions named the fact "Rehearsal". "Rehearsals" is an unrelated fact.
     for fact in ["Clock fault", "Rehearsal of cloud", "Rehearsals"] {
         let Event::RunStarted(mut run) = generate::run_started(RunId::random(), "line", generate::at(0.0))
         else {
@@ -342,7 +344,7 @@ async fn listed_iterations_have_delays_or_their_sum() {
     }
     let slowest = test_store.store.slowest_iterations(1, 1).await.expect("answers").remove(0);
     assert_eq!(slowest.number, 101);
-    let both_ways = slowest.both_ways.expect("not known apart");
+    let both_ways = slowest.both_ways.expect("the single delays are unknown");
     let other_stages_s: f64 = slowest.stages.iter().map(|(_, seconds)| seconds).sum();
     assert!(is_close(other_stages_s + both_ways + 0.001, 10.0), "{slowest:?}");
     let cause = slowest.causes.first().expect("something took longer");
@@ -355,7 +357,7 @@ async fn listed_iterations_have_delays_or_their_sum() {
 #[tokio::test]
 async fn incidents_are_in_order_of_time() {
     let mut test_store = TestStore::new().await;
-    let stranger = HostId::random();
+    let unknown_host = HostId::random();
     let incident = |seconds: f64, text: &str, peer| {
         Event::Incident(Incident {
             at: generate::at(seconds),
@@ -369,7 +371,7 @@ async fn incidents_are_in_order_of_time() {
     let work = test_store.batch(vec![
         incident(2.0, "second", Some(test_store.cloud)),
         incident(3.0, "third", None),
-        incident(1.0, "first, spooled", Some(stranger)),
+        incident(1.0, "first, spooled", Some(unknown_host)),
     ]);
     test_store.commit(&[work]).await;
     let all = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
@@ -378,7 +380,7 @@ async fn incidents_are_in_order_of_time() {
         ["third", "second", "first, spooled"]
     );
     let peers = all.iter().map(|row| row.peer.clone()).collect::<Vec<_>>();
-    assert_eq!(peers, [None, Some("cloud".to_owned()), Some(stranger.to_string())]);
+    assert_eq!(peers, [None, Some("cloud".to_owned()), Some(unknown_host.to_string())]);
     let page = IncidentFilter { before: Some(all[0].id), ..IncidentFilter::newest(1) };
     let page = test_store.store.incidents(&page).await.expect("answers");
     assert_eq!(page[0].text, "second");
@@ -411,7 +413,7 @@ async fn views_answer_queries_of_sqlite_shell() {
 #[test]
 fn merged_summary_equals_summary_of_whole() {
     let mut numbers = generate::Numbers::new(3);
-    let (mut whole, mut parts) = (Summary::default(), Summary::default());
+    let (mut whole, mut merged) = (Summary::default(), Summary::default());
     for _ in 0..20 {
         let mut part = Summary::default();
         for _ in 0..50 {
@@ -419,15 +421,15 @@ fn merged_summary_equals_summary_of_whole() {
             whole.record(value);
             part.record(value);
         }
-        parts.merge(&part);
+        merged.merge(&part);
     }
-    let (whole, parts) = (
-        QuantityStatistics::from_summary(&whole).expect("some"),
-        QuantityStatistics::from_summary(&parts).expect("some"),
+    let (whole, merged) = (
+        QuantityStatistics::from_summary(&whole).expect("has values"),
+        QuantityStatistics::from_summary(&merged).expect("has values"),
     );
     assert_eq!(
         (whole.count, whole.p50, whole.p95, whole.max),
-        (parts.count, parts.p50, parts.p95, parts.max)
+        (merged.count, merged.p50, merged.p95, merged.max)
     );
-    assert!(is_close(whole.mean, parts.mean));
+    assert!(is_close(whole.mean, merged.mean));
 }

@@ -1,4 +1,4 @@
-//! Rebuilt roll-ups are equal to roll-ups that grew with the nodes.
+//! Roll-ups that are rebuilt from nodes equal the roll-ups that the writer updated with each commit.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
@@ -10,7 +10,7 @@ use super::rollups::{assert_same, table};
 use super::{NOW, TestStore};
 use crate::rebuild::{Rebuilt, rebuild};
 
-/// Makes iterations over some hours in random order, some of the warm-up, some without an answer.
+/// Makes iterations that cover about an hour, in random order. Some are warm-up, and some have no answer.
 fn iterations(test_store: &TestStore, run: RunId, count: u64, numbers: &mut Numbers) -> Vec<Event> {
     let mut all: Vec<Iteration> = (1..=count)
         .map(|number| {
@@ -72,7 +72,7 @@ async fn rebuilt_statistics_equal_incremental_statistics() {
             "{} {verdict_counts:?}",
             incremental.len()
         );
-        // Make all statistics wrong, and add a row that should not exist.
+        // Makes all statistics wrong, and adds a row that should not exist.
         sqlx::raw_sql("UPDATE rollup SET count = count + 1, mean = 7; UPDATE verdict_count SET count = 1")
             .execute(&mut connection)
             .await
@@ -81,30 +81,32 @@ async fn rebuilt_statistics_equal_incremental_statistics() {
             .execute(&mut connection)
             .await
             .expect("spoils");
-        let mut reports = Vec::new();
-        let rebuilt = rebuild(&mut connection, None, |so_far| reports.push(*so_far)).await.expect("rebuilds");
+        let mut progress_reports = Vec::new();
+        let rebuilt = rebuild(&mut connection, None, |progress| progress_reports.push(*progress))
+            .await
+            .expect("rebuilds");
         assert_same(&table(&mut connection).await, &incremental);
         let rebuilt_verdict_counts: Vec<(i64, i64, i64, i64)> =
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
         assert_eq!(rebuilt_verdict_counts, verdict_counts);
         let ok = test_store.count("SELECT sum(ok) FROM run").await.unsigned_abs();
         assert_eq!(rebuilt, Rebuilt { runs: 2, iterations: ok, in_part: 0 });
-        assert_eq!(reports.last(), Some(&rebuilt));
+        assert_eq!(progress_reports.last(), Some(&rebuilt));
         connection.close().await.expect("closes");
     }
 }
 
 #[tokio::test]
-async fn rebuild_of_one_run_changes_no_other() {
+async fn rebuild_of_one_run_changes_no_other_run() {
     let test_store = store_with_random_arrivals(9).await;
     let mut connection = test_store.second_connection().await;
     let incremental = table(&mut connection).await;
     sqlx::query("DELETE FROM rollup").execute(&mut connection).await.expect("empties");
     let rebuilt = rebuild(&mut connection, Some(2), |_| {}).await.expect("rebuilds");
     assert_eq!((rebuilt.runs, rebuilt.in_part), (1, 0));
-    let second = incremental.into_iter().filter(|((run, ..), _)| *run == 2).collect();
-    assert_same(&table(&mut connection).await, &second);
-    let rebuilt = rebuild(&mut connection, Some(3), |_| {}).await.expect("looks");
+    let rollups_of_second_run = incremental.into_iter().filter(|((run, ..), _)| *run == 2).collect();
+    assert_same(&table(&mut connection).await, &rollups_of_second_run);
+    let rebuilt = rebuild(&mut connection, Some(3), |_| {}).await.expect("finds no run");
     assert_eq!(rebuilt, Rebuilt::default());
 }
 
@@ -114,7 +116,7 @@ async fn extreme_values_are_stored_outside_statistics() {
     let (run, mut numbers) = (RunId::random(), Numbers::new(3));
     let work = test_store.batch(vec![generate::run_started(run, "line", NOW)]);
     test_store.commit(&[work]).await;
-    // Numbers that drivers report if there is no reading, among valid readings.
+    // Some drivers report such numbers if they have no reading. The valid readings are 1 m and 3 m.
     for (at, range) in [f64::MAX, 1.0, -f64::MAX, f64::INFINITY, 3.0].into_iter().enumerate() {
         let mut iteration = generate::iteration(run, at as u64 + 1, test_store.hosts(), &mut numbers);
         iteration.tree.add(NodeId::ROOT, "range".into(), Span::ZERO, Measure::Value(range, Unit::new("m")));
@@ -132,7 +134,7 @@ async fn extreme_values_are_stored_outside_statistics() {
     assert_same(&incremental, &table(&mut connection).await);
 }
 
-/// An earlier version counted readings close to infinity.
+/// An earlier version included numbers close to infinity in statistics.
 #[tokio::test]
 async fn invalid_statistics_do_not_block_writer_and_are_rebuilt() {
     let mut test_store = TestStore::new().await;
@@ -156,7 +158,7 @@ async fn invalid_statistics_do_not_block_writer_and_are_rebuilt() {
         assert!(committed.quarantined.is_empty(), "{number}: {:?}", committed.quarantined);
     }
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
-    assert!(stages.iter().any(|stage| stage.statistics.max > 1e140), "it was not changed");
+    assert!(stages.iter().any(|stage| stage.statistics.max > 1e140), "the writer leaves invalid statistics");
 
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;

@@ -1,4 +1,5 @@
-//! Judging a run again: intervals never get wider, stamps are unchanged, and nothing changes if nothing can be added.
+//! Judging the delays of a run again, with all stored clock samples: intervals never get wider, and stamps do not
+//! change. Delays without clock samples keep their judgement.
 
 use peernet_clock::{ClockClaim, DelaySource, Direction, OneWayDelay, RelatedClocks, Span, Verdict};
 use peernet_logger::RunId;
@@ -9,8 +10,8 @@ use super::{TestStore, generate};
 use crate::read::recompute::rejudge_delays;
 use crate::types::{Judgement, RecomputedDelays, RecomputedStage};
 
-/// Number of seconds before, within and after the run.
-pub(super) const SECONDS: (i64, i64, i64) = (5, 60, 60);
+/// Durations in seconds for which clocks are sampled: before, during and after the run.
+pub(super) const SAMPLED_SECONDS: (i64, i64, i64) = (5, 60, 60);
 
 pub(super) struct SimulatedRun {
     pub(super) iterations: Vec<Iteration>,
@@ -18,7 +19,8 @@ pub(super) struct SimulatedRun {
     pub(super) true_delays: Vec<(Span, Span)>,
 }
 
-/// Stores a run of a simulation that `change` changes at the start of each second of the run.
+/// Stores a run of a simulation whose wall clocks are related. `change` may change the simulation at the start of each
+/// second.
 async fn simulate(
     test_store: &mut TestStore,
     seconds: (i64, i64, i64),
@@ -46,7 +48,7 @@ pub(super) async fn continue_simulation(
     mut change: impl FnMut(i64, &mut Simulation),
 ) -> SimulatedRun {
     let run = RunId::random();
-    let mut all = Vec::new();
+    let mut all_iterations = Vec::new();
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     let (before, during, after) = seconds;
     for second in -before..during + after {
@@ -55,22 +57,23 @@ pub(super) async fn continue_simulation(
         let (iterations, sample) = simulation.second(is_running.then_some(run));
         events.extend(iterations.iter().cloned().map(Event::Iteration));
         events.push(sample);
-        all.extend(iterations);
+        all_iterations.extend(iterations);
     }
     let work: Vec<_> =
         events.chunks(100).map(<[Event]>::to_vec).map(|events| test_store.batch(events)).collect();
     let committed = test_store.commit(&work).await;
     assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
-    SimulatedRun { iterations: all, true_delays: simulation.true_delays }
+    SimulatedRun { iterations: all_iterations, true_delays: simulation.true_delays }
 }
 
+/// Judges the delays of run 1 again.
 pub(super) async fn recompute(test_store: &TestStore) -> RecomputedDelays {
     recompute_run(test_store, 1).await
 }
 
+/// Judges the delays of a run again. Asserts that the judgements before agree with the stored statistics.
 pub(super) async fn recompute_run(test_store: &TestStore, run: i64) -> RecomputedDelays {
     let recomputed = test_store.store.recompute(run).await.expect("answers").expect("exists");
-    // The judgement before agrees with the statistics.
     let stages = test_store.store.statistics_of(run).await.expect("answers").stages;
     for RecomputedStage { stage, before, .. } in &recomputed.stages {
         let stored = stages.iter().find(|candidate| candidate.stage == *stage).expect("has statistics");
@@ -102,41 +105,42 @@ pub(super) fn verdict_count(judgement: &Judgement, verdict: Verdict) -> u64 {
         .map_or(0, |(_, verdict_count)| *verdict_count)
 }
 
-/// Asserts that the bounds of every delay that is judged again contain the true delay and lie within the bounds before.
+/// Asserts for every delay of run 1 that the new bounds contain the true delay and lie within the previous bounds.
 pub(super) async fn assert_sound(test_store: &TestStore, simulated: &SimulatedRun) {
     assert_run_is_sound(test_store, 1, simulated).await;
 }
 
 pub(super) async fn assert_run_is_sound(test_store: &TestStore, run: i64, simulated: &SimulatedRun) {
-    let mut judged = 0;
+    let mut judged_delays = 0;
     let samples = rejudge_delays(&test_store.store.readers, run, |delay| {
         let (Some(before), Some(after)) = (delay.before, delay.after) else { panic!("judged: {delay:?}") };
-        let (up, down) = simulated.true_delays[judged / 2];
+        // Delays come in the order of iterations, the upload and the download of an iteration together.
+        let (up, down) = simulated.true_delays[judged_delays / 2];
         let true_delay = if delay.direction == Direction::Up { up } else { down };
         if let Some(bounds) = after.bounds {
-            assert!(bounds.contains(true_delay), "{judged}: {true_delay} is outside: {delay:?}");
+            assert!(bounds.contains(true_delay), "{true_delay} is outside: {delay:?}");
             assert!(after.value.is_some_and(|value| bounds.contains(value)), "{delay:?}");
             assert!(before.bounds.is_none_or(|previous| previous.hull(bounds) == previous), "{delay:?}");
         } else {
             assert_eq!(after, before);
         }
-        judged += 1;
+        judged_delays += 1;
     });
     assert!(samples.await.expect("answers").expect("exists") > 0);
-    assert_eq!(judged, 2 * simulated.iterations.len());
+    assert_eq!(judged_delays, 2 * simulated.iterations.len());
 }
 
 #[tokio::test]
 async fn later_clock_samples_narrow_delays() {
     let mut test_store = TestStore::new().await;
-    // Probes are slow until the fifth second.
-    let simulated = simulate(&mut test_store, SECONDS, |second, simulation| {
+    // Probes take long during the first five seconds of the run, so only later probes give narrow bounds.
+    let simulated = simulate(&mut test_store, SAMPLED_SECONDS, |second, simulation| {
         simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
     })
     .await;
     let recomputed = recompute(&test_store).await;
     assert_eq!((recomputed.number, recomputed.samples), (1, 125));
-    assert_eq!(recomputed.clocks, [RelatedClocks::Wall], "recorded without raw stamps");
+    assert_eq!(recomputed.clocks, [RelatedClocks::Wall], "the run has no raw stamps");
     assert_sound(&test_store, &simulated).await;
     let (before, after) = judgements_of(&recomputed, "upload");
     let widest = |judgement: &Judgement| judgement.half_width.expect("has bounds").max;
@@ -162,7 +166,7 @@ async fn long_run_is_judged_in_pages() {
 }
 
 #[tokio::test]
-async fn recomputing_with_one_clock_or_without_samples_changes_nothing() {
+async fn delays_without_clock_samples_are_not_rejudged() {
     let mut test_store = TestStore::new().await;
     test_store.store_run(30).await;
     let recomputed = recompute(&test_store).await;
@@ -210,20 +214,20 @@ async fn warm_up_and_unanswered_iterations_are_left_out() {
 }
 
 #[tokio::test]
-async fn sides_of_step_are_judged_separately() {
+async fn delays_before_and_after_step_are_judged_separately() {
     type Step = fn(&mut Simulation);
     let steps: [Step; 6] = [
         |simulation| simulation.step_cloud(Span::from_seconds(3)),
         |simulation| simulation.step_cloud(Span::from_millis(-5)),
         |simulation| simulation.step_edge(Span::from_seconds(7)),
         |simulation| simulation.step_edge(Span::from_seconds(-7)),
-        // Only the exchanges show it.
+        // Neither host detects these steps: only the exchanges show them.
         |simulation| simulation.cloud_ahead += Span::from_seconds(3),
         |simulation| simulation.edge_ahead += Span::from_seconds(-7),
     ];
     for (step, at_half_second) in steps.into_iter().flat_map(|step| [(step, false), (step, true)]) {
         let mut test_store = TestStore::new().await;
-        let simulated = simulate(&mut test_store, SECONDS, |second, simulation| {
+        let simulated = simulate(&mut test_store, SAMPLED_SECONDS, |second, simulation| {
             simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
             match second {
                 30 if at_half_second => simulation.at_half_second = Some(step),
@@ -247,15 +251,16 @@ async fn sides_of_step_are_judged_separately() {
     }
 }
 
-/// The cloud's clock jumps by less than a round trip, and the cloud does not report it. Agents then begin another
-/// window. Agents of earlier versions did not; their stored samples are judged by exchanges alone.
+/// The cloud's clock jumps by less than a round trip, and the cloud does not report the jump. The edge's agent then
+/// begins another window. Agents of earlier versions stayed in one window; their stored samples are judged by exchanges
+/// alone.
 #[tokio::test]
 async fn unreported_jump_does_not_change_earlier_delays() {
     for (is_one_window, jump) in [(false, 3), (false, -3), (true, 3), (true, -3)] {
         let mut test_store = TestStore::new().await;
         let simulated = simulate(&mut test_store, (5, 60, 20), |second, simulation| {
             simulation.is_one_window = is_one_window;
-            // Only exchanges of data show it.
+            // Probes are too slow to show the jump. Only exchanges of data show it.
             simulation.congestion = Span::from_millis(20);
             if second == 30 {
                 let forward: fn(&mut Simulation) =
@@ -277,10 +282,11 @@ async fn time_daemon_claims_are_used_as_in_first_judgement() {
     let claim = |interval| Some(ClockClaim { source: DelaySource::Chrony, error: interval });
     for error_ms in [0, 50] {
         let mut test_store = TestStore::new().await;
-        let judged = simulate(&mut test_store, (5, 30, 5), |second, simulation| {
+        let simulated = simulate(&mut test_store, (5, 30, 5), |second, simulation| {
             simulation.congestion = Span::from_millis(40);
             let mut interval = simulation.offset_within(200);
             let claim_error = Span::from_millis(error_ms);
+            // A claim with an error of 50 ms contradicts the exchanges.
             (interval.lo, interval.hi) = (interval.lo + claim_error, interval.hi + claim_error);
             simulation.claim((second >= 10).then_some(interval).and_then(claim));
         })
@@ -288,13 +294,13 @@ async fn time_daemon_claims_are_used_as_in_first_judgement() {
         let recomputed = recompute(&test_store).await;
         let (before, after) = judgements_of(&recomputed, "upload");
         if error_ms == 0 {
-            assert_sound(&test_store, &judged).await;
+            assert_sound(&test_store, &simulated).await;
             assert_eq!(verdict_count(after, Verdict::Inconsistent), 0);
             assert_eq!(verdict_count(after, Verdict::Ok), 200);
             assert!(after.half_width.expect("has bounds").min < 0.21e-3);
         } else {
             let inconsistent = |delay: &OneWayDelay| delay.verdict == Verdict::Inconsistent;
-            assert_eq!(judged.iterations.iter().flat_map(delays).filter(inconsistent).count(), 400);
+            assert_eq!(simulated.iterations.iter().flat_map(delays).filter(inconsistent).count(), 400);
             assert_eq!(verdict_count(before, Verdict::Inconsistent), 200);
             assert_eq!(verdict_count(after, Verdict::Inconsistent), 200);
             assert_eq!(after.delay.expect("has values").count, 100);
@@ -303,9 +309,9 @@ async fn time_daemon_claims_are_used_as_in_first_judgement() {
 }
 
 #[tokio::test]
-async fn only_link_over_network_of_run_is_used() {
+async fn link_over_other_network_is_not_used() {
     let mut test_store = TestStore::new().await;
-    simulate(&mut test_store, SECONDS, |_, _| {}).await;
+    simulate(&mut test_store, SAMPLED_SECONDS, |_, _| {}).await;
     assert_eq!(recompute(&test_store).await.samples, 125);
     let change_network = "UPDATE link SET network = 'zmq-udp'";
     sqlx::query(change_network).execute(&mut test_store.second_connection().await).await.expect("changes");

@@ -1,28 +1,30 @@
-//! Judging runs with raw stamps again: by the raw stamps alone, whatever happens to wall clocks, and separately for
-//! each start of a machine.
+//! Judging the delays of runs with raw stamps again. Only the raw stamps count, even if wall clocks are stepped. After a
+//! machine is restarted, clock samples from before the restart are not used.
 
 use peernet_clock::{RelatedClocks, Span, Verdict};
 
 use super::TestStore;
 use super::recomputing::{
-    SECONDS, assert_run_is_sound, assert_sound, continue_simulation, judgements_of, recompute, recompute_run,
-    simulate_with_clocks, verdict_count,
+    SAMPLED_SECONDS, assert_run_is_sound, assert_sound, continue_simulation, judgements_of, recompute,
+    recompute_run, simulate_with_clocks, verdict_count,
 };
 use super::simulation::Simulation;
 use crate::types::{DelayAssumptions, RecomputedStage};
 
-const PAIRS: [RelatedClocks; 2] = [RelatedClocks::Raw, RelatedClocks::RawToWall];
+/// Kinds of clock relations with a raw clock.
+const RELATIONS: [RelatedClocks; 2] = [RelatedClocks::Raw, RelatedClocks::RawToWall];
 
-/// Makes probes slow until the fifth second, so that later exchanges improve the delays before.
+/// Makes probes slow during the first five seconds of a run. Later exchanges then narrow the earlier delays.
 fn slow_first_seconds(second: i64, simulation: &mut Simulation) {
     simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
 }
 
 #[tokio::test]
 async fn delays_are_judged_by_stored_raw_stamps() {
-    for clocks in PAIRS {
+    for clocks in RELATIONS {
         let mut test_store = TestStore::new().await;
-        let simulated = simulate_with_clocks(&mut test_store, clocks, SECONDS, slow_first_seconds).await;
+        let simulated =
+            simulate_with_clocks(&mut test_store, clocks, SAMPLED_SECONDS, slow_first_seconds).await;
         let recomputed = recompute(&test_store).await;
         assert_eq!((recomputed.samples, recomputed.clocks.as_slice()), (125, &[clocks][..]));
         assert_sound(&test_store, &simulated).await;
@@ -50,14 +52,18 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
     ];
     for step in steps {
         let mut test_store = TestStore::new().await;
-        let simulated =
-            simulate_with_clocks(&mut test_store, RelatedClocks::Raw, SECONDS, |second, simulation| {
+        let simulated = simulate_with_clocks(
+            &mut test_store,
+            RelatedClocks::Raw,
+            SAMPLED_SECONDS,
+            |second, simulation| {
                 slow_first_seconds(second, simulation);
                 if second == 30 {
                     simulation.at_half_second = Some(step);
                 }
-            })
-            .await;
+            },
+        )
+        .await;
         assert_eq!(test_store.count("SELECT count(DISTINCT window) FROM clock_sample").await, 1);
         let recomputed = recompute(&test_store).await;
         assert_sound(&test_store, &simulated).await;
@@ -71,8 +77,8 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
     }
 }
 
-/// Makes a simulation in which both machines were restarted `after` the start of the first one, with free-running
-/// clocks that show the same times.
+/// Makes a simulation in which both machines were restarted. The simulation begins `after` the start of a previous
+/// simulation, and its free-running clocks show the same times as those of the previous simulation.
 fn simulation_after_restart(test_store: &TestStore, after: Span) -> Simulation {
     let mut restarted = Simulation::new(test_store.hosts(), RelatedClocks::Raw);
     restarted.now = after;
@@ -83,11 +89,12 @@ fn simulation_after_restart(test_store: &TestStore, after: Span) -> Simulation {
 }
 
 #[tokio::test]
-async fn runs_of_two_starts_are_judged_by_their_own_windows() {
+async fn runs_before_and_after_restart_use_own_windows() {
     let mut test_store = TestStore::new().await;
-    let first = simulate_with_clocks(&mut test_store, RelatedClocks::Raw, SECONDS, slow_first_seconds).await;
+    let first =
+        simulate_with_clocks(&mut test_store, RelatedClocks::Raw, SAMPLED_SECONDS, slow_first_seconds).await;
     let restarted = simulation_after_restart(&test_store, Span::from_seconds(1_000));
-    let second = continue_simulation(&mut test_store, restarted, SECONDS, slow_first_seconds).await;
+    let second = continue_simulation(&mut test_store, restarted, SAMPLED_SECONDS, slow_first_seconds).await;
     for (run, simulated) in [(1, &first), (2, &second)] {
         let recomputed = recompute_run(&test_store, run).await;
         assert_eq!(recomputed.samples, 125, "run {run}");
@@ -98,13 +105,14 @@ async fn runs_of_two_starts_are_judged_by_their_own_windows() {
 }
 
 #[tokio::test]
-async fn ambiguous_time_of_two_starts_is_not_judged() {
+async fn times_repeated_after_restart_are_not_rejudged() {
     let mut test_store = TestStore::new().await;
-    simulate_with_clocks(&mut test_store, RelatedClocks::Raw, SECONDS, slow_first_seconds).await;
-    // A machine without a battery: after its second start both of its clocks show the same times again.
+    simulate_with_clocks(&mut test_store, RelatedClocks::Raw, SAMPLED_SECONDS, slow_first_seconds).await;
+    // The edge has no battery: after the restart, its wall clock and its free-running clock both show the earlier
+    // times again.
     let mut restarted = simulation_after_restart(&test_store, Span::from_seconds(1_000));
     restarted.edge_ahead = Span::from_seconds(-1_000);
-    continue_simulation(&mut test_store, restarted, SECONDS, slow_first_seconds).await;
+    continue_simulation(&mut test_store, restarted, SAMPLED_SECONDS, slow_first_seconds).await;
     for run in [1, 2] {
         let recomputed = recompute_run(&test_store, run).await;
         assert_eq!((recomputed.samples, recomputed.clocks.len()), (0, 0), "run {run}");
@@ -115,21 +123,21 @@ async fn ambiguous_time_of_two_starts_is_not_judged() {
 }
 
 #[tokio::test]
-async fn windows_of_other_clocks_or_starts_are_not_used() {
-    for other in [
+async fn windows_of_other_clocks_or_boots_are_not_used() {
+    for change in [
         "UPDATE clock_sample SET clocks = 1",
         "UPDATE clock_sample SET clocks = NULL",
         "UPDATE clock_sample SET at_raw_ns = NULL",
-        // The edge's wall clock had another reading when its free-running clock showed these times.
+        // The samples are of another boot: at these raw times, the edge's wall clock showed other times.
         "UPDATE clock_sample SET at_ns = at_ns + 5500000000",
     ] {
         let mut test_store = TestStore::new().await;
         simulate_with_clocks(&mut test_store, RelatedClocks::Raw, (5, 20, 0), slow_first_seconds).await;
         assert!(recompute(&test_store).await.samples > 0);
-        sqlx::raw_sql(other).execute(&mut test_store.second_connection().await).await.expect("changes");
+        sqlx::raw_sql(change).execute(&mut test_store.second_connection().await).await.expect("changes");
         let recomputed = recompute(&test_store).await;
-        assert_eq!(recomputed.samples, 0, "{other}");
-        assert!(recomputed.stages.iter().all(|stage| stage.before == stage.after), "{other}");
+        assert_eq!(recomputed.samples, 0, "{change}");
+        assert!(recomputed.stages.iter().all(|stage| stage.before == stage.after), "{change}");
     }
 }
 
@@ -159,7 +167,7 @@ async fn each_delay_states_assumptions_of_its_bounds() {
         assert!(delays().all(|delay| delay.assumptions == Some(expected)), "{clocks}");
         let key = test_store.store.links().await.expect("answers")[0].key();
         assert_eq!(test_store.store.link_assumptions(&key).await.expect("answers"), Some(expected));
-        // One sample without authentication counts for its whole window.
+        // A window is authenticated only if all probes of the window are authenticated.
         let clear_authentication =
             "UPDATE clock_window SET probes_authenticated = 0 WHERE probes_authenticated = 1";
         sqlx::raw_sql(clear_authentication)
@@ -174,6 +182,6 @@ async fn each_delay_states_assumptions_of_its_bounds() {
     let rows = test_store.store.slowest_iterations(1, 3).await.expect("answers");
     assert!(
         rows.iter().flat_map(|row| &row.delays).all(|delay| delay.assumptions.is_none()),
-        "both hosts have one clock"
+        "delays on one clock need no assumptions"
     );
 }

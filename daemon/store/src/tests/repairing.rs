@@ -9,8 +9,9 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use super::{NOW, TestStore};
 use crate::maintenance::{Examination, RepairError, examine, repair};
 
-/// Sums that must agree after any loss: iterations by rows, by the runs' counters and by their gaps, incomplete trees,
-/// and nodes by rows and by the hosts' counters.
+/// Sums that must agree after any loss: number of iterations by rows and by the counters of runs, missing events by gaps
+/// and by the counters of hosts, number of incomplete trees, and number of nodes by rows minus that by the counters of
+/// hosts.
 const SUMS: &str = "SELECT (SELECT count(*) FROM iteration), (SELECT sum(ok + failed + lost + timeout + warm_up) FROM run), \
      (SELECT coalesce(sum(count), 0) FROM gap), (SELECT coalesce(sum(missing), 0) FROM host), \
      (SELECT count(*) FROM (SELECT run, iteration, count(*) AS n, max(node) AS last FROM node GROUP BY run, iteration) \
@@ -22,19 +23,18 @@ async fn connect(path: &Path) -> SqliteConnection {
 }
 
 #[tokio::test]
-async fn database_is_whole_after_repair_of_any_page() {
+async fn database_is_consistent_after_repair_of_any_page() {
     let mut test_store = TestStore::new().await;
     test_store.store_run(60).await;
     test_store.store_run(60).await;
     let mut other = test_store.second_connection().await;
     sqlx::query("UPDATE storage_clock SET elapsed_ns = 123456789").execute(&mut other).await.expect("sets");
-    // A connection that is only dropped closes later, and keeps the others from carrying the write-ahead log over into
-    // the file.
+    // A dropped connection closes some time later. Until then SQLite would not move the write-ahead log into the file.
     other.close().await.expect("closes");
     let TestStore { _folder, path: intact_path, writer, store, .. } = test_store;
     store.close().await;
     let (_, closed) = writer.close().await;
-    closed.expect("takes its log over");
+    closed.expect("moves the log into the file");
     let mut connection = connect(&intact_path).await;
     let pages: Vec<(i64, String)> = sqlx::query_as("SELECT pageno, name FROM dbstat ORDER BY pageno")
         .fetch_all(&mut connection)
@@ -43,7 +43,7 @@ async fn database_is_whole_after_repair_of_any_page() {
     connection.close().await.expect("closes");
     assert!(pages.len() > 40, "{pages:?}");
 
-    let mut stored = Vec::new();
+    let mut remaining_iterations = Vec::new();
     for (page, table) in &pages {
         let path = intact_path.with_file_name(format!("{page}.sqlite"));
         std::fs::copy(&intact_path, &path).expect("copies");
@@ -65,15 +65,21 @@ async fn database_is_whole_after_repair_of_any_page() {
         let report = examine(&path, Examination { full: true, now: NOW }).await.expect("opens");
         assert!(report.is_healthy(), "page {page} of {table}: {:?}", report.findings);
         let mut connection = connect(&path).await;
-        let (rows, counted, gaps, missing, incomplete_trees, nodes): (i64, i64, i64, i64, i64, i64) =
-            sqlx::query_as(SUMS).fetch_one(&mut connection).await.expect("reads");
+        let (iterations, counted, in_gaps, missing, incomplete_trees, node_difference): (
+            i64,
+            i64,
+            i64,
+            i64,
+            i64,
+            i64,
+        ) = sqlx::query_as(SUMS).fetch_one(&mut connection).await.expect("reads");
         let context = format!("page {page} of {table}: {repaired:?}");
-        // The losses of a run whose own row is lost are unknown.
+        // If the row of a run is lost, the number of the run's lost iterations is unknown.
         if table != "run" {
-            assert_eq!((rows + gaps, gaps), (120, missing), "{context}");
-            assert_eq!(counted, rows, "{context}");
+            assert_eq!((iterations + in_gaps, in_gaps), (120, missing), "{context}");
+            assert_eq!(counted, iterations, "{context}");
         }
-        assert_eq!((incomplete_trees, nodes), (0, 0), "{context}");
+        assert_eq!((incomplete_trees, node_difference), (0, 0), "{context}");
         let elapsed: i64 = sqlx::query_scalar("SELECT elapsed_ns FROM storage_clock")
             .fetch_one(&mut connection)
             .await
@@ -85,15 +91,16 @@ async fn database_is_whole_after_repair_of_any_page() {
                 .await
                 .expect("reads");
         assert!(table != "arrival" || arrival_kinds == 10, "an arrival of every kind exists: {context}");
-        stored.push(rows);
+        remaining_iterations.push(iterations);
         assert_eq!(repair(&path, NOW, "later", |_| {}).await.expect("checks"), None);
         let _writer = super::open(&path).await;
     }
-    let little_damaged = stored.iter().filter(|rows| **rows >= 100).count();
-    assert!(little_damaged * 10 > stored.len() * 8, "a page costs a few iterations: {stored:?}");
+    // Most pages hold rows of few iterations.
+    let small_losses = remaining_iterations.iter().filter(|iterations| **iterations >= 100).count();
+    assert!(small_losses * 10 > remaining_iterations.len() * 8, "{remaining_iterations:?}");
 }
 
-/// Returns pseudo-random bytes, the same for the same seed.
+/// Returns pseudo-random bytes that depend on the seed only.
 fn random_bytes(seed: u64, bytes: usize) -> Vec<u8> {
     let mut state = seed;
     let next = |_| {
@@ -103,14 +110,14 @@ fn random_bytes(seed: u64, bytes: usize) -> Vec<u8> {
     (0..bytes).map(next).collect()
 }
 
-/// An overwritten row may still be readable, with another key.
+/// A partly overwritten row may be readable, but with another key.
 #[tokio::test]
-async fn trees_are_whole_after_repair_of_single_rows() {
+async fn trees_are_complete_after_repair_of_single_rows() {
     let mut test_store = TestStore::new().await;
     test_store.store_run(60).await;
     let TestStore { _folder, path: intact_path, writer, store, .. } = test_store;
     store.close().await;
-    writer.close().await.1.expect("takes its log over");
+    writer.close().await.1.expect("moves the log into the file");
     let mut connection = connect(&intact_path).await;
     let pages: Vec<i64> = sqlx::query_scalar(
         "SELECT pageno FROM dbstat WHERE name = 'node' AND pagetype = 'leaf' ORDER BY pageno",
@@ -124,12 +131,12 @@ async fn trees_are_whole_after_repair_of_single_rows() {
         let path = intact_path.with_file_name(format!("{seed}.sqlite"));
         std::fs::copy(&intact_path, &path).expect("copies");
         let page = pages[seed as usize % pages.len()];
-        // An offset in the second half of a page, where its rows are.
+        // The offset is in the second half of the page: SQLite fills a page with rows from the end.
         let (offset, bytes) = (2048 + (seed * 137) % 2000, 1 + (seed % 40) as usize);
         let file = std::fs::File::options().write(true).open(&path).expect("opens");
         file.write_all_at(&random_bytes(seed, bytes), (page.cast_unsigned() - 1) * 4096 + offset)
             .expect("writes");
-        // A changed value is not detected, but the sums of a repaired database agree.
+        // A changed value in an intact row is not detected.
         if repair(&path, NOW, "now", |_| {}).await.expect("repairs").is_none() {
             continue;
         }
@@ -137,10 +144,16 @@ async fn trees_are_whole_after_repair_of_single_rows() {
         let report = examine(&path, Examination { full: true, now: NOW }).await.expect("opens");
         assert!(report.is_healthy(), "seed {seed}: {:?}", report.findings);
         let mut connection = connect(&path).await;
-        let (rows, counted, gaps, missing, incomplete_trees, nodes): (i64, i64, i64, i64, i64, i64) =
-            sqlx::query_as(SUMS).fetch_one(&mut connection).await.expect("reads");
-        assert_eq!((rows + gaps, gaps, counted), (60, missing, rows), "seed {seed}");
-        assert_eq!((incomplete_trees, nodes), (0, 0), "seed {seed}");
+        let (iterations, counted, in_gaps, missing, incomplete_trees, node_difference): (
+            i64,
+            i64,
+            i64,
+            i64,
+            i64,
+            i64,
+        ) = sqlx::query_as(SUMS).fetch_one(&mut connection).await.expect("reads");
+        assert_eq!((iterations + in_gaps, in_gaps, counted), (60, missing, iterations), "seed {seed}");
+        assert_eq!((incomplete_trees, node_difference), (0, 0), "seed {seed}");
     }
     assert!(repaired > 20, "{repaired}");
 }

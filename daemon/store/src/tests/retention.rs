@@ -17,11 +17,11 @@ use crate::storage_clock::StorageClock;
 use crate::types::{IncidentFilter, IterationFilter};
 
 const DAY: f64 = 86_400.0;
-/// Seconds between two iterations: each of them has almost its own bucket of each width.
+/// Seconds between two iterations. Three iterations share a bucket of 1 h; all narrower buckets have one iteration.
 const INTERVAL_S: f64 = 1_200.0;
 /// Number of iterations that arrive together.
 const ARRIVAL_ITERATIONS: u64 = 3;
-/// Length of the parts by which arrivals are distinguished.
+/// Data that arrives within this time of the storage clock, in seconds, may be deleted together.
 const RESOLUTION_S: i64 = 3_600;
 
 /// Makes iterations of a run, one every [`INTERVAL_S`] seconds.
@@ -53,10 +53,10 @@ pub(super) async fn set_storage_clock(connection: &mut SqliteConnection, at: Wal
         .expect("sets");
 }
 
-/// Makes one step at a time of the storage clock. The aggregator's wall clock stands still.
+/// Makes one step of retention when the storage clock shows `at`. The aggregator's wall clock stands still.
 pub(super) async fn step(retention: &mut Retention, connection: &mut SqliteConnection, at: WallTime) -> Step {
     set_storage_clock(connection, at).await;
-    // No time has passed since the storage clock was stored.
+    // A new `StorageClock` has not advanced in this process, so its reading is the stored one.
     let mono = MonoTime::from_nanos((at - generate::at(0.0)).nanos());
     let mut clock = StorageClock::default();
     retention
@@ -65,13 +65,13 @@ pub(super) async fn step(retention: &mut Retention, connection: &mut SqliteConne
         .expect("steps")
 }
 
-/// Steps until there is nothing to do; returns the number of steps that did something.
+/// Makes steps until retention has nothing to do. Returns the number of steps that did something.
 pub(super) async fn run_until_done(
     retention: &mut Retention,
     connection: &mut SqliteConnection,
     now: WallTime,
 ) -> usize {
-    // After a step with nothing to do, the next step is made a second later.
+    // Retention that had nothing to do looks for work again only after a second.
     let now = now + Span::from_seconds(2);
     for steps in 0..10_000 {
         if step(retention, connection, now).await == Step::Done {
@@ -81,7 +81,8 @@ pub(super) async fn run_until_done(
     panic!("retention does not end");
 }
 
-/// Stores events at a time of the storage clock. Events that arrived an hour earlier are a separate arrival by then.
+/// Stores events when the storage clock shows `at`. Events that arrived an hour earlier belong to another arrival,
+/// because retention runs before the commit.
 pub(super) async fn store_arrival(test_store: &mut TestStore, events: Vec<Event>, at: WallTime) {
     let mut connection = test_store.second_connection().await;
     run_until_done(&mut Retention::new(unlimited_retention()), &mut connection, at).await;
@@ -89,7 +90,8 @@ pub(super) async fn store_arrival(test_store: &mut TestStore, events: Vec<Event>
     test_store.commit(&[work]).await;
 }
 
-/// Stores two equal runs of four days, the second one pinned, neither ended. Measurements arrive each hour.
+/// Stores two runs of four days with the same iterations. Neither run has ended. The second run is pinned. Iterations
+/// arrive each hour.
 pub(super) async fn store_two_runs() -> (TestStore, [RunId; 2]) {
     let mut test_store = TestStore::new().await;
     let runs = [RunId::random(), RunId::random()];
@@ -98,7 +100,7 @@ pub(super) async fn store_two_runs() -> (TestStore, [RunId; 2]) {
     store_arrival(&mut test_store, run_starts, day(0.0)).await;
     let mut connection = test_store.second_connection().await;
     assert!(pin(&mut connection, 2, true).await.expect("pins"));
-    assert!(!pin(&mut connection, 3, true).await.expect("looks"));
+    assert!(!pin(&mut connection, 3, true).await.expect("finds no run"));
     for first in (1..=288).step_by(ARRIVAL_ITERATIONS as usize) {
         let last = first + ARRIVAL_ITERATIONS - 1;
         let events = runs.iter().flat_map(|run| iterations(&test_store, *run, first..=last)).collect();
@@ -188,7 +190,7 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     assert_eq!(test_store.count("SELECT count(*) FROM trimmed WHERE run = 1").await, 4);
     assert_eq!(test_store.count("SELECT count(*) FROM trimmed WHERE run = 2").await, 0);
 
-    // The run's numbers are the same as before, in wider points.
+    // The statistics of the run are unchanged. Only the points of its series are wider.
     assert_eq!(test_store.store.statistics_of(1).await.expect("answers").stages, stages);
     let filter = IterationFilter::default();
     let listed = test_store.store.iterations(1, &filter).await.expect("answers");
@@ -215,7 +217,7 @@ async fn deletions_are_one_incident_with_counts() {
     let iterations = 288 - test_store.count("SELECT count(*) FROM iteration WHERE run = 1").await;
     assert!(deleted > 0 && iterations > 0, "{deleted} {iterations}");
     let incidents = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
-    let [incident] = &incidents[..] else { panic!("one for all of it: {incidents:?}") };
+    let [incident] = &incidents[..] else { panic!("one incident for all deletions: {incidents:?}") };
     assert_eq!((incident.kind.as_str(), incident.host), ("retention", None));
     assert_eq!(
         incident.text,
@@ -256,7 +258,8 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
             RetentionConfig { nodes_days: 3, seconds_days: 3, ten_seconds_days: 3, ..unlimited_retention() };
         let mut retention = Retention::new(config);
         let stored = "SELECT count(DISTINCT bucket_s) FROM rollup WHERE resolution_s = 1";
-        // From the third day on, data that arrived three days before is deleted each hour, up to two hours late.
+        // After three days, retention deletes each hour the data that arrived three days before. The test accepts that
+        // retention is late by four hours.
         for hour in 72..150_i64 {
             run_until_done(&mut retention, &mut connection, generate::at(hour as f64 * 3_600.0)).await;
             let expected_rows = (72 - (hour - 72) - 1).clamp(0, 72);
@@ -290,12 +293,12 @@ async fn step_is_bounded_and_idle_step_writes_nothing() {
         steps += 1;
     }
     assert!(steps > 40, "{steps}");
-    // SQLite reports to each connection whether others have written.
+    // `data_version` changes for a connection when another connection writes.
     let mut observer = test_store.second_connection().await;
     let mut version = async || -> i64 {
-        sqlx::query_scalar("PRAGMA data_version").fetch_one(&mut observer).await.expect("tells")
+        sqlx::query_scalar("PRAGMA data_version").fetch_one(&mut observer).await.expect("answers")
     };
-    let before = version().await;
+    let version_before = version().await;
     let mut clock = StorageClock::default();
     for seconds in 0..100 {
         let mono = MonoTime::from_nanos(0) + Span::from_seconds(seconds);
@@ -303,14 +306,14 @@ async fn step_is_bounded_and_idle_step_writes_nothing() {
         let done = retention.step(&mut connection, &mut clock, stamp, 300).await.expect("steps");
         assert_eq!(done, Step::Done);
     }
-    assert_eq!(version().await, before);
+    assert_eq!(version().await, version_before);
 }
 
 #[tokio::test]
 async fn late_arrivals_are_kept_for_their_period() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
-    // The run was older than any period when it was stored.
+    // When the run is stored, it is older than every retention period.
     let mut events = vec![generate::run_started(run, "line", day(0.0))];
     events.extend(iterations(&test_store, run, 1..=288));
     events.push(Event::RunEnded(RunEnded { run, ended: day(4.0), reason: EndReason::Stopped }));
@@ -328,7 +331,7 @@ async fn late_arrivals_are_kept_for_their_period() {
     );
     assert_eq!(test_store.count("SELECT group_concat(kind) = '3600' FROM arrival WHERE owner = 1").await, 1);
 
-    // A batch of iterations from a time that is already deleted.
+    // These iterations began before iterations that are already deleted.
     let events = iterations(&test_store, run, 300..=310);
     store_arrival(&mut test_store, events, day(104.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 11 * 21);
@@ -341,7 +344,7 @@ async fn late_arrivals_are_kept_for_their_period() {
     let rebuilt = rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
     assert_eq!(rebuilt.in_part, 1);
     assert_eq!(test_store.store.statistics_of(1).await.expect("answers").stages, whole);
-    // The arrival is recorded within the hour.
+    // The arrival becomes a row of the table `arrival` within an hour.
     run_until_done(&mut retention, &mut connection, day(104.1)).await;
     run_until_done(&mut retention, &mut connection, day(108.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
@@ -360,7 +363,7 @@ async fn rebuilt_statistics_are_deleted_after_their_period() {
     assert!(remaining < before / 3, "{remaining} of {before}");
     rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
     assert_eq!(test_store.count(seconds).await, before);
-    // The latest arrivals are recorded within the hour.
+    // The latest arrivals become rows of the table `arrival` within an hour.
     run_until_done(&mut retention, &mut connection, day(4.05)).await;
     run_until_done(&mut retention, &mut connection, day(4.9)).await;
     assert!(test_store.count(seconds).await >= before - remaining);
@@ -369,14 +372,14 @@ async fn rebuilt_statistics_are_deleted_after_their_period() {
 }
 
 #[tokio::test]
-async fn unpinned_run_is_kept_for_whole_period() {
+async fn data_of_unpinned_run_stays_for_another_period() {
     let (test_store, _) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
-    // Pinned without the store, as with the sqlite3 shell.
+    // This statement pins the run as a person would do with the sqlite3 shell.
     sqlx::query("UPDATE run SET pinned = 1 WHERE number = 1").execute(&mut connection).await.expect("pins");
     let mut retention = Retention::new(short_retention());
     run_until_done(&mut retention, &mut connection, day(50.0)).await;
-    assert!(pin(&mut connection, 2, false).await.expect("lets go"));
+    assert!(pin(&mut connection, 2, false).await.expect("unpins"));
     run_until_done(&mut retention, &mut connection, day(51.5)).await;
     run_until_done(&mut retention, &mut connection, day(51.9)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node").await, 2 * 288 * 21);
@@ -389,7 +392,7 @@ async fn unpinned_run_is_kept_for_whole_period() {
 async fn clock_samples_are_deleted_except_for_pinned_runs() {
     let (mut test_store, [_, pinned]) = store_two_runs().await;
     let seconds = |from: f64| (0..50).map(move |n| (from * DAY) as i64 + n);
-    // The edge's clock does not determine when they arrive.
+    // The samples arrive at other times than the edge's clock shows: their age counts from the arrival.
     for (from, arrived) in [(-1.0, 4.1), (1.0, 4.2), (4.0, 4.3), (6.0, 4.4), (11.9, 11.9)] {
         let samples =
             seconds(from).map(|second| Event::Clock(Box::new(sample(test_store.cloud, second, 40))));
@@ -412,17 +415,17 @@ async fn clock_samples_are_deleted_except_for_pinned_runs() {
     .expect("stores");
     let config = RetentionConfig { clock_samples_days: 1, ..unlimited_retention() };
     let mut retention = Retention::new(config);
-    // The pinned run may continue: all samples of its edge stay from its start on.
+    // The pinned run has not ended: all samples of its edge since the run's start stay.
     run_until_done(&mut retention, &mut connection, day(12.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 4 * 50);
     let ended = RunEnded { run: pinned, ended: day(4.0), reason: EndReason::Stopped };
     let work = test_store.batch(vec![Event::RunEnded(ended)]);
     test_store.commit(&[work]).await;
-    // Samples that were kept for it are checked again a period later.
+    // Retention checks the samples that it kept for the pinned run again after another period.
     run_until_done(&mut retention, &mut connection, day(13.2)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 2 * 50);
     assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 2 * 50);
-    assert!(pin(&mut connection, 2, false).await.expect("lets go"));
+    assert!(pin(&mut connection, 2, false).await.expect("unpins"));
     run_until_done(&mut retention, &mut connection, day(14.4)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 0);
     assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 0);

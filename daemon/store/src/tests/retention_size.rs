@@ -1,4 +1,4 @@
-//! Above the limit of the file's size the oldest data is deleted, of all runs in turns.
+//! While the database uses more bytes than its limit, retention deletes the oldest data of all runs that are not pinned.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,8 @@ use crate::retention::{Retention, Step};
 use crate::retention_config::RetentionConfig;
 use crate::types::IncidentFilter;
 
-const USED: &str = "SELECT (page_count - freelist_count) * page_size \
+/// Number of bytes of the file's pages that hold data.
+const USED_BYTES: &str = "SELECT (page_count - freelist_count) * page_size \
      FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
 
 fn retention_with_size_limit(size_limit_bytes: u64) -> Retention {
@@ -25,14 +26,14 @@ fn retention_with_size_limit(size_limit_bytes: u64) -> Retention {
 async fn oldest_unpinned_rows_are_deleted_above_limit() {
     let (mut test_store, [run, _]) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
-    let used_bytes = test_store.count(USED).await.unsigned_abs();
+    let used_bytes = test_store.count(USED_BYTES).await.unsigned_abs();
     let limit = used_bytes - used_bytes / 20;
     let mut retention = retention_with_size_limit(limit);
     run_until_done(&mut retention, &mut connection, day(4.0)).await;
     let first = test_store.count("SELECT min(number) FROM iteration WHERE run = 1").await;
     assert!((2..288).contains(&first), "{first}");
     assert_eq!(test_store.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
-    assert!(test_store.count(USED).await.unsigned_abs() <= limit);
+    assert!(test_store.count(USED_BYTES).await.unsigned_abs() <= limit);
     assert_eq!(
         test_store
             .count("SELECT count(*) FROM retention_note WHERE what = 'size-limit' AND count > 100")
@@ -41,13 +42,13 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
     );
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
     let incidents = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
-    let iterations_gone = first - 1;
+    let deleted_iterations = first - 1;
     let expected = format!(
-        "deleted {iterations_gone} iterations with their trees of 1 run (size_limit_bytes = {limit})"
+        "deleted {deleted_iterations} iterations with their trees of 1 run (size_limit_bytes = {limit})"
     );
     assert_eq!(incidents.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(), [expected.as_str()]);
 
-    // The limit cannot be reached: all data that may be deleted is deleted, and then retention stops.
+    // The database cannot be as small as this limit. Retention deletes all data that may be deleted, and then stops.
     let mut retention = retention_with_size_limit(1);
     run_until_done(&mut retention, &mut connection, day(4.1)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
@@ -57,7 +58,7 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
     );
     assert!(test_store.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 3600").await > 90);
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
-    // The run continues.
+    // The run continues, and its new data is stored.
     let events = iterations(&test_store, run, 289..=290);
     let work = test_store.batch(events);
     test_store.commit(&[work]).await;
@@ -70,8 +71,8 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
     );
 }
 
-/// Stores concurrent runs: their names, the hours in which they are measured, and the iterations per hour. All
-/// iterations of an hour arrive at its end.
+/// Stores concurrent runs. `runs` has for each run its name, the hours in which it measures, and its number of iterations
+/// per hour. All iterations of an hour arrive at the end of the hour.
 async fn store_concurrent_runs(
     test_store: &mut TestStore,
     runs: &[(&str, std::ops::Range<u32>, u32)],
@@ -104,7 +105,8 @@ async fn store_concurrent_runs(
     }
 }
 
-/// Returns, for each kind, the oldest data of each run and the second before which it is deleted.
+/// Returns, for each kind of data and each run, the time of the oldest data and the time before which all data is
+/// deleted, in seconds.
 async fn trimming_state(test_store: &TestStore) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
     let rows: Vec<(i64, Option<i64>, i64)> = sqlx::query_as(
         "SELECT kind.column1, \
@@ -116,8 +118,8 @@ async fn trimming_state(test_store: &TestStore) -> BTreeMap<i64, Vec<(Option<i64
     .fetch_all(&test_store.store.readers.pool())
     .await
     .expect("answers");
-    rows.into_iter().fold(BTreeMap::new(), |mut kinds, (kind, oldest_s, gone_s)| {
-        kinds.entry(kind).or_insert_with(Vec::new).push((oldest_s, gone_s));
+    rows.into_iter().fold(BTreeMap::new(), |mut kinds, (kind, oldest_s, deleted_before_s)| {
+        kinds.entry(kind).or_insert_with(Vec::new).push((oldest_s, deleted_before_s));
         kinds
     })
 }
@@ -125,23 +127,26 @@ async fn trimming_state(test_store: &TestStore) -> BTreeMap<i64, Vec<(Option<i64
 #[tokio::test]
 async fn overlapping_runs_are_trimmed_in_turns() {
     let mut test_store = TestStore::new().await;
-    // One run that continues, two runs that ended meanwhile, and one run that began late.
+    // One run lasts the whole time, two runs end earlier, and one run begins late.
     let runs = [("line", 0..20, 3), ("arm", 0..5, 4), ("belt", 5..15, 2), ("cell", 16..20, 2)];
     store_concurrent_runs(&mut test_store, &runs, 20).await;
     let mut connection = test_store.second_connection().await;
     let mut retention = retention_with_size_limit(1);
-    // Data that arrives within an hour is deleted together, and a bucket as a whole.
+    // Data that arrives within an hour is deleted together. A bucket is deleted as a whole.
     let tolerance_s = |kind: i64| 2 * 3_600 + 60 + kind;
     let mut states_with_two_partial_runs = 0;
     while step(&mut retention, &mut connection, at(20.0 * 3_600.0)).await == Step::More {
         for (kind, runs) in trimming_state(&test_store).await {
-            let gone_s = runs.iter().map(|(_, gone_s)| *gone_s).max().expect("there are runs");
+            let deleted_before_s =
+                runs.iter().map(|(_, deleted_before_s)| *deleted_before_s).max().expect("there are runs");
             let oldest_s = runs.iter().filter_map(|(oldest_s, _)| *oldest_s).min();
             if let Some(oldest_s) = oldest_s {
-                assert!(gone_s - oldest_s <= tolerance_s(kind), "kind {kind}: {runs:?}");
+                assert!(deleted_before_s - oldest_s <= tolerance_s(kind), "kind {kind}: {runs:?}");
             }
-            let in_part = runs.iter().filter(|(oldest_s, gone_s)| oldest_s.is_some() && *gone_s > 0);
-            states_with_two_partial_runs += usize::from(in_part.count() >= 2);
+            let partial_runs = runs
+                .iter()
+                .filter(|(oldest_s, deleted_before_s)| oldest_s.is_some() && *deleted_before_s > 0);
+            states_with_two_partial_runs += usize::from(partial_runs.count() >= 2);
         }
     }
     assert!(states_with_two_partial_runs > 10, "{states_with_two_partial_runs}");
@@ -150,7 +155,7 @@ async fn overlapping_runs_are_trimmed_in_turns() {
 }
 
 #[tokio::test]
-async fn rows_from_future_are_deleted_too() {
+async fn rows_with_times_in_future_are_deleted_too() {
     let mut test_store = TestStore::new().await;
     for name in ["line", "arm"] {
         let run = RunId::random();

@@ -1,5 +1,5 @@
-//! Growing roll-ups: the table contains the sum of all added values, in any order, and even if any part of the memory
-//! is dropped in between.
+//! Roll-ups that the writer updates: the table contains the sum of all added values, in any order, even if cached rows
+//! are dropped from memory between commits.
 
 use std::collections::BTreeMap;
 
@@ -10,10 +10,10 @@ use sqlx::{Connection, SqliteConnection};
 use crate::database;
 use crate::rollups::{Quantity, Rollups, WHOLE_RUN, WIDTHS_S, bucket};
 
-/// Run, width, bucket, name, quantity.
+/// Key of a row: run, width, bucket, name, quantity.
 pub(super) type Key = (i64, i64, i64, i64, i64);
 
-/// Reads the whole table.
+/// Reads the whole table `rollup`.
 pub(super) async fn table(connection: &mut SqliteConnection) -> BTreeMap<Key, Summary> {
     type Row = (i64, i64, i64, i64, i64, i64, f64, f64, f64, f64, Vec<u8>);
     let rows: Vec<Row> = sqlx::query_as(
@@ -31,7 +31,7 @@ pub(super) async fn table(connection: &mut SqliteConnection) -> BTreeMap<Key, Su
         .collect()
 }
 
-/// Asserts that counts, extremes and bins are equal, and moments equal within 1e-9.
+/// Asserts that counts, extremes and bins are equal, and that moments agree within 1e-9 of their size.
 pub(super) fn assert_same(a: &BTreeMap<Key, Summary>, b: &BTreeMap<Key, Summary>) {
     assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
     for ((key, a), b) in a.iter().zip(b.values()) {
@@ -39,38 +39,41 @@ pub(super) fn assert_same(a: &BTreeMap<Key, Summary>, b: &BTreeMap<Key, Summary>
         let (a, b) = (a.moments, b.moments);
         assert_eq!((a.count, a.min, a.max), (b.count, b.min, b.max), "{key:?}");
         assert!((a.mean - b.mean).abs() <= 1e-9 * a.mean.abs().max(b.mean.abs()), "{key:?} {a:?} {b:?}");
-        // Relative to the size of the numbers: all numbers of a bucket may be equal.
+        // The tolerance also depends on the size of the values: if all values of a bucket are equal, `m2` is only a
+        // rounding error.
         let magnitude = a.m2.max(b.m2).max(a.count as f64 * a.max.abs().max(a.min.abs()).powi(2) * 1e-6);
         assert!((a.m2 - b.m2).abs() <= 1e-9 * magnitude, "{key:?} {a:?} {b:?}");
     }
 }
 
-/// A number: run, name, second, value, and whether it is a half width.
-type Number = (i64, i64, i64, f64, bool);
+/// A value: its run, name and second, the value itself, and whether the value is a half width.
+type AddedValue = (i64, i64, i64, f64, bool);
 
+/// What the test does with the roll-ups.
 #[derive(Clone, Debug)]
-enum Turn {
-    Commit(Vec<Number>),
+enum Action {
+    Commit(Vec<AddedValue>),
     /// A transaction that is rolled back.
-    Abort(Vec<Number>),
+    Abort(Vec<AddedValue>),
+    /// A restart of the aggregator: all cached rows are lost.
     Restart,
-    /// Memory is short.
+    /// Half of the cached rows are dropped, as if memory were short.
     Evict,
 }
 
-fn number() -> impl Strategy<Value = Number> {
-    // Mostly close to the present, sometimes hours late, sometimes before 1970.
+fn added_value() -> impl Strategy<Value = AddedValue> {
+    // Most values are close to the second 7,200, some are up to two hours older, and some are before 1970.
     let second = prop_oneof![5 => 7_195_i64..7_205, 2 => 0_i64..9_000, 1 => -70_i64..70];
     (1_i64..4, 1_i64..4, second, -1.0..10.0_f64, any::<bool>())
 }
 
-fn turn() -> impl Strategy<Value = Turn> {
-    let numbers = || prop::collection::vec(number(), 1..60);
+fn action() -> impl Strategy<Value = Action> {
+    let values = || prop::collection::vec(added_value(), 1..60);
     prop_oneof![
-        8 => numbers().prop_map(Turn::Commit),
-        1 => numbers().prop_map(Turn::Abort),
-        1 => Just(Turn::Restart),
-        1 => Just(Turn::Evict),
+        8 => values().prop_map(Action::Commit),
+        1 => values().prop_map(Action::Abort),
+        1 => Just(Action::Restart),
+        1 => Just(Action::Evict),
     ]
 }
 
@@ -80,8 +83,8 @@ fn summary(value: f64) -> Summary {
     summary
 }
 
-fn add(rollups: &mut Rollups, numbers: &[Number]) {
-    for (run, name, second_s, value, is_half_width) in numbers {
+fn add(rollups: &mut Rollups, values: &[AddedValue]) {
+    for (run, name, second_s, value, is_half_width) in values {
         let quantity = if *is_half_width { Quantity::HalfWidth } else { Quantity::Value };
         rollups.merge(*run, *name, quantity, *second_s, &summary(*value));
         rollups.add_verdicts(*run, *name, 1, 1);
@@ -92,36 +95,36 @@ async fn execute(connection: &mut SqliteConnection, sql: &'static str) {
     sqlx::query(sql).execute(connection).await.expect("executes");
 }
 
-async fn run_turns(turns: Vec<Turn>) {
+async fn run_actions(actions: Vec<Action>) {
     let folder = tempfile::tempdir().expect("a folder");
     let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
     let mut rollups = Rollups::default();
     let mut expected = BTreeMap::<Key, Summary>::new();
     let mut verdicts_added = 0;
-    for turn in turns {
-        match turn {
-            Turn::Commit(numbers) => {
+    for action in actions {
+        match action {
+            Action::Commit(values) => {
                 execute(&mut connection, "BEGIN IMMEDIATE").await;
-                add(&mut rollups, &numbers);
+                add(&mut rollups, &values);
                 rollups.write(&mut connection).await.expect("writes");
                 execute(&mut connection, "COMMIT").await;
-                verdicts_added += numbers.len();
-                for (run, name, second_s, value, is_half_width) in numbers {
+                verdicts_added += values.len();
+                for (run, name, second_s, value, is_half_width) in values {
                     for width_s in WIDTHS_S.into_iter().chain([WHOLE_RUN]) {
                         let key = (run, width_s, bucket(second_s, width_s), name, is_half_width.into());
                         expected.entry(key).or_default().merge(&summary(value));
                     }
                 }
             }
-            Turn::Abort(numbers) => {
+            Action::Abort(values) => {
                 execute(&mut connection, "BEGIN IMMEDIATE").await;
-                add(&mut rollups, &numbers);
+                add(&mut rollups, &values);
                 rollups.write(&mut connection).await.expect("writes");
                 execute(&mut connection, "ROLLBACK").await;
                 rollups.forget();
             }
-            Turn::Restart => rollups = Rollups::default(),
-            Turn::Evict => rollups.shrink_to(rollups.bytes() / 2),
+            Action::Restart => rollups = Rollups::default(),
+            Action::Evict => rollups.shrink_to(rollups.bytes() / 2),
         }
     }
     assert_same(&table(&mut connection).await, &expected);
@@ -137,18 +140,18 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn table_holds_added_values(turns in prop::collection::vec(turn(), 1..25)) {
+    fn rollup_table_holds_sum_of_added_values(actions in prop::collection::vec(action(), 1..25)) {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-        runtime.block_on(run_turns(turns));
+        runtime.block_on(run_actions(actions));
     }
 }
 
 #[tokio::test]
-async fn memory_is_bounded_by_newest_buckets_of_each_run() {
+async fn only_newest_buckets_of_each_run_stay_in_memory() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
     let mut rollups = Rollups::default();
-    let mut second_hour = 0;
+    let mut bytes_in_second_hour = 0;
     for second_s in 0..7_200 {
         for name in 1..=3 {
             rollups.merge(1, name, Quantity::Value, second_s, &summary(second_s as f64));
@@ -157,12 +160,13 @@ async fn memory_is_bounded_by_newest_buckets_of_each_run() {
             rollups.write(&mut connection).await.expect("writes");
         }
         if second_s == 5_399 {
-            second_hour = rollups.bytes();
+            bytes_in_second_hour = rollups.bytes();
         }
     }
-    // Three rows in at most two buckets of four widths and in one of the whole run, a few hundred bytes each.
+    // Three names have rows in at most two buckets of each of four widths, and in the bucket of the whole run: 27 rows
+    // of a few hundred bytes each.
     assert!(rollups.bytes() < 27 * 600, "{}", rollups.bytes());
-    assert!(rollups.bytes() < second_hour * 2, "{} {second_hour}", rollups.bytes());
+    assert!(rollups.bytes() < bytes_in_second_hour * 2, "{} {bytes_in_second_hour}", rollups.bytes());
     rollups.shrink_to(0);
     assert_eq!(rollups.bytes(), 0);
 }
@@ -199,10 +203,10 @@ async fn rollup_and_retention_queries_use_keys() {
             .unwrap_or_else(|error| panic!("{name}: {error}"));
         for (_, _, _, step) in &steps {
             let is_scan = LARGE_TABLES.iter().any(|table| step.starts_with(&format!("SCAN {table}")));
-            // The few pinned runs have their own index, and so have the aggregator's few incidents.
-            let is_small_table =
+            // These partial indexes are small: few runs are pinned, and the aggregator has few incidents.
+            let is_small_index =
                 step.contains("INDEX run_pinned") || step.contains("INDEX incident_of_aggregator");
-            assert!(!is_scan || is_small_table, "{name}: {step}");
+            assert!(!is_scan || is_small_index, "{name}: {step}");
             let is_sorting = step.contains("TEMP B-TREE");
             assert!(!is_sorting || ["PINNED", "BUCKETS"].contains(&name), "{name} sorts: {step}");
         }

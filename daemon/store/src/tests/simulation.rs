@@ -1,5 +1,5 @@
-//! Simulation of an edge and a cloud with their clocks, of a network between them, and of the relation that a real
-//! agent would keep: the delays were judged by the same code that judges them again.
+//! Simulation of an edge and a cloud with their clocks, of the network between them, and of the clock relation. The
+//! delays are first judged by the same code as on a real agent.
 
 use peernet_clock::{
     ClockClaim, Exchange, ExchangeObservation, Interval, JudgedExchange, LearnResult, OneWayDelay, RawTime,
@@ -11,14 +11,14 @@ use peernet_stream::{ClockSample, EstimateBasis, Event, Iteration, NetworkName, 
 use super::clocks::micros;
 use super::generate::{self, Numbers};
 
-/// Shortest upload of data.
+/// Lower limit of the one-way delay of an upload of data.
 const MIN_UPLOAD: Span = Span::from_millis(4);
-/// Shortest download of data.
+/// Lower limit of the one-way delay of a download of data.
 const MIN_DOWNLOAD: Span = Span::from_micros(600);
-/// Maximum time that a delay takes in addition to the shortest delay.
+/// Upper limit of the random time that is added to each delay.
 const MAX_JITTER: Span = Span::from_micros(100);
 
-/// Both hosts and their relation over time.
+/// An edge and a cloud, with the relation of their clocks over time.
 pub(super) struct Simulation {
     hosts: (HostId, HostId),
     clocks: RelatedClocks,
@@ -28,21 +28,24 @@ pub(super) struct Simulation {
     relation: Relation,
     /// True time since the zero of [`generate::at`].
     pub(super) now: Span,
-    /// The cloud's wall clock minus true time, without its drift of 20 ppm; and the edge's wall clock minus true time.
+    /// The cloud's wall clock minus true time, without the drift of the cloud's clock, which is 20 ppm.
     pub(super) cloud_ahead: Span,
+    /// The edge's wall clock minus true time. The edge's clock has no drift.
     pub(super) edge_ahead: Span,
+    /// Numbers of the current epochs of the edge's and of the cloud's clock.
     epochs: (u32, u32),
-    /// Time that one way of a probe takes in addition to 50 µs.
+    /// One-way delay of probes without jitter, if it is longer than 50 µs.
     pub(super) congestion: Span,
-    /// `true` if all samples name one window, like the samples of agents that did not detect jumps.
+    /// `true` if all clock samples have the same window, like the samples of agents that did not detect jumps.
     pub(super) is_one_window: bool,
-    /// Change in the middle of a second.
+    /// A change that is made once, in the middle of the next simulated second.
     pub(super) at_half_second: Option<fn(&mut Self)>,
-    /// The exchange with the lowest upper bound of the offset and the one with the highest lower bound, of the
-    /// exchanges in the current window since the last sample.
+    /// The exchange with the lowest upper bound of the offset, and the exchange with the highest lower bound. Only
+    /// exchanges in the current window since the last clock sample count.
     best_exchanges: (Option<Exchange>, Option<Exchange>),
     /// Number of the first window.
     pub(super) first_window: u64,
+    /// Number of the current window.
     window: u64,
     /// True delays of each iteration: up, down.
     pub(super) true_delays: Vec<(Span, Span)>,
@@ -71,6 +74,7 @@ impl Simulation {
             is_one_window: false,
             at_half_second: None,
             best_exchanges: (None, None),
+            // Greater than SQLite's greatest integer: agents draw the number of a window from the whole `u64` range.
             first_window: 1 << 63,
             window: 1 << 63,
             true_delays: Vec::new(),
@@ -89,14 +93,14 @@ impl Simulation {
         self.epochs.0 += 1;
     }
 
-    /// Sets the claim of both hosts' time daemons about the offset.
+    /// Sets what the time daemons of both hosts claim. The edge claims no error, so the cloud's claim is about the offset.
     pub(super) fn claim(&mut self, claim: Option<ClockClaim>) {
-        let exact = claim.map(|claim| ClockClaim { error: Interval::exactly(Span::ZERO), ..claim });
-        self.relation.set_claims(exact, claim);
+        let edge_claim = claim.map(|claim| ClockClaim { error: Interval::exactly(Span::ZERO), ..claim });
+        self.relation.set_claims(edge_claim, claim);
     }
 
-    /// Simulates a second with ten probes and, if there is a run, ten iterations. Returns them with the sample at its
-    /// end.
+    /// Simulates a second with ten probes and, if there is a run, ten iterations. Returns the iterations and the clock
+    /// sample at the end of the second.
     pub(super) fn second(&mut self, run: Option<RunId>) -> (Vec<Iteration>, Event) {
         let mut iterations = Vec::new();
         for turn in 0..10 {
@@ -116,8 +120,8 @@ impl Simulation {
     }
 
     fn iteration(&mut self, run: RunId) -> Iteration {
-        let started = self.edge(self.now);
-        let Passage { stamps, wall, delays } =
+        let started = self.edge_wall(self.now);
+        let SimulatedExchange { stamps, wall, delays } =
             self.exchange((MIN_UPLOAD, MIN_DOWNLOAD), Span::from_millis(10));
         self.true_delays.push(delays);
         let number = self.true_delays.len() as u64;
@@ -125,10 +129,10 @@ impl Simulation {
         self.record_exchange(stamps, learn_result);
         let mut random = Numbers::new(number);
         let mut iteration = generate::iteration_at(run, number, self.hosts, started, &mut random);
-        let [left, arrived, answered, back] = wall;
+        let [sent, received, replied, returned] = wall;
         for (stage, (sent, received), delay, raw) in [
-            ("upload", (left, arrived), up, (stamps.sent, stamps.received)),
-            ("download", (answered, back), down, (stamps.replied, stamps.returned)),
+            ("upload", (sent, received), up, (stamps.sent, stamps.received)),
+            ("download", (replied, returned), down, (stamps.replied, stamps.returned)),
         ] {
             let (node, _) = iteration.tree.find(&[stage]).expect("measured");
             let raw_stamps = RawStamps { sent: raw.0, received: raw.1 };
@@ -143,21 +147,28 @@ impl Simulation {
         iteration
     }
 
-    /// Simulates a message and its answer with these delays plus jitter. Returns the stamps and the true delays.
-    fn exchange(&mut self, (up, down): (Span, Span), processing_time: Span) -> Passage {
-        let base = Span::from_micros(50);
+    /// Simulates a message and its answer with these one-way delays, at least 50 µs each, plus jitter.
+    fn exchange(&mut self, (up, down): (Span, Span), processing_time: Span) -> SimulatedExchange {
+        let min_delay = Span::from_micros(50);
         let mut jitter = |delay: Span| delay + Span::from_nanos(self.numbers.between(0, MAX_JITTER.nanos()));
-        let (up, down) = (jitter(up.max(base)), jitter(down.max(base)));
-        let (arrived, left) = (self.now + up, self.now + up + processing_time);
+        let (up, down) = (jitter(up.max(min_delay)), jitter(down.max(min_delay)));
+        let received_at = self.now + up;
+        let replied_at = received_at + processing_time;
+        let returned_at = replied_at + down;
         let stamps = Exchange {
             sent: self.edge_stamp(self.now),
-            received: self.cloud_stamp(arrived),
-            replied: self.cloud_stamp(left),
-            returned: self.edge_stamp(left + down),
+            received: self.cloud_stamp(received_at),
+            replied: self.cloud_stamp(replied_at),
+            returned: self.edge_stamp(returned_at),
             uncertainty: Span::from_nanos(2),
         };
-        let wall = [self.edge(self.now), self.cloud(arrived), self.cloud(left), self.edge(left + down)];
-        Passage { stamps, wall, delays: (up, down) }
+        let wall = [
+            self.edge_wall(self.now),
+            self.cloud_wall(received_at),
+            self.cloud_wall(replied_at),
+            self.edge_wall(returned_at),
+        ];
+        SimulatedExchange { stamps, wall, delays: (up, down) }
     }
 
     fn observation(&self, exchange: Exchange) -> ExchangeObservation {
@@ -168,31 +179,32 @@ impl Simulation {
     /// Returns the reading of the edge's related clock.
     fn edge_stamp(&self, true_time: Span) -> RawTime {
         match self.clocks {
-            RelatedClocks::Wall => RawTime::from_wall(self.edge(true_time)),
+            RelatedClocks::Wall => RawTime::from_wall(self.edge_wall(true_time)),
             RelatedClocks::Raw | RelatedClocks::RawToWall => {
                 RawTime::from_nanos((true_time - self.raw_zeros.0).nanos())
             }
         }
     }
 
-    /// Returns the reading of the cloud's related clock. Its free-running clock drifts as its wall clock does.
+    /// Returns the reading of the cloud's related clock. The cloud's free-running clock drifts like its wall clock.
     fn cloud_stamp(&self, true_time: Span) -> RawTime {
         match self.clocks {
-            RelatedClocks::Wall | RelatedClocks::RawToWall => RawTime::from_wall(self.cloud(true_time)),
+            RelatedClocks::Wall | RelatedClocks::RawToWall => RawTime::from_wall(self.cloud_wall(true_time)),
             RelatedClocks::Raw => RawTime::from_nanos(
                 (true_time - self.raw_zeros.1 + Span::from_nanos(true_time.nanos() / 50_000)).nanos(),
             ),
         }
     }
 
-    fn edge(&self, true_time: Span) -> WallTime {
+    fn edge_wall(&self, true_time: Span) -> WallTime {
         generate::at(0.0) + true_time + self.edge_ahead
     }
 
-    fn cloud(&self, true_time: Span) -> WallTime {
+    fn cloud_wall(&self, true_time: Span) -> WallTime {
         generate::at(0.0) + true_time + self.cloud_ahead + Span::from_nanos(true_time.nanos() / 50_000)
     }
 
+    /// Begins a new window if the relation has restarted, and keeps the exchange if it is among the best ones.
     fn record_exchange(&mut self, exchange: Exchange, learned: LearnResult) {
         let restarts = if self.is_one_window { 0 } else { self.relation.exchange_counts().restarts };
         let window = self.first_window + u64::from(restarts);
@@ -211,8 +223,9 @@ impl Simulation {
         }
     }
 
+    /// Makes the clock sample of the second that ends now.
     fn sample(&mut self) -> Event {
-        let (at, at_raw) = (self.edge(self.now), self.edge_stamp(self.now));
+        let (at, at_raw) = (self.edge_wall(self.now), self.edge_stamp(self.now));
         let basis = EstimateBasis {
             clocks: self.clocks,
             at_raw: Some(at_raw),
@@ -243,18 +256,19 @@ impl Simulation {
         }))
     }
 
-    /// Returns a claim around the present true offset.
-    pub(super) fn offset_within(&self, micros_around: i64) -> Interval {
+    /// Returns the interval of this half width around the current true offset.
+    pub(super) fn offset_within(&self, half_width_us: i64) -> Interval {
         let offset = self.cloud_stamp(self.now) - self.edge_stamp(self.now);
-        let around = micros(-micros_around, micros_around);
-        Interval { lo: offset + around.lo, hi: offset + around.hi }
+        let margin = micros(-half_width_us, half_width_us);
+        Interval { lo: offset + margin.lo, hi: offset + margin.hi }
     }
 }
 
 /// A message and its answer.
-struct Passage {
+struct SimulatedExchange {
+    /// Stamps by the related clocks.
     stamps: Exchange,
-    /// Times by the wall clocks: left, arrived, answered, back.
+    /// Stamps by the wall clocks: sent, received, replied, returned.
     wall: [WallTime; 4],
     /// True delays: up, down.
     delays: (Span, Span),

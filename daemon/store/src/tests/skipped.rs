@@ -1,4 +1,4 @@
-//! Counting of skipped starts, whatever the outcome of the iterations that report them.
+//! Counting of skipped starts. Iterations of every outcome report skipped starts.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit};
@@ -7,7 +7,8 @@ use peernet_stream::{Event, Iteration, Outcome};
 use super::{NOW, TestStore, generate};
 use crate::rebuild::rebuild;
 
-/// Number of starts that were skipped in [`TestStore::store_run_with_skipped_starts`].
+/// Number of skipped starts that count in a run of [`TestStore::store_run_with_skipped_starts`]. Those before warm-up
+/// iterations do not count.
 pub(super) const SKIPPED: u64 = 3 + 4 + 5 + 6;
 
 impl TestStore {
@@ -20,24 +21,24 @@ impl TestStore {
         iteration
     }
 
-    /// Stores a run with skipped starts before the warm-up and before iterations of every outcome, in two commits.
+    /// Stores a run with skipped starts before the warm-up and before iterations of every outcome, in three commits.
     pub(super) async fn store_run_with_skipped_starts(&mut self) -> RunId {
         let run = RunId::random();
         let mut warm_up = self.late_iteration(run, 1, 100.0);
         warm_up.warm_up = true;
-        let mut late_warm_up = self.late_iteration(run, 2, 50.0);
-        (late_warm_up.warm_up, late_warm_up.outcome) = (true, Outcome::Timeout(String::new()));
-        let ends = [
+        let mut timed_out_warm_up = self.late_iteration(run, 2, 50.0);
+        (timed_out_warm_up.warm_up, timed_out_warm_up.outcome) = (true, Outcome::Timeout(String::new()));
+        let outcomes = [
             Outcome::Ok,
             Outcome::Timeout(String::new()),
             Outcome::Failed("no".into()),
             Outcome::Lost("gone".into()),
         ];
-        let later_events = (3..).zip(ends).map(|(number, outcome)| {
+        let later_events = (3..).zip(outcomes).map(|(number, outcome)| {
             Event::Iteration(Iteration { outcome, ..self.late_iteration(run, number, number as f64) })
         });
         let later_events: Vec<Event> = later_events.collect();
-        let first = [warm_up, late_warm_up].map(Event::Iteration);
+        let first = [warm_up, timed_out_warm_up].map(Event::Iteration);
         let work = self.batch([vec![generate::run_started(run, "line", NOW)], first.to_vec()].concat());
         self.commit(&[work]).await;
         for events in later_events.chunks(3) {
@@ -71,7 +72,7 @@ async fn rebuild_counts_skipped_starts_again() {
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     assert_eq!(test_store.skipped_starts().await, [SKIPPED, 0]);
 
-    // If a part of the iterations is deleted, they cannot be counted again.
+    // If some iterations are deleted, a rebuild cannot count the skipped starts again and keeps their number.
     sqlx::query("INSERT INTO trimmed (run, kind, before_s) VALUES (1, 0, 9000000000)")
         .execute(&mut connection)
         .await
@@ -93,6 +94,7 @@ async fn invalid_counts_of_skipped_starts_are_limited() {
         assert!(committed.quarantined.is_empty(), "{skipped}: {:?}", committed.quarantined);
     }
     assert_eq!(test_store.skipped_starts().await, [1 << 53]);
+    // A rebuild accepts the invalid counts, too.
     let mut connection = test_store.second_connection().await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
 }

@@ -1,4 +1,4 @@
-//! The times of the starts of a run, and so its rate, are those of its files.
+//! The time over which the rate of a run is computed. It is the same for a stored run as for the run's files.
 
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Row, Rows};
@@ -9,12 +9,12 @@ use peernet_stream::{Event, Iteration, Outcome};
 
 use super::{NOW, TestStore, generate};
 
-/// Number of iterations, ten per second. The first and the last ten are warm-up, as in episodes.
+/// Number of iterations, ten per second. The first ten and the last ten are warm-up, as at the starts of episodes.
 const COUNT: u64 = 300;
 
-/// Returns the times of a run according to its stored iterations and to its files. `start` returns the start of an
-/// iteration, `outcome` its outcome.
-async fn times(
+/// Returns the start times of a run, first according to the store, then according to the rows of files. `start` and
+/// `outcome` return the start and the outcome of the iteration with a number.
+async fn start_times(
     start: impl Fn(u64) -> WallTime,
     outcome: impl Fn(u64) -> Outcome,
 ) -> (StartTimes, StartTimes) {
@@ -46,18 +46,18 @@ fn answered(_: u64) -> Outcome {
 }
 
 #[tokio::test]
-async fn time_of_starts_ends_before_last_warm_up() {
-    let (stored, of_files) = times(at, answered).await;
+async fn start_times_exclude_warm_up_at_both_ends() {
+    let (stored, of_files) = start_times(at, answered).await;
     assert_eq!(stored, StartTimes { first: Some(at(11)), last: Some(at(290)), standstill_s: None });
     let near = |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a - b).abs() < 1e-6);
     assert!(near(stored.seconds(), of_files.seconds()), "{of_files:?}");
 }
 
 #[tokio::test]
-async fn set_clock_leaves_time_of_starts_unknown() {
+async fn rate_is_unknown_if_clock_was_set_during_run() {
     for set_by_s in [3_600, -3_600] {
         let start = |number| at(number) + Span::from_seconds(if number > 150 { set_by_s } else { 0 });
-        let (stored, of_files) = times(start, answered).await;
+        let (stored, of_files) = start_times(start, answered).await;
         assert_eq!((stored.seconds(), of_files.seconds()), (None, None), "{set_by_s}");
         assert!(stored.standstill_s.is_some() && of_files.standstill_s.is_some(), "{stored:?} {of_files:?}");
     }
@@ -65,13 +65,13 @@ async fn set_clock_leaves_time_of_starts_unknown() {
 
 #[tokio::test]
 async fn unanswered_iterations_are_no_standstill() {
-    // One iteration every 20 s in the middle of the run, without an answer.
+    // In the middle of the run there is one iteration every 20 s, without an answer.
     let start = |number: u64| at(number) + Span::from_seconds(20 * number.clamp(100, 200) as i64);
     let outcome = |number: u64| match number {
         100..=200 => Outcome::Timeout("no answer".to_owned()),
         _ => Outcome::Ok,
     };
-    let (stored, of_files) = times(start, outcome).await;
+    let (stored, of_files) = start_times(start, outcome).await;
     assert_eq!((stored.standstill_s, of_files.standstill_s), (None, None));
     assert!(stored.seconds().is_some_and(|seconds| (seconds - 2_027.9).abs() < 1e-6), "{stored:?}");
 }

@@ -11,7 +11,7 @@ use crate::{IncidentRow, RetentionConfig};
 
 const ELAPSED_S: &str = "SELECT elapsed_ns / 1000000000 FROM storage_clock";
 
-/// Returns the clocks' readings some seconds after the start of the test.
+/// Returns the readings of the aggregator's clocks `seconds` after the start of the test.
 fn stamp_after(seconds: i64) -> Stamp {
     STAMP + Span::from_seconds(seconds)
 }
@@ -29,11 +29,11 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
     }
     let elapsed = test_store.count(ELAPSED_S).await;
     assert!((70..=100).contains(&elapsed), "{elapsed}");
-    // Other transactions also store it.
+    // The transaction of a commit also stores the storage clock.
     let work = [hello(generate::host(test_store.edge, "edge"), 1)];
     test_store.writer.commit(&work, stamp_after(100)).await.expect("commits");
     assert_eq!(test_store.count(ELAPSED_S).await, 100);
-    // Only the wall clock moves.
+    // After one more second, the wall clock is set by a month.
     let month = Span::from_seconds(30 * 86_400);
     for wall in [stamp_after(101).wall + month, stamp_after(101).wall - month] {
         test_store
@@ -43,10 +43,11 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
             .expect("stores");
     }
     assert_eq!(test_store.count(ELAPSED_S).await, 101);
-    // The aggregator did not store for a day.
+    // The aggregator did not store for a day. Of a longer pause only 60 s count.
     test_store.writer.store_clock_readings(stamp_after(86_400), &mut pending).await.expect("stores");
     assert_eq!(test_store.count(ELAPSED_S).await, 161);
-    // Another process, on a machine that booted later: the clock continues with its first transaction.
+    // A new process begins on a machine that was restarted: its monotonic clock begins again. The storage clock advances
+    // from the first transaction of the process on.
     test_store.writer = open(&test_store.path).await;
     for seconds in [0, 40] {
         test_store.writer.store_clock_readings(stamp_after(seconds), &mut pending).await.expect("stores");
@@ -95,7 +96,7 @@ async fn incident_waits_until_database_is_writable() {
     let mut pending = PendingIncidents::new(STAMP);
     let mut other = test_store.second_connection().await;
     sqlx::raw_sql("BEGIN IMMEDIATE").execute(&mut other).await.expect("locks");
-    pending.add(AggregatorIncidentKind::Storage, NOW, "it refused".to_owned());
+    pending.add(AggregatorIncidentKind::Storage, NOW, "the database is locked".to_owned());
     test_store.writer.store_clock_readings(stamp_after(1), &mut pending).await.expect_err("locked");
     other.close().await.expect("unlocks");
     test_store.writer.store_clock_readings(stamp_after(2), &mut pending).await.expect("stores");
@@ -103,7 +104,7 @@ async fn incident_waits_until_database_is_writable() {
     let stored = incidents(&test_store).await;
     assert_eq!(
         stored.iter().map(|row| (row.kind.as_str(), row.text.as_str())).collect::<Vec<_>>(),
-        [("storage", "it refused")]
+        [("storage", "the database is locked")]
     );
 }
 
@@ -127,9 +128,9 @@ async fn newest_ten_thousand_aggregator_incidents_stay() {
     assert_eq!(incidents(&test_store).await[0].text, "new");
 }
 
-/// Simulates real time, with one check each minute, from the first commit to the deletion by an aggregator's writer.
+/// Simulates the time from the first commit to the deletion, as an aggregator's writer does: one check each minute.
 #[tokio::test]
-async fn data_is_deleted_after_its_period_of_running_time() {
+async fn data_is_deleted_after_period_on_storage_clock() {
     let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
     let config = RetentionConfig { nodes_days: 1, seconds_days: 1, ..RetentionConfig::default() };
@@ -138,7 +139,7 @@ async fn data_is_deleted_after_its_period_of_running_time() {
     test_store.store_run(50).await;
     let mut check_each_minute = async |test_store: &mut TestStore, minutes: std::ops::Range<i64>| {
         for minute in minutes {
-            // The wall clock runs a thousand times as fast.
+            // The wall clock runs a thousand times too fast, which must not make data older.
             let stamp = Stamp { wall: NOW + Span::from_seconds(60_000 * minute), ..stamp_after(60 * minute) };
             while test_store.writer.retain(stamp).await.expect("steps") == Step::More {}
             test_store.writer.store_clock_readings(stamp, &mut pending).await.expect("stores");

@@ -1,4 +1,4 @@
-//! Statistics of several runs together equal the statistics of all their iterations.
+//! Merged statistics of several runs equal the statistics of all iterations of these runs.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
@@ -27,7 +27,8 @@ async fn store(test_store: &mut TestStore, readings: &[f64]) {
 #[tokio::test]
 async fn merged_quantiles_are_within_one_percent() {
     let mut test_store = TestStore::new().await;
-    // Three ranges, of which two overlap: an average of the runs' own quantiles is far from the true quantiles.
+    // The readings of the runs lie in three ranges, of which two overlap. An average of the runs' quantiles would be far
+    // from the true quantiles.
     let mut numbers = generate::Numbers::new(5);
     let mut readings = |count: usize, lo: i64, hi: i64| {
         (0..count).map(|_| numbers.between(lo, hi) as f64 / 1e3).collect::<Vec<f64>>()
@@ -47,8 +48,8 @@ async fn merged_quantiles_are_within_one_percent() {
         (None, None),
         "each run has too few readings"
     );
-    let together = RunStatistics::merged(&statistics);
-    let range_of_all = range_statistics(&together);
+    let merged = RunStatistics::merged(&statistics);
+    let merged_range = range_statistics(&merged);
 
     let mut all_readings = runs.concat();
     all_readings.sort_by(f64::total_cmp);
@@ -57,25 +58,25 @@ async fn merged_quantiles_are_within_one_percent() {
         / (all_readings.len() - 1) as f64)
         .sqrt();
     assert_eq!(
-        (range_of_all.count, range_of_all.min, range_of_all.max),
+        (merged_range.count, merged_range.min, merged_range.max),
         (390, all_readings[0], all_readings[389])
     );
-    assert!((range_of_all.mean - mean).abs() < 1e-9 * mean, "{range_of_all:?} {mean}");
-    assert!((range_of_all.std.expect("many") - std).abs() < 1e-9 * std, "{range_of_all:?} {std}");
-    for (q, quantile) in [(0.5, Some(range_of_all.p50)), (0.95, range_of_all.p95), (0.99, range_of_all.p99)] {
+    assert!((merged_range.mean - mean).abs() < 1e-9 * mean, "{merged_range:?} {mean}");
+    assert!((merged_range.std.expect("many") - std).abs() < 1e-9 * std, "{merged_range:?} {std}");
+    for (q, quantile) in [(0.5, Some(merged_range.p50)), (0.95, merged_range.p95), (0.99, merged_range.p99)] {
         let rank = q * 389.0_f64;
         let (below, above) = (all_readings[rank.floor() as usize], all_readings[rank.ceil() as usize]);
-        let (exact, quantile) = (below + (above - below) * rank.fract(), quantile.expect("enough together"));
+        let (exact, quantile) = (below + (above - below) * rank.fract(), quantile.expect("enough readings"));
         assert!((quantile - exact).abs() <= 0.0101 * exact, "{q}: {quantile} {exact}");
     }
-    let range = together.mergeable.summary("range").expect("kept");
+    let range = merged.mergeable.summary("range").expect("still mergeable");
     assert_eq!((range.count(), range.moments.max), (390, all_readings[389]));
 
     // Bounds of delays are also merged.
-    let bound = together.mergeable.bound(&stage::UPLOAD).expect("judged");
+    let bound = merged.mergeable.bound(&stage::UPLOAD).expect("judged");
     let bounds_of_runs: Vec<_> =
         statistics.iter().filter_map(|run| run.mergeable.bound(&stage::UPLOAD)).collect();
     assert_eq!(bound.verdicts[0].1, bounds_of_runs.iter().map(|bound| bound.verdicts[0].1).sum::<u64>());
     assert_eq!(bound.half_width.map(|width| width.count), Some(390));
-    assert!(together.bounds.contains(&bound));
+    assert!(merged.bounds.contains(&bound));
 }

@@ -1,4 +1,4 @@
-//! Reading of iterations as they were sent.
+//! Reading of whole iterations, exactly as agents sent them.
 
 use peernet_clock::Span;
 use peernet_logger::{HostId, Measure, NodeId, RunId};
@@ -11,15 +11,16 @@ async fn run(test_store: &TestStore) -> RunSummary {
     test_store.store.run(1).await.expect("answers").expect("exists").summary
 }
 
-/// Stores a run of `iterations` iterations, then a lost one and one with an additional node; returns them all.
+/// Stores a run of `iterations` iterations, then a lost iteration and an iteration with an additional node. Returns all
+/// these iterations.
 async fn store_iterations(test_store: &mut TestStore, iterations: u64) -> Vec<Iteration> {
     let run = test_store.store_run(iterations).await;
     let mut numbers = generate::Numbers::new(7);
-    let mut next = |number| generate::iteration(run, number, test_store.hosts(), &mut numbers);
-    let mut sent_iterations: Vec<Iteration> = (1..=iterations).map(&mut next).collect();
+    let mut iteration = |number| generate::iteration(run, number, test_store.hosts(), &mut numbers);
+    let mut sent_iterations: Vec<Iteration> = (1..=iterations).map(&mut iteration).collect();
     let lost = Outcome::Lost("the cable".to_owned());
-    sent_iterations.push(Iteration { outcome: lost, warm_up: true, episode: 2, ..next(iterations + 1) });
-    let mut with_extra_node = next(iterations + 3);
+    sent_iterations.push(Iteration { outcome: lost, warm_up: true, episode: 2, ..iteration(iterations + 1) });
+    let mut with_extra_node = iteration(iterations + 3);
     with_extra_node.tree.add(
         NodeId(1),
         "debayer".into(),
@@ -49,7 +50,7 @@ async fn whole_iterations_are_read_as_sent() {
 }
 
 #[tokio::test]
-async fn each_tree_shape_is_found_once_per_page() {
+async fn each_tree_shape_is_returned_once_per_page() {
     let mut test_store = TestStore::new().await;
     let sent = store_iterations(&mut test_store, 40).await;
     let run = run(&test_store).await;
@@ -60,9 +61,9 @@ async fn each_tree_shape_is_found_once_per_page() {
     assert_eq!(test_store.store.full_iterations(&run, 43).await.expect("answers"), None);
 }
 
-/// A server of the paper's commands reports to no aggregator: it has the name that the edge gives it.
+/// A server that the paper's commands start connects to no aggregator. Pages show the name that the edge gives it.
 #[tokio::test]
-async fn silent_server_has_name_given_by_run() {
+async fn unintroduced_server_has_name_given_by_run() {
     let mut test_store = TestStore::new().await;
     let (run, server) = (RunId::random(), HostId::random());
     let mut numbers = generate::Numbers::new(5);

@@ -1,5 +1,5 @@
-//! Promises of the writer: each batch is stored exactly once, an invalid one is quarantined, and nothing is half
-//! stored.
+//! Promises of the writer: each batch is stored exactly once, an invalid batch is quarantined, and no batch is stored
+//! in part.
 
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
@@ -30,7 +30,7 @@ async fn repeated_batch_is_stored_once() {
     events.extend(iterations(&test_store, run, 1..=10));
     let work = test_store.batch_numbered(1, events.clone());
     let repeated = test_store.batch_numbered(1, events.clone());
-    // Twice in one transaction, then in another one, then by another process.
+    // The batch arrives twice in one transaction, then in a second transaction, then at another writer process.
     let committed = test_store.commit(&[work, repeated]).await;
     assert_eq!((committed.marks[&test_store.stream].stored, committed.nodes), (1, 210));
     let repeated = test_store.batch_numbered(1, events.clone());
@@ -65,6 +65,7 @@ async fn rollups_do_not_depend_on_commits_and_restarts() {
         }
     }
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
+    // The same iterations in one commit.
     let mut single_commit_store = TestStore::new().await;
     (single_commit_store.edge, single_commit_store.cloud) = test_store.hosts();
     let mut events = vec![generate::run_started(run, "line", NOW)];
@@ -73,9 +74,9 @@ async fn rollups_do_not_depend_on_commits_and_restarts() {
     }
     let work = single_commit_store.batch(events);
     single_commit_store.commit(&[work]).await;
-    let at_once = single_commit_store.store.statistics_of(1).await.expect("answers").stages;
-    assert_eq!(stages.len(), at_once.len());
-    for (a, b) in stages.iter().zip(&at_once) {
+    let stages_of_one_commit = single_commit_store.store.statistics_of(1).await.expect("answers").stages;
+    assert_eq!(stages.len(), stages_of_one_commit.len());
+    for (a, b) in stages.iter().zip(&stages_of_one_commit) {
         assert_eq!(
             (&a.stage, a.statistics.count, a.statistics.p50, a.statistics.p95),
             (&b.stage, b.statistics.count, b.statistics.p50, b.statistics.p95)
@@ -95,7 +96,7 @@ async fn bad_batch_is_quarantined_and_others_are_stored() {
     let run = RunId::random();
     let good = vec![generate::run_started(run, "line", NOW)];
     let first = iterations(&test_store, run, 1..=5);
-    // One iteration twice in one batch; and an iteration that began on another host.
+    // Two batches are invalid: one has an iteration twice, the other an iteration that began on another host.
     let repeated_iterations =
         [iterations(&test_store, run, 6..=6), iterations(&test_store, run, 6..=6)].concat();
     let mut numbers = generate::Numbers::new(1);
@@ -126,17 +127,17 @@ async fn bad_batch_is_quarantined_and_others_are_stored() {
 async fn iterations_repeated_in_another_stream_are_left_out() {
     let mut test_store = TestStore::new().await;
     let run = test_store.store_run(20).await;
-    let stranger = RunId::random();
-    // A copy of the spool is in use as well: half of the iterations that it sends are stored, some belong to an unknown
-    // run.
+    let unknown_run = RunId::random();
+    // A copy of the spool sends iterations in a second stream. Half of those of the first run are stored already. Some
+    // iterations belong to an unknown run.
     test_store.stream = StreamId::random();
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     events.extend(iterations(&test_store, run, 11..=30));
-    events.extend(iterations(&test_store, stranger, 1..=5));
-    let known = test_store.batch_numbered(1, events);
-    let (all_known, new) = (iterations(&test_store, run, 1..=10), iterations(&test_store, run, 31..=35));
-    let (all_known, new) = (test_store.batch_numbered(2, all_known), test_store.batch_numbered(3, new));
-    let committed = test_store.commit(&[known, all_known, new]).await;
+    events.extend(iterations(&test_store, unknown_run, 1..=5));
+    let half_stored = test_store.batch_numbered(1, events);
+    let all_stored = test_store.batch_numbered(2, iterations(&test_store, run, 1..=10));
+    let not_stored = test_store.batch_numbered(3, iterations(&test_store, run, 31..=35));
+    let committed = test_store.commit(&[half_stored, all_stored, not_stored]).await;
     assert_eq!(committed.marks[&test_store.stream].stored, 3);
     assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
     let (stored, _) = committed.hosts[&test_store.edge];
@@ -157,9 +158,9 @@ async fn iterations_repeated_in_another_stream_are_left_out() {
     let incremental = table(&mut connection).await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     assert_same(&table(&mut connection).await, &incremental);
-    let repeated: Vec<(i64, i64, i64, i64)> =
+    let rebuilt_verdict_counts: Vec<(i64, i64, i64, i64)> =
         sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
-    assert_eq!(repeated, verdict_counts);
+    assert_eq!(rebuilt_verdict_counts, verdict_counts);
 }
 
 #[tokio::test]
@@ -168,20 +169,21 @@ async fn commit_without_log_is_not_acknowledged() {
     test_store.store_run(3).await;
     let work = [test_store.batch(vec![generate::run_started(RunId::random(), "line", NOW)])];
     let log = test_store.path.with_extension("sqlite-wal");
-    std::fs::remove_file(&log).expect("there was one");
+    std::fs::remove_file(&log).expect("the log exists");
     for _ in 0..2 {
         let refused = test_store.writer.commit(&work, STAMP).await.expect_err("gone").to_string();
         assert!(refused.contains("sqlite-wal of the database was deleted"), "{refused}");
-        // Another program that opens the database would create it.
+        // Another program that opens the database would create the log again.
         std::fs::write(&log, "").expect("writes");
     }
     assert!(test_store.writer.check_file().is_err());
-    // After a restart, the contents of the main file count.
+    // After a restart, the writer continues with the contents of the database file.
     let TestStore { _folder, path, writer, store, stream, .. } = test_store;
     store.close().await;
     writer.close().await.1.expect("closes");
     let mut writer = open(&path).await;
-    // SQLite has checkpointed the write-ahead log that it had open; the refused commit is not stored.
+    // When the writer closed, SQLite moved the deleted log, which it still had open, into the database file. The refused
+    // commit is not stored.
     assert_eq!(writer.streams().marks.get(&stream).map(|mark| mark.stored), Some(1));
     assert_eq!(writer.commit(&work, STAMP).await.expect("commits").marks[&stream].stored, 2);
 }
@@ -204,26 +206,26 @@ async fn unreadable_batch_is_quarantined_unchanged() {
 }
 
 #[tokio::test]
-async fn iterations_of_run_without_start_are_kept() {
+async fn iterations_stored_before_start_stay_with_run() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let events = iterations(&test_store, run, 4..=6);
     let work = test_store.batch(events);
     let committed = test_store.commit(&[work]).await;
     assert_eq!(committed.runs, [(test_store.edge, run, 1)]);
-    let unknown = test_store.store.run(1).await.expect("answers").expect("exists");
-    assert_eq!((unknown.summary.pipeline.as_str(), unknown.summary.counts.ok), ("unknown", 3));
+    let before_start = test_store.store.run(1).await.expect("answers").expect("exists");
+    assert_eq!((before_start.summary.pipeline.as_str(), before_start.summary.counts.ok), ("unknown", 3));
     let work = test_store.batch(vec![generate::run_started(run, "line", NOW)]);
     test_store.commit(&[work]).await;
-    let known = test_store.store.run(1).await.expect("answers").expect("exists");
+    let after_start = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!(
-        (known.summary.pipeline.as_str(), known.summary.counts.ok, known.version.as_str()),
+        (after_start.summary.pipeline.as_str(), after_start.summary.counts.ok, after_start.version.as_str()),
         ("line", 3, "0.1.0")
     );
 }
 
 #[tokio::test]
-async fn gap_is_stored_with_run_missing_batches_with_host() {
+async fn gap_belongs_to_run_and_missing_batches_to_host() {
     let mut test_store = TestStore::new().await;
     let run = test_store.store_run(3).await;
     let gap = Gap {
@@ -259,7 +261,7 @@ async fn gap_is_stored_with_run_missing_batches_with_host() {
 }
 
 #[tokio::test]
-async fn events_before_first_contact_are_counted_apart() {
+async fn events_missed_before_first_contact_have_own_count() {
     let mut test_store = TestStore::new().await;
     let (host, stream, chain, process) = (test_store.edge, test_store.stream, Chain::START, 7);
     let missing = |from, through, count| {
@@ -285,7 +287,7 @@ async fn events_before_first_contact_are_counted_apart() {
                      '40 events missing: from before this database: batches 1 to 9 of stream %'";
     assert_eq!(test_store.count(incidents).await, 1);
 
-    // The host connected to this database before, so these events are a loss.
+    // The host has now sent events to this database. Later missing events are therefore a loss.
     test_store.writer = open(&test_store.path).await;
     let committed = test_store.commit(&[missing(11, 12, 5)]).await;
     let (stored, _) = committed.hosts[&host];
@@ -317,13 +319,13 @@ async fn missing_events_of_all_gaps_are_counted() {
     assert_eq!(
         (missing, gaps.len()),
         (14_980, 1_002),
-        "1,000 single gaps, one entry for the others of known size, one for those of unknown size"
+        "1,000 single gaps, one entry for all further gaps of known size, one for all further gaps of unknown size"
     );
     let (stored, _) = committed.hosts[&test_store.edge];
-    assert_eq!((stored.gaps, stored.missing), (1_500, missing), "as in the list of hosts");
+    assert_eq!((stored.gaps, stored.missing), (1_500, missing), "equal to the list of gaps");
     assert_eq!(gaps.iter().map(|gap| gap.gaps).sum::<u64>(), 1_500);
     let series = test_store.store.series(1, &[], 240).await.expect("answers");
-    assert_eq!(series.gaps.len(), 1_000, "the time of combined gaps is not one gap");
+    assert_eq!(series.gaps.len(), 1_000, "a series does not show entries that combine several gaps");
 }
 
 #[tokio::test]
@@ -351,7 +353,7 @@ async fn replaced_spool_leaves_one_gap() {
     );
     test_store.commit(&[first, renewed]).await;
     assert_eq!(test_store.count("SELECT count(*) FROM gap").await, 0);
-    // Handed in twice, as after a commit whose result was lost.
+    // The introduction is committed twice, as after a commit whose result was lost.
     test_store.commit(std::slice::from_ref(&replaced)).await;
     let committed = test_store.commit(&[replaced]).await;
     assert_eq!(committed.hosts[&test_store.edge].0.gaps, 1);
@@ -421,7 +423,7 @@ fn hello_of(host: HostId, stream: StreamId, previous_stream: Option<StreamId>) -
 }
 
 #[tokio::test]
-async fn claimed_missing_counts_do_not_overflow() {
+async fn sums_of_reported_missing_events_do_not_overflow() {
     let mut test_store = TestStore::new().await;
     let at = generate::at(1.0);
     let gap = Gap { pipeline: None, run: None, from: at, to: at, count: u64::MAX, reason: "many".into() };
@@ -434,7 +436,7 @@ async fn claimed_missing_counts_do_not_overflow() {
 }
 
 #[tokio::test]
-async fn locked_database_is_error_without_changes() {
+async fn commit_to_locked_database_fails_without_changes() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let mut other = open(&test_store.path).await;
@@ -451,7 +453,7 @@ async fn locked_database_is_error_without_changes() {
 }
 
 #[tokio::test]
-async fn full_disk_is_error_without_changes() {
+async fn commit_to_full_disk_fails_without_changes() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let mut events = vec![generate::run_started(run, "line", NOW)];

@@ -123,7 +123,7 @@ fn result_of_episode_that_ends_in_warm_up_is_counted() {
 }
 
 #[test]
-fn stage_of_several_nodes_has_values_of_results() {
+fn stage_of_several_nodes_equals_column_of_results() {
     let mut tree = tree(4);
     let root = peernet_logger::NodeId::ROOT;
     let timer = |millis| Measure::Timer(Some(Span::from_millis(millis)));
