@@ -18,11 +18,12 @@ use crate::column::column;
 use crate::extent::Extent;
 use crate::plausible;
 
-/// Maximum number of links in memory. When it is reached, all are discarded and read again when needed.
+/// Maximum number of links in the cache. When it is reached, all cached links are discarded. A link is read again when it
+/// is needed.
 const MAX_CACHED_LINKS: usize = 10_000;
 
-/// The row of a second replaces an earlier row of the same second, as in the live state: each report of a second is
-/// complete up to the time of the report.
+/// Stores a clock sample. The sample replaces an earlier sample of the same second, as in the live state: an agent may
+/// send several samples of a second, and each of them covers the second from its start.
 const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, max_drift_ppm, \
      upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
      lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
@@ -35,16 +36,16 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
      VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
      ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
 
-/// Selects the time at which a sample of a window is stored. A wall clock that was set back shows the same times again,
-/// while the window of free-running clocks continues. Each further sample with such a time is stored a nanosecond
-/// earlier than the previous one; this time is still in the same second. ?1 link, ?2 the sample's time, ?3 window, ?4
-/// the reading of the free-running clock at that time.
+/// Selects the time under which a sample of a window is stored. A wall clock that was set back shows the same times
+/// again, while the window of free-running clocks continues. If several samples of a window have the same wall time,
+/// each further sample is stored under a time that is one nanosecond earlier. These times still lie in the same second.
+/// ?1 link, ?2 the sample's time, ?3 window, ?4 the reading of the free-running clock at that time.
 const STORAGE_TIME: &str = "SELECT coalesce( \
      (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns = ?4), \
      ?2 - (SELECT count(*) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns <> ?4))";
 
-/// The assumptions of a window are those of its newest sample. Probes count as authenticated only if the probes of all
-/// samples were authenticated.
+/// Stores the assumptions of a window, which are those of its newest sample. Probes count as authenticated only if the
+/// probes of all samples of the window were authenticated.
 const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns, clocks, max_drift_ppm, \
      max_drift_change_ppm_per_s, claims_trusted, probes_authenticated) VALUES (?1, ?2, ?3, ?3, ?4, ?5, ?6, ?7, ?8) \
      ON CONFLICT (link, window) DO UPDATE SET first_ns = min(first_ns, excluded.first_ns), \
@@ -53,8 +54,9 @@ const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns,
      probes_authenticated = min(coalesce(probes_authenticated, excluded.probes_authenticated), \
        coalesce(excluded.probes_authenticated, probes_authenticated))";
 
-/// Records arrived samples: ?1 link, ?2 the storage clock, ?3 and ?4 the first and the last time.
-const ARRIVED: &str = "UPDATE link SET arriving_from_s = coalesce(arriving_from_s, ?2), \
+/// Records for retention that samples arrived: ?1 link, ?2 the storage clock, ?3 and ?4 the first and the last time of
+/// these samples.
+const RECORD_ARRIVAL: &str = "UPDATE link SET arriving_from_s = coalesce(arriving_from_s, ?2), \
      arriving_first_ns = min(coalesce(arriving_first_ns, ?3), ?3), \
      arriving_last_ns = max(coalesce(arriving_last_ns, ?4), ?4) WHERE id = ?1";
 
@@ -64,7 +66,7 @@ pub(super) struct Links {
     /// Id of the link and name of the cloud, by the edge's row, the cloud and the network.
     rows: HashMap<(i64, HostId, NetworkName), (i64, Slug)>,
     /// Range of times of the samples that the transaction stores, by link.
-    arrived: HashMap<i64, Extent>,
+    arrived_times: HashMap<i64, Extent>,
 }
 
 impl Links {
@@ -95,7 +97,7 @@ impl Links {
             .execute(connection)
             .await?;
         let at = Extent::single(at);
-        self.arrived.entry(link).and_modify(|extent| *extent = extent.hull(at)).or_insert(at);
+        self.arrived_times.entry(link).and_modify(|extent| *extent = extent.hull(at)).or_insert(at);
         Ok(())
     }
 
@@ -105,8 +107,8 @@ impl Links {
         connection: &mut SqliteConnection,
         storage_s: i64,
     ) -> Result<(), sqlx::Error> {
-        for (link, Extent { first, last }) in self.arrived.drain() {
-            sqlx::query(ARRIVED)
+        for (link, Extent { first, last }) in self.arrived_times.drain() {
+            sqlx::query(RECORD_ARRIVAL)
                 .bind(link)
                 .bind(storage_s)
                 .bind(first)
@@ -120,7 +122,7 @@ impl Links {
     /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
         self.rows.clear();
-        self.arrived.clear();
+        self.arrived_times.clear();
     }
 
     /// Returns the id of a sample's link. Adds the link if it is missing.
@@ -134,7 +136,7 @@ impl Links {
     ) -> Result<i64, Refusal> {
         let key = (edge, sample.peer, sample.network.clone());
         if let Some((link, name)) = self.rows.get(&key)
-            // A cloud that was renamed is stored again.
+            // If the cloud was renamed, its new name is stored below.
             && *name == sample.peer_name
         {
             return Ok(*link);
@@ -166,7 +168,8 @@ async fn storage_time(
     basis: Option<&EstimateBasis>,
 ) -> Result<i64, sqlx::Error> {
     let at = sample.at.unix_nanos();
-    // Without this reading, a time that repeats cannot be distinguished from a second report of the same second.
+    // Without a raw time, a sample with a repeated wall time cannot be distinguished from another sample of the same
+    // second.
     let Some(raw) = basis.and_then(|basis| basis.at_raw) else { return Ok(at) };
     sqlx::query_scalar(STORAGE_TIME)
         .bind(link)
@@ -192,7 +195,7 @@ fn values(
     to.add(sample.max_drift_ppm)?;
     add_exchange(sample.upper, &mut to)?;
     add_exchange(sample.lower, &mut to)?;
-    // An agent may report any number; implausible ones must not reach readers.
+    // An agent may report any number. Implausible numbers must not reach readers.
     add_offset(sample.offset.as_ref().and_then(plausible::offset).as_ref(), &mut to)?;
     to.add(sample.probes.sent)?;
     to.add(sample.probes.answered)?;
@@ -239,7 +242,7 @@ fn add_offset(offset: Option<&Offset>, to: &mut SqliteArguments) -> Result<(), B
 
 /// Returns the interval of each source alone; `None` if the only source has the offset's own interval.
 fn sources(offset: &Offset) -> Option<Vec<(&'static str, i64, i64)>> {
-    // The usual case: one source. The list would repeat what other columns have.
+    // Most offsets have one source. Its list would repeat the values of other columns.
     if offset.sources == [(offset.source, offset.bounds)] {
         return None;
     }
@@ -249,13 +252,13 @@ fn sources(offset: &Offset) -> Option<Vec<(&'static str, i64, i64)>> {
     Some(offset.sources.iter().map(row).collect())
 }
 
-fn add_delays(second: Option<DelaySecond>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
-    let second = second.map(plausible::delays);
-    let median = second.and_then(|second| second.median);
-    to.add(second.map(|second| second.count))?;
+fn add_delays(delays: Option<DelaySecond>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    let delays = delays.map(plausible::delays);
+    let median = delays.and_then(|delays| delays.median);
+    to.add(delays.map(|delays| delays.count))?;
     to.add(median.map(|median| median.value.nanos()))?;
     to.add(median.map(|median| median.bounds.lo.nanos()))?;
     to.add(median.map(|median| median.bounds.hi.nanos()))?;
     to.add(median.and_then(|median| median.bits_per_second))?;
-    to.add(second.and_then(|second| position(Verdict::ALL, second.verdict)))
+    to.add(delays.and_then(|delays| position(Verdict::ALL, delays.verdict)))
 }

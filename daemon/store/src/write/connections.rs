@@ -22,9 +22,9 @@ pub struct ConnectionSample {
     pub connection: Connection,
 }
 
-/// A link has a row in `link` from the first sample of its clocks on. The time comes from a live update, which may
-/// claim any time. It is therefore moved into the range of the link's stored clock samples, because retention deletes
-/// both together.
+/// Stores a sample of a connection, if its link has clock samples. The time of the sample comes from a live update, which
+/// may claim any time. The time is therefore moved into the range of the link's clock samples: retention deletes samples
+/// of connections together with the clock samples of the same time.
 const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pipeline, local_address, remote_address, \
      interface, interface_type, mtu_bytes, \
      sent_bytes, sent_messages, sent_datagrams, sent_lost, sent_duplicated, sent_reordered, sent_retransmitted, \
@@ -41,7 +41,7 @@ const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pip
      FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
      WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND link.network = ?3 AND EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = link.id)";
 
-/// Stores samples. Samples of a link that is not stored are omitted.
+/// Stores samples of connections. Samples of a link that is not stored are omitted.
 pub(super) async fn store(
     connection: &mut SqliteConnection,
     samples: &[ConnectionSample],

@@ -15,8 +15,8 @@ use crate::extent::Extent;
 use crate::insert::Insert;
 use crate::stored::{StoredCounts, in_other_database};
 
-/// Maximum number of hosts whose counters are in memory: the largest value of `[aggregator] max_hosts`. If there are
-/// more, all are discarded and read again when needed.
+/// Maximum number of hosts whose counters are cached: the largest value of `[aggregator] max_hosts`. When the cache has
+/// more hosts, all counters are discarded. They are read again when they are needed.
 const MAX_CACHED_HOSTS: usize = 65_536;
 
 /// Maximum number of skipped starts of a run. An agent may report any number, and neither the column nor a sum of runs
@@ -40,7 +40,7 @@ struct RunCounts {
     warm_up: u64,
     skipped_starts: u64,
     /// Start of the newest iteration.
-    last: WallTime,
+    newest_start: WallTime,
     /// Ranges of the iterations' numbers and of the seconds in which they started; `None` without an iteration.
     number_and_second_ranges: Option<(Extent, Extent)>,
 }
@@ -96,8 +96,8 @@ impl Counters {
         counts
     }
 
-    /// Returns whether the database knew nothing of a host before this transaction; `id` is the host's row. Gaps from
-    /// before the database do not count.
+    /// Returns whether the database had stored nothing from a host before this event; `id` is the host's row. Gaps of
+    /// events that the host sent to another database do not count.
     pub(super) async fn is_first_contact(
         &mut self,
         connection: &mut SqliteConnection,
@@ -122,7 +122,7 @@ impl Counters {
         counts.warm_up += part.warm_up;
         counts.skipped_starts =
             counts.skipped_starts.saturating_add(part.skipped_starts).min(MAX_SKIPPED_STARTS);
-        counts.last = counts.last.max(part.last);
+        counts.newest_start = counts.newest_start.max(part.newest_start);
         let (numbers, seconds) = counts.number_and_second_ranges.unwrap_or((part.numbers, part.seconds));
         counts.number_and_second_ranges = Some((numbers.hull(part.numbers), seconds.hull(part.seconds)));
     }
@@ -142,7 +142,7 @@ impl Counters {
                 to.add(column(counts.outcomes.failed))?;
                 to.add(column(counts.outcomes.lost))?;
                 to.add(column(counts.outcomes.timeout))?;
-                to.add(counts.last.unix_nanos())?;
+                to.add(counts.newest_start.unix_nanos())?;
                 to.add(UNREPORTED_END)?;
                 to.add(column(counts.skipped_starts))?;
                 to.add(column(MAX_SKIPPED_STARTS))?;
@@ -154,7 +154,8 @@ impl Counters {
             })
             .await?;
         self.runs.clear();
-        // Discarded between two transactions: the totals must not be lost while additions wait for them.
+        // The cache is emptied here and not in `is_first_contact`, because a total that was read before the gaps of a
+        // transaction must stay until the transaction's additions are counted.
         if self.totals.len() > MAX_CACHED_HOSTS {
             self.totals.clear();
         }

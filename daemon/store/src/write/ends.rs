@@ -55,6 +55,7 @@ impl RunEnds {
         connection: &mut SqliteConnection,
         host: i64,
     ) -> Result<(), Refusal> {
+        // Runs that the host's next process starts in the same transaction have greater numbers and stay open.
         let newest =
             sqlx::query_scalar("SELECT coalesce(max(number), 0) FROM run").fetch_one(connection).await?;
         self.processes.push((host, newest));

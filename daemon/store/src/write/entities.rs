@@ -1,4 +1,4 @@
-//! Storing and lookup of hosts, pipelines, runs and streams, to which the rows of iterations refer.
+//! Storing and lookup of hosts, pipelines and runs, to which the rows of iterations refer.
 
 use std::collections::HashMap;
 use std::str::FromStr;
@@ -12,9 +12,10 @@ use sqlx::SqliteConnection;
 use super::{Refusal, RunName};
 use crate::stored::{StoredCounts, in_other_database};
 
-/// Maximum number of runs in memory. When it is reached, all are discarded and read again when needed.
+/// Maximum number of runs in the cache. When it is reached, all cached runs are discarded. A run is read again when it is
+/// needed.
 const MAX_CACHED_RUNS: usize = 10_000;
-/// Pipeline and model of a run whose start never arrived.
+/// Pipeline and model of a run whose start has not arrived.
 pub(crate) const UNKNOWN: &str = "unknown";
 
 /// The host whose batch or message is being stored.
@@ -115,7 +116,8 @@ impl Entities {
         Ok(id)
     }
 
-    /// Returns the run to which rows of the reporter refer. The run is created if its start event never arrived.
+    /// Returns the run to which rows of the reporter refer. If the run is not stored, because its start event has not
+    /// arrived, the run is created.
     pub(super) async fn find_or_create_run(
         &mut self,
         connection: &mut SqliteConnection,
@@ -295,7 +297,7 @@ impl Entities {
 
     /// Adds a run to the cache.
     fn remember(&mut self, reporter: Reporter, run: RunId, known: KnownRun) -> KnownRun {
-        // All are discarded, because the few active runs are read again at their next use.
+        // Discarding the whole cache costs little: only the few active runs are read again.
         if self.runs.len() >= MAX_CACHED_RUNS {
             self.runs.clear();
         }
@@ -330,12 +332,13 @@ impl Lookup {
 }
 
 fn json<T: Serialize>(value: &T) -> Result<String, Refusal> {
-    // A further attempt would fail as well, so the batch is refused and not the database.
+    // A further attempt would fail as well, so the error is attributed to the batch and not to the database.
     serde_json::to_string(value).map_err(|error| Refusal::Batch(error.to_string()))
 }
 
 /// Returns the id of a pipeline. Adds the pipeline if it is missing.
 async fn pipeline(connection: &mut SqliteConnection, host: i64, name: &str) -> Result<i64, Refusal> {
+    // The update changes nothing. Without it, RETURNING would return no row for a pipeline that exists already.
     let id = sqlx::query_scalar(
         "INSERT INTO pipeline (host, name) VALUES (?, ?) ON CONFLICT DO UPDATE SET name = name RETURNING id",
     )
@@ -379,8 +382,8 @@ pub(crate) async fn read_unnamed_runs(
     rows.iter().map(|(host, run)| Ok((id(host)?, id(run)?))).collect()
 }
 
-/// Returns the counts of the hosts that were seen last. A host without a name is only named by others and has never
-/// reported.
+/// Returns the counts of the hosts that were seen last. Hosts without a name are left out: they have not introduced
+/// themselves, and only events of other hosts name them.
 pub(crate) async fn read_host_counts(
     connection: &mut SqliteConnection,
     limit: u32,
@@ -394,8 +397,9 @@ pub(crate) async fn read_host_counts(
     .fetch_all(connection)
     .await?;
     rows.into_iter()
-        .map(|(uuid, events, nodes, gaps, missing, quarantined, before)| {
-            Ok((id(&uuid)?, StoredCounts::from_columns((events, nodes, gaps, missing, quarantined, before))))
+        .map(|(uuid, events, nodes, gaps, missing, quarantined, in_other_database)| {
+            let columns = (events, nodes, gaps, missing, quarantined, in_other_database);
+            Ok((id(&uuid)?, StoredCounts::from_columns(columns)))
         })
         .collect()
 }

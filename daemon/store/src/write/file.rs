@@ -35,11 +35,12 @@ pub enum CommitError {
 }
 
 impl CommitError {
-    /// Returns whether the connection is still usable: the database is full, or another program locks it.
+    /// Returns whether the connection can be used again: the disk is full, another program locks the database, or the
+    /// file is damaged.
     ///
-    /// A connection to a damaged file is kept until another file is put in its place. After any other error the file
-    /// has to be opened again. The error may come from the descriptors: they stay read-only, or lead to a file system
-    /// that is no longer mounted, even if the path is usable again.
+    /// The connection to a damaged file is kept until another file is put in its place. After any other error the file
+    /// has to be opened again. The error may come from the open descriptors: they stay read-only, or lead to a file
+    /// system that is no longer mounted, even if the path is usable again.
     pub fn leaves_connection_usable(&self) -> bool {
         match self {
             Self::Database(error) => error.is_transient(),
@@ -50,6 +51,7 @@ impl CommitError {
 }
 
 /// Device and inode of a file.
+// An inode number is unique on its device only.
 type Identity = (u64, u64);
 
 /// The open file of the database, and its log.
@@ -61,15 +63,15 @@ pub(super) struct DatabaseFile {
     /// Identity of the write-ahead log. SQLite creates the log with the first connection and removes it with the last
     /// connection. While the writer is connected, the log is the same file, even if it is checkpointed and written from
     /// its start again.
-    log: Log,
+    log: LogState,
 }
 
 /// State of the write-ahead log file.
 #[derive(Debug)]
-enum Log {
+enum LogState {
     /// The write-ahead log was not examined since the connection was made.
     Unknown,
-    /// Identity when the write-ahead log was examined; `None` if there was no log although something had been
+    /// Identity of the write-ahead log when it was examined; `None` if there was no log although something had been
     /// committed.
     Examined(Option<Identity>),
 }
@@ -80,7 +82,7 @@ impl DatabaseFile {
         let identity = identity(&path)?;
         let mut log_path = path.clone().into_os_string();
         log_path.push("-wal");
-        let mut file = Self { path, identity, log_path: log_path.into(), log: Log::Unknown };
+        let mut file = Self { path, identity, log_path: log_path.into(), log: LogState::Unknown };
         file.record_log();
         Ok(file)
     }
@@ -100,8 +102,8 @@ impl DatabaseFile {
 
     /// Records the identity of the write-ahead log. The connection must have committed or read before.
     pub(super) fn record_log(&mut self) {
-        if matches!(self.log, Log::Unknown) {
-            self.log = Log::Examined(identity(&self.log_path).ok());
+        if matches!(self.log, LogState::Unknown) {
+            self.log = LogState::Examined(identity(&self.log_path).ok());
         }
     }
 
@@ -112,9 +114,9 @@ impl DatabaseFile {
             return Err(CommitError::Moved(self.path.clone()));
         }
         match self.log {
-            Log::Unknown => Ok(()),
-            Log::Examined(Some(log)) if identity(&self.log_path).ok() == Some(log) => Ok(()),
-            Log::Examined(_) => Err(CommitError::LogMoved(self.log_path.clone())),
+            LogState::Unknown => Ok(()),
+            LogState::Examined(Some(log)) if identity(&self.log_path).ok() == Some(log) => Ok(()),
+            LogState::Examined(_) => Err(CommitError::LogMoved(self.log_path.clone())),
         }
     }
 }
@@ -128,12 +130,12 @@ impl FormerFiles {
         Self(file)
     }
 
-    /// Returns the path of the write-ahead log if another file is at the database's path but the log is still the
-    /// former one and not empty.
+    /// Returns the path of the write-ahead log if another file has replaced the database file, but the log of the former
+    /// database is still there and not empty.
     pub fn leftover_log(&self) -> Option<PathBuf> {
         let Self(file) = self;
         let is_replaced = identity(&file.path).ok() != Some(file.identity);
-        let Log::Examined(Some(log)) = file.log else { return None };
+        let LogState::Examined(Some(log)) = file.log else { return None };
         let current_log = std::fs::metadata(&file.log_path).ok()?;
         let is_same_log = (current_log.dev(), current_log.ino()) == log && current_log.len() > 0;
         (is_replaced && is_same_log).then(|| file.log_path.clone())

@@ -2,8 +2,8 @@
 //!
 //! The mark of a stream is the number up to which its batches are stored. A batch and the new mark are committed
 //! together, and a batch at or below the mark is acknowledged but not stored. So each batch is stored exactly once. The
-//! tables of an iteration's tree have no foreign keys: they would cost a check per node, and they are not needed,
-//! because one writer owns the tables.
+//! tables of an iteration's tree have no foreign keys: SQLite would check each node, and no check is needed, because
+//! one writer owns the tables.
 
 mod clock;
 mod connections;
@@ -54,7 +54,7 @@ use crate::retention_config::RetentionConfig;
 use crate::storage_clock::StorageClock;
 use crate::stored::StoredCounts;
 
-/// Checkpoints the whole log into the file and empties the write-ahead log, unless a reader is active.
+/// Copies the whole write-ahead log into the database file and empties the log, unless a reader is active.
 const CHECKPOINT_AND_TRUNCATE: &str = "PRAGMA wal_checkpoint(TRUNCATE)";
 
 /// Result of a transaction.
@@ -62,7 +62,8 @@ const CHECKPOINT_AND_TRUNCATE: &str = "PRAGMA wal_checkpoint(TRUNCATE)";
 pub struct CommitResult {
     /// New marks: all batches of a stream up to the mark's number are stored.
     pub marks: HashMap<StreamId, HighWaterMark>,
-    /// Totals of each host concerned, and the time of its newest event on the host's clock.
+    /// Totals of each host whose counters changed, and the time of the newest event that was stored for the host, on the
+    /// host's clock.
     pub hosts: HashMap<HostId, (StoredCounts, Option<WallTime>)>,
     /// Numbers of runs that were created or read since the last commit.
     pub runs: Vec<(HostId, RunId, i64)>,
@@ -92,9 +93,9 @@ pub struct Writer {
     last_wall: Option<WallTime>,
     /// State of the streams as committed.
     streams: Streams,
-    /// Results of the parts of a group that were committed before another part failed. They are returned when the group
-    /// is committed again.
-    unreported: CommitResult,
+    /// Results of the parts of `work` that were committed before a later part failed. The next call that succeeds
+    /// returns these results.
+    unreturned_result: CommitResult,
 }
 
 impl Writer {
@@ -115,11 +116,11 @@ impl Writer {
             storage_clock: StorageClock::default(),
             last_wall,
             streams,
-            unreported: CommitResult::default(),
+            unreturned_result: CommitResult::default(),
         })
     }
 
-    /// Closes the connection. Returns the identities of its files.
+    /// Closes the connection. Returns the identities of the closed files.
     pub async fn close(mut self) -> (FormerFiles, Result<(), DatabaseError>) {
         self.retention.finish();
         if self.file.check().is_err() {
@@ -134,13 +135,14 @@ impl Writer {
         (FormerFiles::new(self.file), closed)
     }
 
-    /// Returns the marks of the streams, and each host's last stream as it was at the start.
+    /// Returns the current marks of the streams, and the last stream that each host used before this writer was created.
     pub fn streams(&self) -> &Streams {
         &self.streams
     }
 
-    /// Stores all of `work` in one transaction. Only batches that cannot be stored are quarantined. If a batch repeats
-    /// stored iterations, its other iterations are stored.
+    /// Stores all of `work`: in one transaction if the database accepts every batch, otherwise in several. A batch that
+    /// cannot be stored is quarantined. If a batch repeats iterations that are already stored, its other iterations are
+    /// stored.
     ///
     /// # Errors
     /// When the database cannot store anything now. The same work may be committed again: with this writer if the error
@@ -148,8 +150,8 @@ impl Writer {
     /// the file or its log is no longer at its path; the work then does not count as stored.
     pub async fn commit(&mut self, work: &[Work], now: Stamp) -> Result<CommitResult, CommitError> {
         self.check_file()?;
-        // The remaining parts of the group. A part with an invalid batch is halved until the batch is alone in its
-        // part.
+        // The parts of `work` that are still to be stored. A part with an invalid batch is halved until the batch is
+        // alone in its part.
         let mut parts = vec![work];
         while let Some(part) = parts.pop() {
             let committed = match self.attempt(part, now, None).await {
@@ -159,23 +161,23 @@ impl Writer {
                 }
                 Err(Refusal::Batch(_)) if part.len() > 1 => {
                     let (first, second) = part.split_at(part.len() / 2);
-                    // The last element is taken next, so the parts are stored in the order of their batches.
+                    // `pop` takes the last element next, so the parts are stored in the order of their batches.
                     parts.extend([second, first]);
                     continue;
                 }
                 Err(Refusal::Batch(reason)) => self.store_single_batch(part, now, reason).await?,
             };
-            self.unreported.merge(committed);
+            self.unreturned_result.merge(committed);
         }
         self.file.record_log();
         self.check_file()?;
-        Ok(std::mem::take(&mut self.unreported))
+        Ok(std::mem::take(&mut self.unreturned_result))
     }
 
-    /// Pins a run, so that retention keeps it, or releases it. Returns whether the run exists.
+    /// Pins a run, so that retention keeps its data, or unpins the run. Returns whether the run exists.
     ///
     /// # Errors
-    /// When the database refuses, or is damaged.
+    /// When the database is damaged or cannot be written.
     pub async fn pin(&mut self, run: i64, pinned: bool, integrity: &Integrity) -> Result<bool, StoreError> {
         // Nothing is written to a damaged database.
         if let Some(damage) = integrity.refusal() {
@@ -186,7 +188,7 @@ impl Writer {
         result.inspect_err(|error| integrity.record_if_damage(error)).map_err(StoreError::pin_failed)
     }
 
-    /// Deletes a small amount of old data, if there is any. Returns whether more remains.
+    /// Makes one step of retention, which deletes a small amount of old data. Returns whether more old data remains.
     pub async fn retain(&mut self, now: Stamp) -> Result<Step, DatabaseError> {
         let Self { connection, storage_clock, .. } = self;
         let result = self.retention.step(connection, storage_clock, now, retention::MAX_STEP_COST).await;
@@ -211,7 +213,7 @@ impl Writer {
         let result = self.store_incidents_and_clocks(now, incidents).await;
         self.roll_back_on_error(result).await.map_err(DatabaseError::new)?;
         self.storage_clock.record_commit(now.mono);
-        // This happens only after the commit: incidents of a failed transaction are stored by the next one.
+        // The incidents are cleared only after the commit: if a transaction fails, the next one stores its incidents.
         incidents.clear();
         self.file.record_log();
         Ok(())
@@ -260,7 +262,7 @@ impl Writer {
     }
 
     async fn checkpoint(&mut self) -> Result<(), sqlx::Error> {
-        // The checkpoint does not wait for readers, which would delay the next commit. It is tried again soon.
+        // Waiting for readers would delay the next commit. The checkpoint is tried again soon anyway.
         sqlx::query("PRAGMA busy_timeout = 0").execute(&mut self.connection).await?;
         let result = sqlx::query(CHECKPOINT_AND_TRUNCATE).execute(&mut self.connection).await;
         let restore_timeout = format!("PRAGMA busy_timeout = {}", BUSY_TIMEOUT.as_millis());
@@ -268,7 +270,7 @@ impl Writer {
         result.map(drop)
     }
 
-    /// Writes without changing anything, to check that the database can be written.
+    /// Makes a write transaction that changes no data, to check that the database can be written.
     pub async fn write_nothing(&mut self) -> Result<(), DatabaseError> {
         assign_id(&mut self.connection).await.map_err(DatabaseError::new)?;
         self.file.record_log();
@@ -283,7 +285,7 @@ impl Writer {
         self.file.check()
     }
 
-    /// Locks the database, as another program that opened the file might.
+    /// Locks the database, as another program can do that has opened the file.
     #[cfg(test)]
     pub async fn lock(&mut self) {
         sqlx::query("BEGIN EXCLUSIVE").execute(&mut self.connection).await.expect("locks");
@@ -308,9 +310,10 @@ impl Writer {
             let repeated =
                 repeated_iterations::find(&mut self.connection, batch).await.map_err(DatabaseError::new)?;
             if !repeated.is_empty()
-                && let Ok(rest) = PreparedBatch::without(batch.head, batch.body.clone(), &repeated)
+                && let Ok(remaining_batch) =
+                    PreparedBatch::without_iterations(batch.head, batch.body.clone(), &repeated)
             {
-                match self.attempt(&[Work::Batch(Box::new(rest))], now, None).await {
+                match self.attempt(&[Work::Batch(Box::new(remaining_batch))], now, None).await {
                     Ok(committed) => {
                         let (host, number, left_out) = (batch.head.host, batch.head.number, repeated.len());
                         tracing::warn!(
@@ -328,13 +331,13 @@ impl Writer {
         match self.attempt(part, now, Some(&reason)).await {
             Ok(committed) => Ok(committed),
             Err(Refusal::Database(error)) => Err(DatabaseError::new(error).into()),
-            // Not even the quarantine took the batch. The refusal is returned as an error of the database, so that the
-            // batch is not lost but tried again.
+            // The batch could not be quarantined either. The refusal is returned as an error of the database, so that
+            // the batch is not lost but tried again.
             Err(Refusal::Batch(reason)) => Err(DatabaseError::new(sqlx::Error::Protocol(reason)).into()),
         }
     }
 
-    /// Executes one transaction. With `quarantine_reason` the batches are quarantined for that reason.
+    /// Stores `work` in one transaction. If `quarantine_reason` is given, the batches are quarantined for that reason.
     async fn attempt(
         &mut self,
         work: &[Work],
@@ -369,8 +372,8 @@ impl Writer {
         result
     }
 
-    /// Rolls back an unfinished transaction and reads the names again, because the names that it added do not exist any
-    /// more.
+    /// Rolls back an unfinished transaction and reads the names again, because names that the transaction added do not
+    /// exist any more.
     async fn roll_back(&mut self) -> Result<(), sqlx::Error> {
         raw_transaction::roll_back(&mut self.connection).await?;
         self.staging.names = Names::load(&mut self.connection).await?;

@@ -8,8 +8,8 @@ use sqlx::SqliteConnection;
 use super::Refusal;
 use super::prepared::NameKey;
 
-/// Maximum number of distinct names in the store. Beyond it, batches with new names are quarantined. A program that
-/// puts numbers into its names would otherwise fill the memory and the table.
+/// Maximum number of distinct names in the store. When it is reached, batches with new names are quarantined. Without a
+/// maximum, a program that puts numbers into names would fill the memory and the table.
 const MAX_NAMES: usize = 65_536;
 
 /// The writer's copy of the table `name`.
@@ -29,7 +29,7 @@ struct Entry {
 }
 
 impl Names {
-    /// Reads the table.
+    /// Reads the table `name`.
     pub(super) async fn load(connection: &mut SqliteConnection) -> Result<Self, sqlx::Error> {
         let rows: Vec<(i64, String, String, bool, String)> =
             sqlx::query_as("SELECT id, text, kind, custom, unit FROM name").fetch_all(connection).await?;

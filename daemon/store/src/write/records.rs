@@ -12,7 +12,8 @@ use super::entities::{Entities, Reporter};
 use crate::column::column;
 use crate::stored::{StoredCounts, other_database_prefix};
 
-/// Number of quarantined batches that are kept. Older ones are deleted.
+/// Maximum number of quarantined batches. Older batches are deleted.
+// Without a maximum, an agent whose batches are always invalid would fill the disk.
 const MAX_QUARANTINED: i64 = 1_000;
 
 /// Stores an incident of a host.
@@ -79,8 +80,8 @@ async fn run_number(
     }
 }
 
-/// Stores a gap for batches of a stream that will never arrive. `is_first_contact` tells whether the database knew
-/// nothing of the host.
+/// Stores a gap for batches of a stream that will never arrive. `is_first_contact` is `true` if the database has not
+/// stored anything from the host before.
 pub(super) async fn insert_missing_batches(
     connection: &mut SqliteConnection,
     host: i64,
@@ -99,8 +100,8 @@ pub(super) async fn insert_missing_batches(
     insert_unattributed_gap(connection, host, &reason, *events, now).await
 }
 
-/// Returns the reason of a gap whose batches are in another database, because their host streamed to it before.
-/// `in_other_database!` finds it by its prefix.
+/// Returns the reason of a gap for batches that their host sent to another database before. The SQL expression
+/// `in_other_database!` recognises such a gap by the prefix of the reason.
 pub(super) fn describe_batches_of_other_database(stream: &StreamId, from: u64, through: u64) -> String {
     format!(
         "{}batches {from} to {through} of stream {stream} were stored in another database, and their agent has deleted them from its spool",
@@ -108,8 +109,9 @@ pub(super) fn describe_batches_of_other_database(stream: &StreamId, from: u64, t
     )
 }
 
-/// Stores a gap of `events` events whose runs are unknown, and an incident with the reason, because no run shows it. If
-/// the number of events is unknown (`None`), the table has 0. Returns the additions to the counters of the host.
+/// Stores a gap of `events` events whose runs are unknown. No page of a run shows this gap, so an incident with the
+/// reason is stored, too. If the number of events is unknown (`None`), the gap has the number 0. Returns the additions to
+/// the counters of the host.
 pub(super) async fn insert_unattributed_gap(
     connection: &mut SqliteConnection,
     host: i64,
@@ -117,7 +119,7 @@ pub(super) async fn insert_unattributed_gap(
     events: Option<u64>,
     now: WallTime,
 ) -> Result<StoredCounts, Refusal> {
-    // There is no gap without events. The agent itself reports the events of batches that are missing in its spool.
+    // Batches without events leave no gap. The agent itself reports a gap for events that are missing in its spool.
     if events == Some(0) {
         return Ok(StoredCounts::default());
     }

@@ -81,8 +81,8 @@ impl Inserts {
         self.iterations.run(connection, iterations, bind_iteration).await?;
         let nodes = Rows::new(batches, |batch| &batch.nodes);
         let bind = |(batch, row): (&ResolvedBatch<'_>, &NodeRow), to: &mut SqliteArguments| {
-            // At its first node the statistics of a batch are added to the roll-ups. This is done while values are
-            // bound, because the values of the next statement are bound while SQLite executes the current one.
+            // The statistics of a batch are added to the roll-ups when the batch's first node is bound. At this time
+            // SQLite's thread executes the previous statement, so the addition delays nothing.
             if (row.iteration, row.node) == (0, 0) {
                 batch.add_to_rollups(rollups);
             }
@@ -160,7 +160,8 @@ fn bind_transit(
 /// The rows of one table in all batches, one batch after the other.
 struct Rows<'a, R, F> {
     batches: std::slice::Iter<'a, ResolvedBatch<'a>>,
-    rows: F,
+    /// Returns the rows of a batch.
+    rows_of: F,
     /// The current batch with its remaining rows.
     current: Option<(&'a ResolvedBatch<'a>, std::slice::Iter<'a, R>)>,
     /// Number of remaining rows of all batches.
@@ -168,9 +169,9 @@ struct Rows<'a, R, F> {
 }
 
 impl<'a, R, F: Fn(&'a PreparedBatch) -> &'a Vec<R>> Rows<'a, R, F> {
-    fn new(batches: &'a [ResolvedBatch<'a>], rows: F) -> Self {
-        let remaining = batches.iter().map(|batch| rows(batch.batch).len()).sum();
-        Self { batches: batches.iter(), rows, current: None, remaining }
+    fn new(batches: &'a [ResolvedBatch<'a>], rows_of: F) -> Self {
+        let remaining = batches.iter().map(|batch| rows_of(batch.batch).len()).sum();
+        Self { batches: batches.iter(), rows_of, current: None, remaining }
     }
 }
 
@@ -186,7 +187,7 @@ impl<'a, R, F: Fn(&'a PreparedBatch) -> &'a Vec<R>> Iterator for Rows<'a, R, F> 
                 return Some((*batch, row));
             }
             let batch = self.batches.next()?;
-            self.current = Some((batch, (self.rows)(batch.batch).iter()));
+            self.current = Some((batch, (self.rows_of)(batch.batch).iter()));
         }
     }
 

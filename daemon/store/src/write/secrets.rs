@@ -43,7 +43,7 @@ pub(super) async fn read_host_secret(
 }
 
 /// Returns the hosts that have introduced themselves and have stored events, gaps or quarantined batches, by ascending
-/// row id, with their secrets. Other rows are of hosts that only other hosts' events name.
+/// row id, with their secrets. Hosts that only events of other hosts name are left out.
 pub(crate) async fn read_host_secrets(
     connection: &mut SqliteConnection,
 ) -> Result<Vec<(HostId, Option<HostSecret>)>, sqlx::Error> {

@@ -29,15 +29,15 @@ pub struct Streams {
 /// The streams that a transaction advances.
 #[derive(Debug)]
 pub(super) struct AdvancedStreams {
-    /// The host's row and the head of the last batch, by stream.
-    marks: HashMap<StreamId, (i64, BatchHead)>,
+    /// For each stream: the row of its host, and the head of the last batch that the transaction stores.
+    last_batches: HashMap<StreamId, (i64, BatchHead)>,
     upsert: Insert,
 }
 
 impl Default for AdvancedStreams {
     fn default() -> Self {
         Self {
-            marks: HashMap::new(),
+            last_batches: HashMap::new(),
             upsert: Insert::new(
                 "INSERT INTO stream (uuid, host, stored, chain, process, events, first_seen_ns, last_seen_ns)",
                 8,
@@ -79,7 +79,7 @@ impl Streams {
         self.last_streams.insert(host, stream);
     }
 
-    /// Reads the table.
+    /// Reads the table `stream`.
     pub(super) async fn load(connection: &mut SqliteConnection) -> Result<Self, sqlx::Error> {
         let rows: Vec<Row> = sqlx::query_as(
             "SELECT stream.uuid, host.uuid AS host, stream.stored, stream.chain, stream.process, \
@@ -91,8 +91,8 @@ impl Streams {
         for Row { uuid, host, stored, chain, process, events } in rows {
             let (stream, host) = (id(&uuid)?, id(&host)?);
             streams.record_hello(host, stream);
-            // A stream without a chain has no stored batches, or was stored by a version in which a stream ended with
-            // its agent.
+            // A stream without a chain has no stored batches, or is of an earlier version. In that version each start of
+            // an agent began a new stream, so no agent continues the stream.
             let Some(chain) = chain else { continue };
             let chain = <[u8; 16]>::try_from(chain)
                 .map_err(|_| invalid_column("a chain that is not 16 bytes long"))?;
@@ -108,8 +108,8 @@ impl Streams {
 impl AdvancedStreams {
     /// Stores that a host introduced itself with a stream.
     ///
-    /// For a new stream a gap is stored if the stream does not continue the host's previous stream, or if batches of
-    /// the previous stream are missing here. Returns the additions of the gaps to the counters.
+    /// For a new stream, a gap is stored if the stream does not continue the host's previous stream, or if batches of
+    /// the previous stream are missing in this database. Returns what the gaps add to the counters of the host.
     pub(super) async fn introduce(
         &mut self,
         connection: &mut SqliteConnection,
@@ -123,7 +123,7 @@ impl AdvancedStreams {
             .bind(introduction.stream.to_string())
             .execute(&mut *connection)
             .await?;
-        // The stream is known: its gaps were stored with its first hello.
+        // The stream is not new: its gaps were stored with its first hello.
         if update.rows_affected() > 0 {
             return Ok(StoredCounts::default());
         }
@@ -163,22 +163,22 @@ impl AdvancedStreams {
 
     /// Records that this transaction stores all batches of a stream up to the batch with this head.
     pub(super) fn advance(&mut self, host: i64, head: BatchHead) {
-        self.marks.insert(head.stream, (host, head));
+        self.last_batches.insert(head.stream, (host, head));
     }
 
     /// Returns the new mark of a stream, if this transaction advances the stream.
     pub(super) fn new_mark(&self, stream: StreamId) -> Option<HighWaterMark> {
-        self.marks.get(&stream).map(|(_, head)| HighWaterMark::from(*head))
+        self.last_batches.get(&stream).map(|(_, head)| HighWaterMark::from(*head))
     }
 
-    /// Writes the marks and returns them.
+    /// Writes the new marks to the table `stream` and returns them.
     pub(super) async fn write(
         &mut self,
         connection: &mut SqliteConnection,
         now: WallTime,
     ) -> Result<HashMap<StreamId, HighWaterMark>, sqlx::Error> {
         self.upsert
-            .run(connection, &self.marks, |(stream, (host, head)), to| {
+            .run(connection, &self.last_batches, |(stream, (host, head)), to| {
                 to.add(stream.to_string())?;
                 to.add(*host)?;
                 to.add(column(head.number))?;
@@ -189,12 +189,12 @@ impl AdvancedStreams {
                 to.add(now.unix_nanos())
             })
             .await?;
-        Ok(self.marks.drain().map(|(stream, (_, head))| (stream, HighWaterMark::from(head))).collect())
+        Ok(self.last_batches.drain().map(|(stream, (_, head))| (stream, HighWaterMark::from(head))).collect())
     }
 
     /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
-        self.marks.clear();
+        self.last_batches.clear();
     }
 }
 

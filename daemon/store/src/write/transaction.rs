@@ -70,7 +70,8 @@ impl Staging {
                     let MissingBatches {
                         host, stream, through: number, chain, process, events_through, ..
                     } = *missing;
-                    // Only the fields that identify the batch and its mark are used.
+                    // This head stands for the last missing batch. Only the fields that identify the batch and its mark
+                    // are used.
                     let (previous_chain, events, events_before) = (chain, 0, events_through);
                     let head = BatchHead {
                         host,
@@ -84,7 +85,7 @@ impl Staging {
                     };
                     (head, None)
                 }
-                // Only batches are quarantined. Other work is stored in another transaction.
+                // Only batches are quarantined. Other work that the database refuses is dropped.
                 (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(_)) => continue,
                 (Work::Hello(introduction), None) => {
                     self.introduce(connection, introduction, now).await?;
@@ -182,7 +183,8 @@ impl Staging {
         reporter: Reporter,
         now: WallTime,
     ) -> Result<ResolvedBatch<'a>, Refusal> {
-        // Checked before any event of the batch is stored, because an event may create a run with the same id.
+        // Foreign runs are looked for before any event of the batch is stored, because an event may create a run of the
+        // reporter with the same id.
         self.foreign_reports.check(connection, &mut self.entities, reporter, &batch.named_runs).await?;
         let mut runs = vec![0; batch.runs.len()];
         for step in &batch.steps {
@@ -231,7 +233,7 @@ impl Staging {
             Event::Clock(sample) => {
                 self.links.store(connection, &mut self.entities, reporter.row, sample, now).await
             }
-            // The rows of iterations were prepared before.
+            // Iterations are not stored as events: `PreparedBatch` holds their rows.
             Event::Iteration(_) => Ok(()),
         }
     }

@@ -1,4 +1,4 @@
-//! Input of the writer, and reasons why the writer does not store a part of it.
+//! Work for the writer, and the reasons why the writer does not store a piece of work.
 
 use bytes::Bytes;
 use peernet_logger::{HostId, RunId, Slug};
@@ -16,7 +16,7 @@ pub enum Work {
     Hello(Box<Introduction>),
     /// A host said goodbye, so its runs have ended. Events in its spool may still follow.
     Goodbye(HostId),
-    /// The name of a run, from a live update. So far the store has only iterations of this run.
+    /// The name of a run, from a live update. The store has iterations of this run, but its start has not arrived yet.
     Name(Box<RunName>),
     /// A batch of events.
     Batch(Box<PreparedBatch>),
@@ -28,7 +28,7 @@ pub enum Work {
     Secret(HostId),
 }
 
-/// A host that was admitted.
+/// How an admitted host introduced itself.
 #[derive(Clone, Debug)]
 pub struct Introduction {
     /// The host.
@@ -116,7 +116,7 @@ impl From<sqlx::Error> for Refusal {
         const DATA_ERRORS: [u32; 4] = [18, 19, 20, 25];
         let code = error.as_database_error().and_then(|error| error.code()?.parse::<u32>().ok());
         let is_data_error = matches!(error, sqlx::Error::Encode(_))
-            // The lowest byte of an extended result code is the primary one.
+            // The lowest byte of an extended result code is the primary result code.
             || code.is_some_and(|code| DATA_ERRORS.contains(&(code & 0xff)));
         if is_data_error { Self::Batch(error.to_string()) } else { Self::Database(error) }
     }

@@ -96,14 +96,14 @@ impl BatchBuilder {
                 outcomes,
                 warm_up: 0,
                 skipped_starts: 0,
-                last: started,
+                newest_start: started,
                 numbers,
                 seconds,
             });
             run
         });
         let part = &mut batch.runs[run as usize];
-        part.last = part.last.max(started);
+        part.newest_start = part.newest_start.max(started);
         part.numbers = part.numbers.hull(numbers);
         part.seconds = part.seconds.hull(seconds);
         if !iteration.warm_up {
@@ -166,8 +166,8 @@ fn transit_row(iteration: u32, id: NodeId, transit: &Transit) -> TransitRow {
     }
 }
 
-/// Returns the number of a source or verdict in its table. The rows of the tables `source` and `verdict` are in the
-/// order of `all`.
+/// Returns the number under which the database stores a value of an enumeration, which is the value's position in `all`.
+/// The tables `source` and `verdict` have the same numbers.
 pub(crate) fn position<T: PartialEq + Copy>(all: &[T], value: T) -> Option<u8> {
     all.iter().position(|other| *other == value).and_then(|position| u8::try_from(position).ok())
 }

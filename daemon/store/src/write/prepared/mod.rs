@@ -42,7 +42,7 @@ pub struct PreparedBatch {
     /// Runs that the batch's events of any kind name.
     pub(super) named_runs: BTreeSet<RunId>,
     pub(super) names: Vec<NameKey>,
-    /// Hosts in trees other than the edge.
+    /// Hosts in the trees, without the edge.
     pub(super) hosts: Vec<HostId>,
     pub(super) iterations: Vec<IterationRow>,
     pub(super) nodes: Vec<NodeRow>,
@@ -62,7 +62,8 @@ pub struct PreparedBatch {
 pub(super) enum Step {
     /// An event other than an iteration.
     Event(Box<Event>),
-    /// Iterations of the run at this position follow; the time is the start of the first of them.
+    /// The run at this position in [`PreparedBatch::runs`] has iterations. The time is the start of the run's first
+    /// iteration in the batch.
     Run(u32, WallTime),
 }
 
@@ -72,10 +73,10 @@ pub(super) struct RunPart {
     pub(super) id: RunId,
     pub(super) outcomes: OutcomeCounts,
     pub(super) warm_up: u64,
-    /// Number of starts that were skipped before these iterations, without iterations of the warm-up.
+    /// Number of starts that were skipped before these iterations. Starts before warm-up iterations do not count.
     pub(super) skipped_starts: u64,
-    /// Start of the last iteration.
-    pub(super) last: WallTime,
+    /// Start of the newest iteration.
+    pub(super) newest_start: WallTime,
     pub(super) numbers: Extent,
     /// Range of the seconds in which the iterations started.
     pub(super) seconds: Extent,
@@ -104,11 +105,11 @@ impl PreparedBatch {
     /// # Errors
     /// When the events cannot be decoded or cannot be stored.
     pub(crate) fn new(head: BatchHead, body: Bytes) -> Result<Self, BatchError> {
-        Self::without(head, body, &HashSet::new())
+        Self::without_iterations(head, body, &HashSet::new())
     }
 
     /// Does the same as [`Self::new`], but leaves out the iterations in `stored`, because they are already stored.
-    pub(super) fn without(
+    pub(super) fn without_iterations(
         head: BatchHead,
         body: Bytes,
         stored: &HashSet<(RunId, i64)>,
@@ -127,7 +128,8 @@ impl PreparedBatch {
         Ok(builder.finish())
     }
 
-    /// Returns the number of nodes plus the other work of the batch. The sizes of commits are limited by this number.
+    /// Returns the weight of the batch: the number of its nodes plus the number of its other steps. The sizes of commits
+    /// are limited by weight.
     pub(crate) fn weight(&self) -> usize {
         1 + self.steps.len() + self.nodes.len()
     }

@@ -1,4 +1,4 @@
-//! Additions of a batch to the statistics, by second.
+//! What a batch adds to the statistics, by the second in which the iterations began.
 
 use std::collections::HashMap;
 
