@@ -38,10 +38,10 @@ pub(crate) fn rebuild(database: DatabaseArgument, run: Option<i64>) -> Exit {
                 fixed(rebuilt.runs as f64, 0),
                 fixed(rebuilt.iterations as f64, 0)
             ));
-            if rebuilt.in_part > 0 {
+            if rebuilt.partly_rebuilt_runs > 0 {
                 print_to_stdout(format_args!(
                     "{} of these runs in part: the roll-ups of intervals whose nodes were deleted are unchanged",
-                    fixed(rebuilt.in_part as f64, 0)
+                    fixed(rebuilt.partly_rebuilt_runs as f64, 0)
                 ));
             }
             Exit::Ok

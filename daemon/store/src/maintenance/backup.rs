@@ -89,7 +89,7 @@ pub enum BackupError {
 pub struct FinishedCopy {
     /// Path of the copy.
     pub path: PathBuf,
-    /// Size of the copy.
+    /// Size of the copy, bytes.
     pub bytes: u64,
 }
 
@@ -127,7 +127,7 @@ impl Backup {
         if let Some(what) = kind.other_kind() {
             return Err(BackupError::NotADatabase { path: database.to_owned(), what });
         }
-        // The copy has no free pages.
+        // `VACUUM INTO` writes no free pages.
         let used: i64 = sqlx::query_scalar(
             "SELECT (page_count - freelist_count) * page_size \
              FROM pragma_page_count, pragma_freelist_count, pragma_page_size",
@@ -136,7 +136,7 @@ impl Backup {
         .await
         .map_err(read_error)?;
         let expected_bytes = count(used);
-        // The folder of a relative path without a folder would be empty.
+        // A relative path may be a file name alone. Its parent would be an empty path.
         let target = std::path::absolute(target)
             .map_err(|source| BackupError::Write { path: target.to_owned(), source })?;
         let folder = target.parent().unwrap_or(&target).to_owned();
@@ -154,12 +154,12 @@ impl Backup {
         self.expected_bytes
     }
 
-    /// Returns the path of the file that grows while the copy is made.
+    /// Returns the path of the unfinished copy, a file that grows while the copy is made.
     pub fn partial(&self) -> &Path {
         &self.partial_copy.path
     }
 
-    /// Makes the copy. After success the copy is on the disk under its name; after a failure no file is left.
+    /// Makes the copy. After success, the copy is on the disk at the target. After a failure, no file is left.
     ///
     /// # Errors
     /// When `stop` is cancelled before the end, or the copy cannot be written.
@@ -174,7 +174,7 @@ impl Backup {
             connection.close().await
         };
         let result = copy.await;
-        // SQLite reports the interruption as an error, so the reason is checked first.
+        // If the handler stopped SQLite, `result` is an error, too. `stop` is therefore checked first.
         if stop.is_cancelled() {
             return Err(BackupError::Stopped);
         }
@@ -220,7 +220,7 @@ impl UnfinishedCopy {
     fn publish(&mut self, target: &Path) -> Result<u64, BackupError> {
         let write_error = |source| BackupError::Write { path: target.to_owned(), source };
         assign_new_id(&self.file).map_err(write_error)?;
-        // Synced before it gets its name: a copy with the name is complete.
+        // The copy is synced before it is renamed, so that a file with the target's name is always complete.
         self.file.sync_all().map_err(write_error)?;
         let bytes = self.file.metadata().map_err(write_error)?.len();
         rename(&self.path, target).map_err(|error| match error.kind() {
@@ -248,7 +248,7 @@ impl Drop for UnfinishedCopy {
 /// Renames without replacing another file.
 fn rename(from: &Path, to: &Path) -> io::Result<()> {
     match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-        // Some file systems do not support the flag. The name was free a moment ago.
+        // Some file systems do not support the flag. `prepare` found the name free, and here it is checked again.
         Err(Errno::INVAL) if to.symlink_metadata().is_err() => fs::rename(from, to),
         renamed => renamed.map_err(io::Error::from),
     }

@@ -35,7 +35,7 @@ fn read_only_options(path: &Path) -> SqliteConnectOptions {
         .disable_statement_logging()
 }
 
-/// Returns the free bytes for this user on the disk of a file or folder.
+/// Returns the number of bytes that this process may still write to the disk of a file or folder.
 ///
 /// # Errors
 /// When the file does not exist or this process has no permission to examine it.

@@ -33,7 +33,7 @@ pub enum RebuildError {
         run: i64,
     },
     /// SQLite reported an error.
-    #[error("cannot rebuild roll-ups in the database {}: {source}; the runs that were finished have new roll-ups, the others are unchanged", path.display())]
+    #[error("cannot rebuild roll-ups in the database {}: {source}; the runs that were finished have new roll-ups, and all other runs are unchanged", path.display())]
     Database {
         /// The database.
         path: PathBuf,
@@ -46,7 +46,8 @@ pub enum RebuildError {
 /// every few hundred iterations, and after each run.
 ///
 /// # Errors
-/// When the aggregator runs, or the database cannot be read or written. Finished runs stay finished.
+/// When the aggregator runs, or the database cannot be read or written. Runs whose rebuild was complete before the error
+/// keep their new roll-ups.
 pub async fn rebuild_rollups(
     path: &Path,
     run: Option<i64>,

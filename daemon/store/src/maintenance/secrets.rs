@@ -54,14 +54,14 @@ pub enum ClearSecretError {
     },
 }
 
-/// A host for which clearing was requested.
+/// Result of clearing the secret of a host.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClearedSecret {
     /// Id of the host.
     pub host: String,
     /// Name of the host.
     pub name: String,
-    /// `true` if there was a secret.
+    /// `true` if the host had a secret.
     pub existed: bool,
 }
 

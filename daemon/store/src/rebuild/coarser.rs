@@ -1,4 +1,4 @@
-//! Statistics per minute and hour for runs that were stored when buckets of ten seconds were the coarsest.
+//! Statistics per minute and hour for runs of earlier versions, whose coarsest buckets were those of ten seconds.
 //!
 //! SQL cannot merge quantile sketches. So the migration leaves a list of runs (the table `rollup_debt`), and this code
 //! processes the list when the file is opened, before anything else reads or writes.
@@ -7,18 +7,18 @@ use sqlx::{Connection, SqliteConnection};
 
 use crate::rollups::{RollupRow, Rollups, Scope, bucket};
 
-/// Width of the stored buckets.
-const STORED_S: i64 = 10;
+/// Width of the buckets that are stored.
+const STORED_WIDTH_S: i64 = 10;
 const HOUR_S: i64 = 3600;
 /// Number of runs between two log lines.
 const RUNS_PER_LOG_LINE: u64 = 100;
 
 /// The rows of buckets of ten seconds within a range: ?1 run, ?2 start, ?3 end.
-pub(super) const TENS: &str = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
+pub(super) const TEN_SECOND_BUCKETS: &str = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
      FROM rollup WHERE run = ?1 AND resolution_s = 10 AND bucket_s >= ?2 AND bucket_s < ?3";
 
-/// Makes the missing statistics. Each run has its own transaction, so that an interrupted call continues with the next
-/// run.
+/// Makes the missing statistics. Each run has its own transaction, so that a call after an interruption continues with
+/// the next run.
 ///
 /// # Errors
 /// When the database cannot be read or written.
@@ -35,7 +35,7 @@ pub(crate) async fn build_missing_rollups(connection: &mut SqliteConnection) -> 
         let Some(run) = run else { break };
         // Dropping the transaction rolls it back.
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
-        rebuild_run(&mut transaction, run).await?;
+        build_coarser_rollups(&mut transaction, run).await?;
         transaction.commit().await?;
         if done % RUNS_PER_LOG_LINE == 0 {
             tracing::info!(done, runs, "computing statistics per minute and hour");
@@ -45,7 +45,7 @@ pub(crate) async fn build_missing_rollups(connection: &mut SqliteConnection) -> 
     Ok(())
 }
 
-async fn rebuild_run(connection: &mut SqliteConnection, run: i64) -> Result<(), sqlx::Error> {
+async fn build_coarser_rollups(connection: &mut SqliteConnection, run: i64) -> Result<(), sqlx::Error> {
     sqlx::query("DELETE FROM rollup WHERE run = ? AND resolution_s IN (60, 3600)")
         .bind(run)
         .execute(&mut *connection)
@@ -57,15 +57,19 @@ async fn rebuild_run(connection: &mut SqliteConnection, run: i64) -> Result<(), 
             "SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s >= ?3",
         )
         .bind(run)
-        .bind(STORED_S)
+        .bind(STORED_WIDTH_S)
         .bind(from)
         .fetch_one(&mut *connection)
         .await?;
         let Some(first) = first else { break };
-        // One hour is read at a time, so that memory stays bounded.
+        // The buckets of one hour are read at a time, which limits the memory.
         from = bucket(first, HOUR_S).saturating_add(HOUR_S);
-        let rows: Vec<RollupRow> =
-            sqlx::query_as(TENS).bind(run).bind(first).bind(from).fetch_all(&mut *connection).await?;
+        let rows: Vec<RollupRow> = sqlx::query_as(TEN_SECOND_BUCKETS)
+            .bind(run)
+            .bind(first)
+            .bind(from)
+            .fetch_all(&mut *connection)
+            .await?;
         for row in rows {
             rollups.merge(run, row.name, row.quantity()?, row.bucket_s, &row.summary()?);
         }

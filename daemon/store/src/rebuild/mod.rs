@@ -17,17 +17,18 @@ pub struct Rebuilt {
     pub runs: u64,
     /// Number of successful iterations that were read, without the warm-up.
     pub iterations: u64,
-    /// Number of rebuilt runs of which retention has deleted nodes. Their statistics over the whole run are left
-    /// unchanged, and also the buckets of which nodes are deleted.
-    pub in_part: u64,
+    /// Number of runs that were rebuilt in part, because retention has deleted nodes. The statistics of such a run over
+    /// the whole run are unchanged, and so are its buckets with deleted nodes.
+    pub partly_rebuilt_runs: u64,
 }
 
-/// ?1 the previous run.
+/// Selects the run that follows another run: ?1 the other run.
 const NEXT_RUN: &str = "SELECT min(number) FROM run WHERE number > ?1";
-/// Second before which nodes are deleted: ?1 run.
+/// Selects the second before which the nodes of a run are deleted: ?1 run.
 const FIRST_COMPLETE_SECOND: &str = "SELECT before_s FROM trimmed WHERE run = ?1 AND kind = 0";
 /// Counts the skipped starts of a run in the same way as the migration that added the column: ?1 run. Skipped starts
-/// before answered iterations are in the roll-up of the whole run; the others are read from the nodes.
+/// before answered iterations are in the roll-up of the whole run. Skipped starts before unanswered iterations are read
+/// from the nodes. The limit is the writer's limit, 2^53.
 const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(0.0, min(9007199254740992.0, round( \
      (SELECT total(rollup.count * rollup.mean) FROM rollup \
      WHERE rollup.run = run.number AND rollup.resolution_s = 0 AND rollup.bucket_s = 0 AND rollup.quantity = 0 \
@@ -94,7 +95,7 @@ async fn rebuild_run(
             .await?;
         sqlx::query("DELETE FROM verdict_count WHERE run = ?").bind(run).execute(&mut *connection).await?;
     } else {
-        rebuilt.in_part += 1;
+        rebuilt.partly_rebuilt_runs += 1;
     }
     let mut rollups = Rollups::with_scope(scope);
     nodes::sum_up(connection, run, first_complete_s, &mut rollups, |iterations| {
@@ -102,7 +103,7 @@ async fn rebuild_run(
         progress(rebuilt);
     })
     .await?;
-    // If nodes are deleted, the skipped starts in their iterations cannot be counted again.
+    // If nodes are deleted, the skipped starts that these nodes reported cannot be counted again.
     if first_complete_s.is_none() {
         sqlx::query(SKIPPED_STARTS).bind(run).execute(&mut *connection).await?;
     }
@@ -119,7 +120,7 @@ async fn record_rebuilt(
         match first_complete_s {
             None => sqlx::query("DELETE FROM trimmed WHERE run = ?1 AND kind = ?2").bind(run).bind(width_s),
             Some(first_complete_s) => {
-                // The start of the first bucket that is covered completely.
+                // The start of the first bucket with all its nodes.
                 let rounded_up = first_complete_s.saturating_add(width_s - 1);
                 sqlx::query("UPDATE trimmed SET before_s = min(before_s, ?3) WHERE run = ?1 AND kind = ?2")
                     .bind(run)
@@ -138,9 +139,9 @@ async fn record_rebuilt(
 #[cfg(test)]
 pub(crate) const QUERIES: [(&str, &str); 6] = [
     ("NEXT_RUN", NEXT_RUN),
-    ("FLOOR", FIRST_COMPLETE_SECOND),
+    ("FIRST_COMPLETE_SECOND", FIRST_COMPLETE_SECOND),
     ("SKIPPED_STARTS", SKIPPED_STARTS),
     ("PAGE", nodes::PAGE),
-    ("NUMBERS", nodes::NUMBERS),
-    ("TENS", coarser::TENS),
+    ("NODES", nodes::NODES),
+    ("TEN_SECOND_BUCKETS", coarser::TEN_SECOND_BUCKETS),
 ];

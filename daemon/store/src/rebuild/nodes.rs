@@ -1,4 +1,4 @@
-//! Makes roll-ups from stored nodes, by the same rules as the writer.
+//! Making roll-ups from stored nodes, by the same rules as the writer.
 
 use std::collections::HashMap;
 
@@ -9,9 +9,9 @@ use sqlx::{FromRow, SqliteConnection};
 
 use crate::rollups::{Quantity, Rollups};
 
-/// Number of iterations of a page, which are read at a time.
+/// Number of iterations of a page. One page is read at a time.
 const PAGE_ITERATIONS: i64 = 500;
-/// Number of pending summaries at which they are written.
+/// Number of pending summaries at which all pending summaries are written.
 const MAX_PENDING_SUMMARIES: usize = 20_000;
 
 /// The last iteration of a page, and the number of iterations that statistics include: ?1 run, ?2 the last iteration of
@@ -21,7 +21,8 @@ pub(super) const PAGE: &str = "SELECT max(number), count(*) FILTER (WHERE warm_u
 /// The nodes of the successful iterations of a page, without the warm-up, and all values of episodes: ?1 run, ?2 last
 /// iteration of the previous page, ?3 last iteration of this page. The joins follow the key that all these tables have:
 /// run, iteration, node.
-pub(super) const NUMBERS: &str = "SELECT node.iteration, iteration.started_ns, node.node, node.parent, node.name, \
+// The unary `+` keeps SQLite from using an index of the column instead of this key.
+pub(super) const NODES: &str = "SELECT node.iteration, iteration.started_ns, node.node, node.parent, node.name, \
      (SELECT text FROM name WHERE id = node.name) AS text, node.value, node.lo, node.hi, transit.verdict \
      FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
      LEFT JOIN transit ON transit.run = node.run AND transit.iteration = node.iteration AND transit.node = node.node \
@@ -53,7 +54,7 @@ struct PageStatistics {
 }
 
 impl PageStatistics {
-    /// Adds the nodes of an iteration, which are in the order of their tree.
+    /// Adds the nodes of an iteration. `rows` are in the order of the tree.
     fn add_iteration(&mut self, rows: &[NodeRow]) {
         let mut values = IterationValues::default();
         let add = |row: &NodeRow| values.add(NodeId(row.node), row.parent.map(NodeId), &row.text, row.value);
@@ -72,7 +73,7 @@ impl PageStatistics {
             }
             if let Some(verdict) = row.verdict.filter(|_| role != NodeRole::Nested) {
                 *self.verdicts.entry((row.name, verdict)).or_default() += 1;
-                // As `OneWayDelay::half_width`: only of delays with a value.
+                // As in `OneWayDelay::half_width`, only delays with a value have a half width.
                 if let (Some(_), Some(lo), Some(hi)) = (row.value, row.lo, row.hi) {
                     record(Quantity::HalfWidth, (hi - lo) / 2.0);
                 }
@@ -103,8 +104,7 @@ pub(super) async fn sum_up(
         let Some(last) = last else { break };
         let mut statistics = PageStatistics::default();
         let mut iteration_rows = Vec::<NodeRow>::new();
-        let mut rows =
-            sqlx::query_as(NUMBERS).bind(run).bind(previous_last).bind(last).fetch(&mut *connection);
+        let mut rows = sqlx::query_as(NODES).bind(run).bind(previous_last).bind(last).fetch(&mut *connection);
         while let Some(row) = rows.try_next().await? {
             let row: NodeRow = row;
             if iteration_rows.last().is_some_and(|previous| previous.iteration != row.iteration) {

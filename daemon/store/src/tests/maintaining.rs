@@ -31,7 +31,7 @@ async fn backup_is_consistent_and_overwrites_no_file() {
     let mut test_store = TestStore::new().await;
     test_store.store_run(100).await;
     let target = test_store.path.with_file_name("copy.sqlite");
-    // A killed backup left a file behind. The next backup replaces this file.
+    // A killed backup left a file behind. The next backup overwrites this file.
     std::fs::write(target.with_file_name("copy.sqlite.partial"), b"left behind").expect("writable");
     let backup = Backup::prepare(&test_store.path, &target).await.expect("can be read");
     assert!(backup.expected_bytes() > 100_000);

@@ -90,7 +90,7 @@ async fn rebuilt_statistics_equal_incremental_statistics() {
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
         assert_eq!(rebuilt_verdict_counts, verdict_counts);
         let ok = test_store.count("SELECT sum(ok) FROM run").await.unsigned_abs();
-        assert_eq!(rebuilt, Rebuilt { runs: 2, iterations: ok, in_part: 0 });
+        assert_eq!(rebuilt, Rebuilt { runs: 2, iterations: ok, partly_rebuilt_runs: 0 });
         assert_eq!(progress_reports.last(), Some(&rebuilt));
         connection.close().await.expect("closes");
     }
@@ -103,7 +103,7 @@ async fn rebuild_of_one_run_changes_no_other_run() {
     let incremental = table(&mut connection).await;
     sqlx::query("DELETE FROM rollup").execute(&mut connection).await.expect("empties");
     let rebuilt = rebuild(&mut connection, Some(2), |_| {}).await.expect("rebuilds");
-    assert_eq!((rebuilt.runs, rebuilt.in_part), (1, 0));
+    assert_eq!((rebuilt.runs, rebuilt.partly_rebuilt_runs), (1, 0));
     let rollups_of_second_run = incremental.into_iter().filter(|((run, ..), _)| *run == 2).collect();
     assert_same(&table(&mut connection).await, &rollups_of_second_run);
     let rebuilt = rebuild(&mut connection, Some(3), |_| {}).await.expect("finds no run");

@@ -342,7 +342,7 @@ async fn late_arrivals_are_kept_for_their_period() {
     assert_eq!(series.bucket_s, 3_600);
     assert_eq!(series.stages[0].points.iter().map(|point| point.count).sum::<u64>(), 299);
     let rebuilt = rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
-    assert_eq!(rebuilt.in_part, 1);
+    assert_eq!(rebuilt.partly_rebuilt_runs, 1);
     assert_eq!(test_store.store.statistics_of(1).await.expect("answers").stages, whole);
     // The arrival becomes a row of the table `arrival` within an hour.
     run_until_done(&mut retention, &mut connection, day(104.1)).await;

@@ -42,9 +42,9 @@ fn print(database: &Path, repaired: &RepairResult) {
     let rows: Vec<Vec<String>> = repaired
         .tables
         .iter()
-        .filter(|table| table.rows > 0 || table.unreadable > 0)
+        .filter(|table| table.rows > 0 || table.unreadable_ranges > 0)
         .map(|table| {
-            let lost = match (table.table.as_str(), table.unreadable) {
+            let lost = match (table.table.as_str(), table.unreadable_ranges) {
                 ("iteration", _) => iterations.clone(),
                 (_, 0) => "0".to_owned(),
                 (_, 1) => "unknown number, in 1 damaged place".to_owned(),

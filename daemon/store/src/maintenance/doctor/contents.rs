@@ -1,4 +1,4 @@
-//! Facts from the tables, without reading the large tables.
+//! Reading of the tables' contents, except for the rows of the large tables.
 
 use peernet_clock::{Span, WallTime};
 use sqlx::{AssertSqlSafe, SqliteConnection};
@@ -20,12 +20,12 @@ const GAPS: &str = "SELECT host.name AS host, gap.reason, count(*) AS gaps, sum(
 const QUARANTINE: &str = "SELECT host.name AS host, quarantine.reason, count(*) AS batches, max(quarantine.received_ns) AS last_ns \
      FROM quarantine JOIN host ON host.id = quarantine.host \
      GROUP BY quarantine.host, quarantine.reason ORDER BY batches DESC";
-/// Two lookups per run and width.
+/// Time ranges of the roll-ups, by width. The statement makes two look-ups for each run and width.
 const ROLLUPS: &str = "SELECT width.column1 AS resolution_s, \
      min((SELECT min(bucket_s) FROM rollup WHERE rollup.run = run.number AND resolution_s = width.column1)) AS oldest_s, \
      max((SELECT max(bucket_s) FROM rollup WHERE rollup.run = run.number AND resolution_s = width.column1)) AS newest_s \
      FROM (VALUES (1), (10), (60), (3600)) AS width LEFT JOIN run GROUP BY width.column1 ORDER BY width.column1";
-/// ?1 time before which the host was last seen.
+/// Runs without an end whose hosts were not seen since a time: ?1 this time.
 const OPEN_RUNS: &str = "SELECT run.number, pipeline.name AS pipeline, host.name AS host, host.last_seen_ns \
      FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
      WHERE run.ended_ns IS NULL AND host.last_seen_ns < ?1 ORDER BY run.number LIMIT 1000";
@@ -47,10 +47,10 @@ const EARLY_DELETIONS: &str = "SELECT what, count FROM retention_note";
 /// Time and text of the last deletion by retention.
 const LAST_DELETION: &str = "SELECT strftime('%Y-%m-%d %H:%M:%S', at_ns / 1000000000, 'unixepoch'), text FROM incident INDEXED BY incident_of_aggregator \
      WHERE host IS NULL AND kind = 'retention' ORDER BY id DESC LIMIT 1";
-/// Runs whose roll-ups are still to be computed.
+/// Number of runs of an earlier version whose coarser roll-ups are still to be computed.
 const DEBTS: &str = "SELECT count(*) FROM rollup_debt";
 
-/// Reads the facts into the report, and adds findings.
+/// Reads the contents of the tables into the report, and adds findings.
 pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection, now: WallTime) {
     count_rows(report, connection).await;
     let answer = sqlx::query_as(STREAMS).fetch_all(&mut *connection).await;
@@ -96,7 +96,7 @@ async fn count_rows(report: &mut Report, connection: &mut SqliteConnection) {
     }
 }
 
-/// Adds findings for facts that need attention.
+/// Adds findings for contents that need attention.
 fn add_findings(report: &mut Report, early_deletions: &[(String, i64)], debts: i64) {
     let gaps: i64 = report.gaps.iter().map(|group| group.gaps).sum();
     // A host may have reported any number of lost events.
@@ -131,7 +131,7 @@ fn add_findings(report: &mut Report, early_deletions: &[(String, i64)], debts: i
     if debts > 0 {
         report.notice(
             format!("{debts} runs of an older version have only roll-ups of 10 s"),
-            "the aggregator computes the others at its next start",
+            "the aggregator computes the missing roll-ups at its next start",
         );
     }
 }

@@ -21,10 +21,11 @@ use crate::database_error::{DatabaseError, is_damage};
 use crate::foreign_log::{ForeignLog, refuse_foreign_log_at};
 use crate::integrity::{PageCheck, has_table_list, log_path, recorded_damage};
 
-/// If fewer bytes of the disk are free, the report names a problem.
+/// Minimum number of free bytes on the disk. If fewer bytes are free, the report has a problem.
 const MIN_FREE_BYTES: u64 = 512 << 20;
-/// If the write-ahead log has more bytes, something probably keeps SQLite from checkpointing the log into the database.
-const LARGE_WAL_BYTES: u64 = 512 << 20;
+/// Maximum size of the write-ahead log. If the log is larger, a program probably keeps SQLite from checkpointing the log
+/// into the database, and the report has a notice.
+const MAX_WAL_BYTES: u64 = 512 << 20;
 /// Advice for a damaged file.
 const REPAIR: &str = "stop the aggregator and run this again with --repair, which salvages all readable rows and keeps the \
                       damaged file; or restore the newest backup. Agents send the events in their spools again";
@@ -57,7 +58,7 @@ pub struct Examination {
     /// `true` if indexes are also compared with their tables, and references between tables are checked. This takes
     /// several times as long.
     pub full: bool,
-    /// Present time of this machine's wall clock.
+    /// Current time on this machine's wall clock.
     pub now: WallTime,
 }
 
@@ -74,11 +75,12 @@ pub async fn examine(database: &Path, settings: Examination) -> Result<Report, D
         source: DatabaseError::new(error),
     };
     let mut report = Report { database: database.to_owned(), ..Report::default() };
-    // The file is read without SQLite before SQLite opens the file: see `PageFile::open`.
+    // The file is read without SQLite before SQLite opens it: see `PageFile::open`. If the file cannot be opened,
+    // `refuse_foreign_log_at` or SQLite reports the error.
     report.integrity.has_table_list =
         File::open(database).map_or(true, |file| has_table_list(Arc::new(file)));
     refuse_foreign_log_at(database)?;
-    // Without SQLite as well, and before SQLite has the file open.
+    // The search for malformed pages, too, reads the file without SQLite and before SQLite opens it.
     report.find_malformed_pages(database);
     let opening = async {
         let mut connection = read_only_options(database).connect().await?;
@@ -137,7 +139,7 @@ impl Report {
         self.findings.push(Finding { severity: Severity::Notice, what, advice: advice.to_owned() });
     }
 
-    /// Returns the value of an answer. If the query failed, adds a problem and returns the default value.
+    /// Returns the value that a query selected. If the query failed, adds a problem and returns the default value.
     fn value_or_problem<T: Default>(&mut self, what: &str, answer: Result<T, sqlx::Error>) -> T {
         answer.unwrap_or_else(|error| {
             if is_damage(&error) {
@@ -152,7 +154,7 @@ impl Report {
         })
     }
 
-    /// Reads the sizes of the file, its log and its disk, and reports problematic sizes.
+    /// Reads the sizes of the file and its log, and the free space of its disk. Adds findings for problematic sizes.
     async fn check_sizes(&mut self, connection: &mut SqliteConnection, database: &Path) {
         let answer = sqlx::query_scalar(
             "SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size",
@@ -169,7 +171,7 @@ impl Report {
                  periods in [aggregator.retention] keep the file small",
             );
         }
-        if self.file.wal_bytes > LARGE_WAL_BYTES {
+        if self.file.wal_bytes > MAX_WAL_BYTES {
             let megabytes = self.file.wal_bytes >> 20;
             self.notice(
                 format!("its write-ahead log has {megabytes} MiB"),
@@ -218,7 +220,8 @@ impl Report {
     /// nothing.
     async fn check_integrity(&mut self, connection: &mut SqliteConnection, full: bool) {
         self.integrity.full = full;
-        // The full check takes several times as long, and finds no more than the quick check in damaged trees.
+        // If the quick check finds damage, the full check is skipped: it would take several times as long and find
+        // nothing more in damaged trees.
         let earlier_findings = self.findings.len();
         for pragma in [Some("PRAGMA quick_check(100)"), full.then_some("PRAGMA integrity_check(100)")] {
             let is_undamaged = self.integrity.problems.is_empty() && self.findings.len() == earlier_findings;
@@ -246,7 +249,7 @@ impl Report {
             };
             self.problem(what, self.remedy());
         }
-        // Malformed pages alone are no damage: they may be unused.
+        // Malformed pages are reported only if SQLite found damage: otherwise the pages are not in use.
         if let (Some(first), true) = (self.malformed_pages.first(), self.findings.len() > earlier_findings) {
             let what =
                 format!("{} of its pages are malformed, the first is {first}", self.malformed_pages.len());
@@ -254,7 +257,8 @@ impl Report {
         }
     }
 
-    /// Compares the schema's version with this program's version of the schema. Returns whether they are equal.
+    /// Compares the version of the file's schema with the version that this program supports. Returns whether both are
+    /// equal, and the schema is complete.
     async fn has_current_schema(&mut self, connection: &mut SqliteConnection) -> bool {
         let supported = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
         let answer = sqlx::query_as("SELECT max(version), min(success) FROM _sqlx_migrations");

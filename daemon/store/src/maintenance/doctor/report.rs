@@ -32,7 +32,7 @@ pub struct Report {
     pub database: PathBuf,
     /// Sizes.
     pub file: FileSizes,
-    /// Version of its schema; `None` if it cannot be read.
+    /// Version of the file's schema; `None` if the version cannot be read.
     pub schema: Option<Schema>,
     /// Result of SQLite's own check of the file.
     pub integrity: Integrity,
@@ -51,7 +51,7 @@ pub struct Report {
     pub rollups: Vec<RollupExtent>,
     /// Open runs of hosts that have been silent for an hour, at most 1,000.
     pub open_runs: Vec<OpenRun>,
-    /// Findings that need attention.
+    /// Problems and notices.
     pub findings: Vec<Finding>,
 }
 
@@ -62,9 +62,9 @@ pub struct FileSizes {
     pub bytes: u64,
     /// Part of the file that is free for reuse.
     pub free_bytes: u64,
-    /// Size of the write-ahead log beside it (`-wal`).
+    /// Size of the write-ahead log beside the file (`-wal`).
     pub wal_bytes: u64,
-    /// Free space on its disk.
+    /// Free space on the disk of the file.
     pub disk_free_bytes: u64,
 }
 
@@ -84,7 +84,7 @@ pub struct Integrity {
     pub full: bool,
     /// Errors that the check found, at most 100.
     pub problems: Vec<String>,
-    /// `true` if rows can be found, so a repair can salvage some.
+    /// `true` if the list of tables can be read. Without the list, a repair cannot find any row.
     #[serde(skip)]
     pub(super) has_table_list: bool,
 }
@@ -96,7 +96,7 @@ pub struct TableRows {
     pub table: &'static str,
     /// Number of its rows.
     pub rows: u64,
-    /// `true` if the number was estimated from the ends of runs and a sample.
+    /// `true` if the number was estimated from the first, the last and some newest iterations of each run.
     pub estimated: bool,
 }
 
@@ -111,7 +111,7 @@ pub struct StreamState {
     pub stored: i64,
     /// The stream that this stream continues.
     pub previous: Option<String>,
-    /// Time when a part of the stream was stored last, on the aggregator's clock.
+    /// Last time when the host introduced itself with this stream or a batch of it was stored, on the aggregator's clock.
     pub last_seen_ns: i64,
 }
 
@@ -124,17 +124,17 @@ pub struct GapGroup {
     pub reason: String,
     /// Number of gaps.
     pub gaps: i64,
-    /// Number of events in them; events that could not be counted are not included.
+    /// Number of events in these gaps. Events that could not be counted are not included.
     pub events: i64,
     /// Number of gaps whose events could not be counted.
     pub uncounted: i64,
-    /// Time when the first event was dropped, on the host's clock.
+    /// Start of the earliest gap, on the host's clock; on the aggregator's clock if the times of the events are unknown.
     pub from_ns: i64,
-    /// Time when the last event was dropped, on the host's clock.
+    /// End of the latest gap, on the host's clock; on the aggregator's clock if the times of the events are unknown.
     pub to_ns: i64,
 }
 
-/// Quarantined batches of one host and reason.
+/// Quarantined batches of one host that have the same reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, sqlx::FromRow)]
 pub struct QuarantineGroup {
     /// Name of the host.

@@ -2,7 +2,7 @@
 //!
 //! The b-trees are read with the parser of the integrity check, because SQLite's recovery extension is not in the
 //! bundled library. Rows are decoded and checked against the types of the columns; unreadable rows are omitted.
-//! [`reconcile`] then makes the tables agree and records the gaps.
+//! [`reconcile`] then makes the tables agree with each other and records lost iterations as gaps.
 
 mod reconcile;
 mod rows;
@@ -33,7 +33,7 @@ use crate::integrity::{delete_record, find_damage_with_sqlite, recorded_damage};
 use crate::lock::{DatabaseLock, LockError};
 use crate::rebuild::rebuild;
 
-/// Table in which the migrations of a database are noted.
+/// Table in which sqlx records the migrations of a database.
 const MIGRATIONS_TABLE: &str = "_sqlx_migrations";
 
 /// Reason why a database was not repaired. The database is unchanged.
@@ -109,9 +109,9 @@ pub struct RepairResult {
     pub damaged: PathBuf,
     /// Result for each table, by name.
     pub tables: Vec<SalvagedTable>,
-    /// Number of lost iterations that the counters of their runs or missing numbers show.
+    /// Number of lost iterations, as far as the counters of runs or missing iteration numbers show it.
     pub lost_iterations: u64,
-    /// `true` if the write-ahead log beside the database could not be taken over: the newest data is missing.
+    /// `true` if the write-ahead log beside the database could not be applied. The newest data is missing then.
     pub without_log: bool,
 }
 
@@ -122,8 +122,8 @@ pub struct SalvagedTable {
     pub table: String,
     /// Number of rows in the new file.
     pub rows: u64,
-    /// Number of ranges of adjacent pages in which rows could not be read.
-    pub unreadable: u64,
+    /// Number of ranges of rows that could not be read.
+    pub unreadable_ranges: u64,
 }
 
 /// Replaces a damaged database by a new file with everything that can be read. Returns `None` if the database is not
@@ -144,13 +144,14 @@ pub async fn repair(
     }
     let lock = DatabaseLock::take(database)?;
     refuse_foreign_log(database, &lock.file())?;
-    // A symbolic link is resolved, because the other files lie beside the database itself.
+    // A symbolic link is resolved: log, new file and damaged file lie beside the database itself, not beside the link.
     let path = fs::canonicalize(database).map_err(|source| file_error(database, source))?;
     let recorded_damage = recorded_damage(&path).map_err(|source| file_error(&path, source))?;
-    // The write-ahead log has the newest data, and only SQLite can apply it; the file is read without SQLite
-    // afterwards.
+    // The write-ahead log has the newest data, and only SQLite can apply the log. All later steps read the file without
+    // SQLite.
     let without_log = !checkpoint_log(&path).await?;
-    // The record of a damage may be obsolete: an intact database is not rewritten.
+    // Recorded damage may not exist any more, for example after a backup was restored. An intact database is not
+    // rewritten.
     let damage = find_damage_with_sqlite(&path, &CancellationToken::new())
         .await
         .map_err(|error| RepairError::Write { path: path.clone(), source: DatabaseError::new(error) })?;
@@ -223,9 +224,9 @@ impl OldFile {
         Ok(Self { file, roots, version })
     }
 
-    /// Returns the root page of a table. If the page is unknown, the root page in the new file is returned, provided
-    /// that all known root pages are the same in both files. They are the same if the same migrations created both
-    /// files.
+    /// Returns the root page of a table. If the old file does not state the page, the page of the same table in the new
+    /// file is returned, provided that all stated root pages are equal in both files. They are equal if the same
+    /// migrations created both files.
     fn root(&self, table: &str, new_roots: &BTreeMap<String, u32>) -> Option<u32> {
         let is_same_layout =
             || self.roots.iter().all(|(table, root)| new_roots.get(table).is_none_or(|new| new == root));
@@ -245,8 +246,7 @@ async fn checkpoint_log(path: &Path) -> Result<bool, RepairError> {
     };
     match checkpoint.await {
         Ok(()) => {}
-        // A damaged database is why this function is called; the length of the write-ahead log shows whether the log
-        // was applied.
+        // Damage is expected here. The length of the write-ahead log shows whether the log was applied.
         Err(error) if is_damage(&error) => {}
         Err(error) => {
             return Err(RepairError::Write { path: path.to_owned(), source: DatabaseError::new(error) });
@@ -262,7 +262,7 @@ async fn salvage(
     now: WallTime,
     progress: &mut impl FnMut(&str),
 ) -> Result<(Vec<SalvagedTable>, i64), RepairError> {
-    // The new file is at most about as large as the old one, and both exist at the same time.
+    // The new file is at most about as large as the old file, and both files exist at the same time.
     let needed = u64::from(old.file.pages) * old.file.page_bytes as u64;
     let folder = new.parent().unwrap_or(new).to_owned();
     let free = free_bytes(&folder).map_err(|source| file_error(&folder, source))?;
@@ -277,7 +277,7 @@ async fn salvage(
         // The file is synced once, when it is complete, because it is not used before that.
         .journal_mode(SqliteJournalMode::Memory)
         .synchronous(SqliteSynchronous::Off)
-        // Tables are filled in the order of their names, so references exist only at the end.
+        // Tables are filled in the order of their names, so a row may refer to a row that is inserted later.
         .foreign_keys(false)
         .disable_statement_logging();
     let mut connection = options.connect().await.map_err(failed)?;
@@ -308,7 +308,8 @@ async fn fill(
         MigrateError::Execute(error) => error,
         error => sqlx::Error::Protocol(error.to_string()),
     })?;
-    // Rows are copied unchanged, so triggers must not act on them. An index is created faster when all rows exist.
+    // Rows are copied unchanged, so triggers must not act on the copied rows. Creating an index is faster when all rows
+    // exist.
     let triggers_and_indexes: Vec<(String, String, String)> = sqlx::query_as(
         "SELECT type, name, sql FROM sqlite_schema WHERE type IN ('trigger', 'index') AND sql IS NOT NULL",
     )
@@ -343,9 +344,10 @@ async fn fill(
         sqlx::query(AssertSqlSafe(sql.as_str())).execute(&mut *connection).await?;
     }
     sqlx::query("COMMIT").execute(&mut *connection).await?;
-    let has_unreadable =
-        |table: &str| tables.get(table).is_some_and(|table: &CopiedTable| !table.unreadable.is_empty());
-    // Statistics can be computed again from the nodes, so lost rows of these tables are no loss.
+    let has_unreadable = |table: &str| {
+        tables.get(table).is_some_and(|table: &CopiedTable| !table.unreadable_ranges.is_empty())
+    };
+    // These tables hold statistics, which can be computed again from the nodes.
     if has_unreadable("rollup") || has_unreadable("verdict_count") {
         progress("statistics from the nodes");
         rebuild(connection, None, |_| {}).await?;
@@ -355,12 +357,13 @@ async fn fill(
         let statement = AssertSqlSafe(format!("SELECT count(*) FROM \"{table}\""));
         let rows: i64 = sqlx::query_scalar(statement).fetch_one(&mut *connection).await?;
         let rows = u64::try_from(rows).unwrap_or(0);
-        salvaged.push(SalvagedTable { table, rows, unreadable: copied.unreadable.len() as u64 });
+        let unreadable_ranges = copied.unreadable_ranges.len() as u64;
+        salvaged.push(SalvagedTable { table, rows, unreadable_ranges });
     }
     Ok((salvaged, lost))
 }
 
-/// Ensures that new rows do not get the numbers of lost rows.
+/// Copies the highest row number of each table, so that new rows do not get the numbers of lost rows.
 async fn continue_numbering(connection: &mut SqliteConnection, old: &OldFile) -> Result<(), sqlx::Error> {
     let Some(root) = old.roots.get("sqlite_sequence") else { return Ok(()) };
     for item in Walk::start(&old.file, *root, true) {
@@ -394,7 +397,8 @@ fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf>
     if (new_metadata.uid(), new_metadata.gid()) != old_owner {
         chown(new, Some(old_owner.0), Some(old_owner.1))?;
     }
-    // Synced before the rename: after a power failure the name must not lead to a file without contents.
+    // The new file is synced before it is renamed: after a power failure, the name must not lead to a file without
+    // contents.
     File::open(new)?.sync_all()?;
     let damaged = sibling_path(path, &format!(".damaged-{stamp}"));
     // The file is linked and not renamed, so that the name `path` exists at all times.
@@ -407,7 +411,7 @@ fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf>
     }
     remove_if_exists(&sibling_path(path, "-shm"))?;
     fs::rename(new, path)?;
-    // The names are part of the folder.
+    // The new names are on the disk only when their folder is synced (fsync(2)).
     File::open(path.parent().unwrap_or(path))?.sync_all()?;
     Ok(damaged)
 }

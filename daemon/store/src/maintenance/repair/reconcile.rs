@@ -1,4 +1,4 @@
-//! Makes the salvaged rows agree with each other, and records lost iterations as gaps.
+//! Making salvaged rows agree with each other, and recording of lost iterations as gaps.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -17,8 +17,8 @@ const RANDOM_ID: &str = "lower(hex(randomblob(4)) || '-' || hex(randomblob(2)) |
 /// Tables with rows of an iteration's tree.
 const TREES: [&str; 3] = ["node", "transit", "anchor"];
 
-/// Tables and conditions of rows that are deleted because they refer to lost rows. An agent whose stream is lost sends
-/// the events in its spool again, as after a restored backup.
+/// Rows that are deleted because they refer to lost rows: tables and conditions. An agent whose row in `stream` is lost
+/// sends the events in its spool again, as after a restored backup.
 const ORPHANS: [(&str, &str); 7] = [
     ("stream", "host NOT IN (SELECT id FROM host)"),
     ("quarantine", "host NOT IN (SELECT id FROM host)"),
@@ -89,13 +89,16 @@ impl Reconciliation<'_> {
             self.restore_names().await?;
         }
         let mut lost = 0;
-        // Torn trees are searched for even if all ranges could be read: they do not show as an unreadable range.
-        let torn_trees = self.delete_torn_trees().await?;
-        if torn_trees > 0 || self.has_unreadable(&["iteration", "node", "transit", "anchor", "run"]) {
+        // Trees with missing nodes are searched for even if all ranges could be read: a row with an overwritten key is
+        // no unreadable range.
+        let trees_with_missing_nodes = self.delete_trees_with_missing_nodes().await?;
+        if trees_with_missing_nodes > 0
+            || self.has_unreadable(&["iteration", "node", "transit", "anchor", "run"])
+        {
             self.delete_incomplete_trees().await?;
             lost = self.record_gaps().await?;
         }
-        if torn_trees > 0
+        if trees_with_missing_nodes > 0
             || self.has_unreadable(&["host", "pipeline", "run", "iteration", "node", "transit", "anchor"])
         {
             self.recount_nodes().await?;
@@ -106,7 +109,7 @@ impl Reconciliation<'_> {
         Ok(lost)
     }
 
-    /// Restarts the retention period of rows whose arrival time is lost, as if they had just arrived.
+    /// Restarts the retention period of rows whose arrival time is lost, as if these rows had just arrived.
     async fn restart_retention(&mut self) -> Result<(), sqlx::Error> {
         if self.tables.contains_key("retained") {
             self.execute(
@@ -123,8 +126,8 @@ impl Reconciliation<'_> {
                  (SELECT coalesce(max(arriving_from_s), 0) FROM link)))",
             )
             .await?;
-            // These entries cover all rows and are older than all other entries. A row that a later entry also covers
-            // belongs to the later entry.
+            // These entries cover all rows, but begin before all other entries. A row that another entry covers, too,
+            // belongs to that entry, so its period does not restart.
             self.execute(
                 "INSERT OR IGNORE INTO arrival (kind, owner, from_s, to_s, first, last) \
                  SELECT owner.kind, owner.id, 0, elapsed_ns / 1000000000, -9223372036854775808, 9223372036854775807 \
@@ -143,7 +146,7 @@ impl Reconciliation<'_> {
     }
 
     fn unreadable_in(&self, table: &str) -> &[UnreadableRange] {
-        self.tables.get(table).map_or(&[], |table| &table.unreadable)
+        self.tables.get(table).map_or(&[], |table| &table.unreadable_ranges)
     }
 
     /// Executes a statement. Returns the number of changed rows.
@@ -161,6 +164,7 @@ impl Reconciliation<'_> {
         for (table, condition) in ORPHANS.into_iter().filter(|(table, _)| tables.contains_key(*table)) {
             self.execute(&format!("DELETE FROM {table} WHERE {condition}")).await?;
         }
+        // SQLite assigns ids from 1 on, so the substitutes for an unknown pipeline and an unknown host can have the id 0.
         self.execute(&format!(
             "INSERT INTO run (number, uuid, pipeline, started_ns, ended_ns, end_reason, last_iteration_ns, placement, model, \
              facts, configuration, version) \
@@ -178,7 +182,7 @@ impl Reconciliation<'_> {
              (SELECT id FROM pipeline WHERE host NOT IN (SELECT id FROM host))"
         ))
         .await?;
-        // The texts of incidents and gaps are useful without the reference.
+        // Incidents and gaps stay, because their texts are useful without the reference.
         self.execute("UPDATE incident SET run = NULL WHERE run NOT IN (SELECT number FROM run)").await?;
         self.execute("UPDATE incident SET peer = NULL WHERE peer NOT IN (SELECT id FROM host)").await?;
         self.execute("UPDATE gap SET run = NULL WHERE run NOT IN (SELECT number FROM run)").await?;
@@ -205,9 +209,9 @@ impl Reconciliation<'_> {
 
     /// Deletes the iterations whose nodes are not numbered from 0 without a gap. Returns their number.
     ///
-    /// If the key of a row was overwritten, the row may look like a row of another tree. It is then missing in its own
-    /// tree, but no range of the file is unreadable.
-    async fn delete_torn_trees(&mut self) -> Result<u64, sqlx::Error> {
+    /// If the key of a row was overwritten, the row may look like a row of another tree. The row is then missing in its
+    /// own tree, although no range of the file is unreadable.
+    async fn delete_trees_with_missing_nodes(&mut self) -> Result<u64, sqlx::Error> {
         self.execute(
             "DELETE FROM iteration WHERE (run, number) IN (SELECT run, iteration FROM node GROUP BY run, iteration \
              HAVING count(*) <> max(node) + 1)",
@@ -220,7 +224,7 @@ impl Reconciliation<'_> {
         for table in TREES {
             for UnreadableRange { before, after } in self.unreadable_in(table).to_vec() {
                 let (from_run, from) = before.map_or((i64::MIN, 0), |[run, iteration, _]| (run, iteration));
-                // A tree whose root was read after the range is complete.
+                // If the first row after the range is a root, the tree of this root is complete.
                 let (to_run, to) = match after {
                     Some([run, iteration, 0]) => (run, iteration - 1),
                     Some([run, iteration, _]) => (run, iteration),
@@ -258,9 +262,9 @@ impl Reconciliation<'_> {
         for run in runs {
             let run: IncompleteRun = sqlx::query_as(RUN).bind(run).fetch_one(&mut *self.connection).await?;
             let is_untrimmed = run.last_deleted_iteration == 0;
-            // The run's own counters were stored with its iterations. They are not usable if retention has deleted
-            // iterations of the run, or if the run is a substitute of a lost run. For these runs only the missing
-            // numbers show how many iterations are lost.
+            // The counters of a run count all stored iterations. They cannot be used if retention has deleted iterations
+            // of the run, or if the run is a substitute for a lost run. For these runs, only missing iteration numbers
+            // show how many iterations are lost.
             let lost = if is_untrimmed && run.counted > 0 {
                 run.counted - run.stored
             } else {
@@ -287,6 +291,7 @@ impl Reconciliation<'_> {
         ["iteration", "node"].iter().any(|table| self.unreadable_in(table).iter().any(is_within))
     }
 
+    /// Stores a gap of `lost` iterations of a run, and moves them from the host's stored events to its missing events.
     async fn insert_gap(&mut self, run: &IncompleteRun, lost: i64) -> Result<(), sqlx::Error> {
         sqlx::query(
             "INSERT INTO gap (host, pipeline, run, from_ns, to_ns, count, reason) VALUES (?, ?, ?, ?, ?, ?, ?)",
@@ -310,6 +315,7 @@ impl Reconciliation<'_> {
         Ok(())
     }
 
+    /// Counts the stored iterations of a run again and writes the counters of the run.
     async fn recount_iterations(&mut self, run: i64) -> Result<(), sqlx::Error> {
         sqlx::query(
             "UPDATE run SET (warm_up, ok, failed, lost, timeout) = (SELECT coalesce(sum(warm_up <> 0), 0), \

@@ -10,7 +10,7 @@ use crate::integrity::pages::{PageFile, column_bytes, varint};
 /// Maximum number of values in one statement; SQLite's limit is 32,766.
 const MAX_VALUES: usize = 16_384;
 
-/// Number of rows whose writing is delayed, because the next rows may show that they cannot be trusted.
+/// Number of newest rows whose writing is delayed, because later rows may show that the newest rows were overwritten.
 const DELAYED_ROWS: usize = 8;
 
 /// One value, in SQLite's order of types.
@@ -30,13 +30,13 @@ pub(super) struct Table {
     columns: Vec<Column>,
     /// Indexes of the columns in the order in which a record has them.
     record_columns: Vec<usize>,
-    /// Number of columns at the start of `record_columns` that are the key of a clustered table; 0 for a table with row
-    /// ids.
+    /// Number of columns at the start of `record_columns` that are the key of a clustered table (`WITHOUT ROWID`); 0 for
+    /// a table with row ids.
     key_columns: usize,
     /// Index of the column that is the row id.
     rowid: Option<usize>,
     pub(super) has_rowids: bool,
-    /// `true` if the migrations put rows into the table.
+    /// `true` if the migrations have inserted rows into the table.
     is_seeded: bool,
 }
 
@@ -69,7 +69,7 @@ pub(super) struct UnreadableRange {
 /// Result of copying a table.
 #[derive(Debug, Default)]
 pub(super) struct CopiedTable {
-    pub(super) unreadable: Vec<UnreadableRange>,
+    pub(super) unreadable_ranges: Vec<UnreadableRange>,
 }
 
 #[derive(sqlx::FromRow)]
@@ -135,13 +135,14 @@ impl Table {
     ) -> Result<CopiedTable, sqlx::Error> {
         let mut copied = CopiedTable::default();
         let Some(root) = root else {
-            copied.unreadable.push(UnreadableRange { before: None, after: None });
+            copied.unreadable_ranges.push(UnreadableRange { before: None, after: None });
             return Ok(copied);
         };
         let max_rows = MAX_VALUES / self.columns.len() - DELAYED_ROWS;
         let mut rows: Vec<Row> = Vec::new();
         let mut last_written = None;
-        let mut in_unreadable = false;
+        // `true` if the previous row was unreadable.
+        let mut is_in_range = false;
         for item in Walk::start(file, root, self.has_rowids) {
             let row = match item {
                 Item::Row(rowid, record) => self.decode(&record, rowid),
@@ -150,22 +151,23 @@ impl Table {
             let last = rows.last().or(last_written.as_ref());
             let is_ordered = row.as_ref().zip(last).is_none_or(|(row, last)| self.precedes(last, row));
             if !is_ordered {
-                // The keys of a tree ascend. One of these two rows was overwritten. It is unknown which of them, so
+                // The keys of a tree ascend, so one of the two rows was overwritten. It is unknown which row that is, so
                 // neither row is copied.
                 rows.pop();
             }
             let before = rows.last().or(last_written.as_ref()).map(|row| self.key(row));
             let Some(row) = row.filter(|_| is_ordered) else {
-                match copied.unreadable.last_mut().filter(|_| in_unreadable) {
-                    // Adjacent unreadable pages are one range; a popped row moves its start back.
+                match copied.unreadable_ranges.last_mut().filter(|_| is_in_range) {
+                    // Adjacent unreadable rows and pages are one range. A row that was removed above moves the start of
+                    // the range back.
                     Some(range) => range.before = before,
-                    None => copied.unreadable.push(UnreadableRange { before, after: None }),
+                    None => copied.unreadable_ranges.push(UnreadableRange { before, after: None }),
                 }
-                in_unreadable = true;
+                is_in_range = true;
                 continue;
             };
-            if std::mem::take(&mut in_unreadable)
-                && let Some(range) = copied.unreadable.last_mut()
+            if std::mem::take(&mut is_in_range)
+                && let Some(range) = copied.unreadable_ranges.last_mut()
             {
                 range.after = Some(self.key(&row));
             }
@@ -202,11 +204,11 @@ impl Table {
         Ok(())
     }
 
-    /// Decodes a record; `None` if a value is not of its column's type.
+    /// Decodes a record; `None` if the record is malformed, or a value does not have the type of its column.
     fn decode(&self, record: &[u8], rowid: Option<i64>) -> Option<Row> {
         let mut row: Vec<Value> = self.columns.iter().map(|column| column.default.clone()).collect();
         let values = decode_values(record)?;
-        // Fewer values are valid: the row was written before a migration added columns.
+        // A record with fewer values is valid: the row was written before a migration added columns.
         if values.len() > self.record_columns.len() {
             return None;
         }
@@ -223,7 +225,7 @@ impl Table {
         Some(Row { rowid, values: row })
     }
 
-    /// Returns whether the first row is before the second in the table's tree.
+    /// Returns whether the row `first` comes before the row `second` in the table's tree.
     fn precedes(&self, first: &Row, second: &Row) -> bool {
         if self.has_rowids {
             return first.rowid < second.rowid;
@@ -232,20 +234,20 @@ impl Table {
         keys.iter().map(|index| &first.values[*index]).lt(keys.iter().map(|index| &second.values[*index]))
     }
 
-    /// Returns the first three columns of a record; 0 for a column that is missing or no integer.
+    /// Returns the first three columns of a row's record, with 0 for a column that is missing or no integer.
     fn key(&self, row: &Row) -> [i64; 3] {
-        let part = |position: usize| match self.record_columns.get(position).map(|index| &row.values[*index])
-        {
-            Some(Value::Integer(value)) => *value,
-            _ => 0,
-        };
-        [part(0), part(1), part(2)]
+        let column =
+            |position: usize| match self.record_columns.get(position).map(|index| &row.values[*index]) {
+                Some(Value::Integer(value)) => *value,
+                _ => 0,
+            };
+        [column(0), column(1), column(2)]
     }
 }
 
 impl Column {
-    /// Returns `Some` if the value is of the column's type. SQLite stores REAL numbers without a fraction as integers;
-    /// such a value is converted back.
+    /// Returns `Some` if the value has the type of the column. SQLite stores REAL numbers without a fraction as integers.
+    /// Such an integer is converted to REAL.
     fn accept(&self, value: &mut Value) -> Option<()> {
         if let (Value::Integer(integer), "REAL") = (&*value, self.kind.as_str()) {
             *value = Value::Real(*integer as f64);

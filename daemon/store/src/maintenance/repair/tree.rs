@@ -21,7 +21,7 @@ pub(super) struct Walk<'a> {
     /// Pages visited so far. A damaged page may refer to any page, so a walk without this set might not end.
     visited: HashSet<u32>,
     stack: Vec<Level>,
-    /// `true` if the root is unreadable and this was not reported yet.
+    /// `true` if the root is unreadable and the walk has not returned an item for it yet.
     must_report_root: bool,
 }
 
@@ -42,7 +42,8 @@ impl<'a> Walk<'a> {
         walk
     }
 
-    /// Continues with a page. Returns whether it can be read and belongs to this tree.
+    /// Continues the walk with a page. Returns `false` if the page cannot be read, is of the wrong kind, or was visited
+    /// before.
     fn descend(&mut self, number: u32) -> bool {
         if !self.visited.insert(number) {
             return false;
@@ -87,7 +88,7 @@ impl Iterator for Walk<'_> {
             }
             let (index, after_child) = (step / 2, step % 2 == 1);
             if after_child {
-                // In a table with row ids the cells of interior pages hold keys only.
+                // In a table with row ids, the cells of interior pages hold keys only. In other tables, they are rows.
                 let item = level.page.cell(index).filter(|_| !self.is_table).map(|cell| self.row(&cell));
                 self.stack.push(level);
                 if item.is_some() {
