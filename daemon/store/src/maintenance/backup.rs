@@ -211,7 +211,7 @@ impl UnfinishedCopy {
             Err(TryLockError::WouldBlock) => return Err(BackupError::UnderWay(path)),
             Err(TryLockError::Error(error)) => return Err(write_error(error)),
         }
-        // SQLite writes a copy only to an empty file.
+        // `VACUUM INTO` writes a copy only to an empty file.
         file.set_len(0).map_err(write_error)?;
         Ok(Self { path, file, is_published: false })
     }

@@ -21,7 +21,7 @@ pub(super) const PAGE: &str = "SELECT max(number), count(*) FILTER (WHERE warm_u
 /// The nodes of the successful iterations of a page, without the warm-up, and all values of episodes: ?1 run, ?2 last
 /// iteration of the previous page, ?3 last iteration of this page. The joins follow the key that all these tables have:
 /// run, iteration, node.
-// The unary `+` keeps SQLite from using an index of the column instead of this key.
+// `CROSS JOIN` keeps SQLite from reordering the joins. The unary `+` keeps it from using another index than this key.
 pub(super) const NODES: &str = "SELECT node.iteration, iteration.started_ns, node.node, node.parent, node.name, \
      (SELECT text FROM name WHERE id = node.name) AS text, node.value, node.lo, node.hi, transit.verdict \
      FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \

@@ -172,7 +172,7 @@ async fn samples_with_repeated_wall_times_are_all_kept() {
 
 #[tokio::test]
 async fn later_window_is_used_for_repeated_seconds() {
-    // Numbers of windows are random. The window that arrived later counts, even if its number is smaller.
+    // Agents draw the numbers of windows at random. The window that arrived later counts, even if its number is smaller.
     for (first_window, second_window) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
         let mut test_store = TestStore::new().await;
         let cloud = test_store.cloud;

@@ -96,6 +96,7 @@ async fn values_outside_statistics_make_no_pairs() {
     test_store.store_iterations(all.into_iter()).await;
     let pairs = test_store.pairs("download-bytes", 100).await;
     assert_eq!(pairs.points, [(10.0, 1.0), (20.0, 2.0), (30.0, 3.0), (40.0, 4.0)]);
+    // Iterations outside statistics are read, but yield no pair.
     assert_eq!((pairs.read_iterations, pairs.stored_iterations), (9, 9));
     assert_eq!(
         test_store.pairs("completion-tokens", 100).await.points.len(),

@@ -156,6 +156,7 @@ async fn later_clock_samples_narrow_delays() {
 #[tokio::test]
 async fn long_run_is_judged_in_pages() {
     let mut test_store = TestStore::new().await;
+    // The clock samples and the delays of this run take several pages each.
     let simulated = simulate(&mut test_store, (5, 1_500, 5), |_, _| {}).await;
     let recomputed = recompute(&test_store).await;
     assert_eq!(recomputed.samples, 1_510);

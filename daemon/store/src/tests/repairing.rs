@@ -51,6 +51,7 @@ async fn database_is_consistent_after_repair_of_any_page() {
         let offset = (page.cast_unsigned() - 1) * 4096;
         file.write_all_at(&[0xa5; 4096], offset).expect("writes");
         let repaired = repair(&path, NOW, "now", |_| {}).await;
+        // Page 1 has the file's header and the list of tables. Without them, no row can be found.
         if *page == 1 {
             assert!(matches!(repaired, Err(RepairError::Unreadable { .. })), "{repaired:?}");
             let report = examine(&path, Examination { full: false, now: NOW }).await.expect("opens");

@@ -71,8 +71,8 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
     );
 }
 
-/// Stores concurrent runs. `runs` has for each run its name, the hours in which it measures, and its number of iterations
-/// per hour. All iterations of an hour arrive at the end of the hour.
+/// Stores concurrent runs. `runs` has for each run its name, the hours in which it measures, and its number of
+/// iterations per hour. All iterations of an hour arrive at the end of the hour.
 async fn store_concurrent_runs(
     test_store: &mut TestStore,
     runs: &[(&str, std::ops::Range<u32>, u32)],

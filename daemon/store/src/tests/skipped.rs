@@ -93,6 +93,7 @@ async fn invalid_counts_of_skipped_starts_are_limited() {
         let committed = test_store.commit(&[work]).await;
         assert!(committed.quarantined.is_empty(), "{skipped}: {:?}", committed.quarantined);
     }
+    // The writer limits the number of skipped starts of a run to 2^53.
     assert_eq!(test_store.skipped_starts().await, [1 << 53]);
     // A rebuild accepts the invalid counts, too.
     let mut connection = test_store.second_connection().await;

@@ -27,6 +27,7 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
     for seconds in (1..=100).step_by(3) {
         test_store.writer.store_clock_readings(stamp_after(seconds), &mut pending).await.expect("stores");
     }
+    // The stored reading is behind by at most 30 s, the interval between two stored readings.
     let elapsed = test_store.count(ELAPSED_S).await;
     assert!((70..=100).contains(&elapsed), "{elapsed}");
     // The transaction of a commit also stores the storage clock.

@@ -67,6 +67,7 @@ async fn merged_quantiles_are_within_one_percent() {
         let rank = q * 389.0_f64;
         let (below, above) = (all_readings[rank.floor() as usize], all_readings[rank.ceil() as usize]);
         let (exact, quantile) = (below + (above - below) * rank.fract(), quantile.expect("enough readings"));
+        // The error of a sketch is at most 1 %; the remaining tolerance is for rounding.
         assert!((quantile - exact).abs() <= 0.0101 * exact, "{q}: {quantile} {exact}");
     }
     let range = merged.mergeable.summary("range").expect("still mergeable");

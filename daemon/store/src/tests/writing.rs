@@ -429,6 +429,7 @@ async fn sums_of_reported_missing_events_do_not_overflow() {
     let gap = Gap { pipeline: None, run: None, from: at, to: at, count: u64::MAX, reason: "many".into() };
     let work = [0, 1].map(|_| test_store.batch(vec![Event::Gap(gap.clone()), Event::Gap(gap.clone())]));
     let committed = test_store.commit(&work).await;
+    // The writer limits the number of missing events of a gap to 2^40.
     assert_eq!((committed.quarantined.len(), committed.hosts[&test_store.edge].0.missing), (0, 4 << 40));
     assert_eq!(test_store.count("SELECT sum(count) FROM gap").await, 4 << 40, "sums do not overflow");
     let next_batch = test_store.batch(vec![Event::Gap(gap)]);

@@ -18,8 +18,8 @@ use crate::column::column;
 use crate::extent::Extent;
 use crate::plausible;
 
-/// Maximum number of links in the cache. When it is reached, all cached links are discarded. A link is read again when it
-/// is needed.
+/// Maximum number of links in the cache. When it is reached, all cached links are discarded. A link is read again when
+/// it is needed.
 const MAX_CACHED_LINKS: usize = 10_000;
 
 /// Stores a clock sample. The sample replaces an earlier sample of the same second, as in the live state: an agent may

@@ -22,9 +22,9 @@ pub struct ConnectionSample {
     pub connection: Connection,
 }
 
-/// Stores a sample of a connection, if its link has clock samples. The time of the sample comes from a live update, which
-/// may claim any time. The time is therefore moved into the range of the link's clock samples: retention deletes samples
-/// of connections together with the clock samples of the same time.
+/// Stores a sample of a connection, if its link has clock samples. The time of the sample comes from a live update,
+/// which may claim any time. The time is therefore moved into the range of the link's clock samples: retention deletes
+/// samples of connections together with the clock samples of the same time.
 const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pipeline, local_address, remote_address, \
      interface, interface_type, mtu_bytes, \
      sent_bytes, sent_messages, sent_datagrams, sent_lost, sent_duplicated, sent_reordered, sent_retransmitted, \

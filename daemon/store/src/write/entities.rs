@@ -12,8 +12,8 @@ use sqlx::SqliteConnection;
 use super::{Refusal, RunName};
 use crate::stored::{StoredCounts, in_other_database};
 
-/// Maximum number of runs in the cache. When it is reached, all cached runs are discarded. A run is read again when it is
-/// needed.
+/// Maximum number of runs in the cache. When it is reached, all cached runs are discarded. A run is read again when it
+/// is needed.
 const MAX_CACHED_RUNS: usize = 10_000;
 /// Pipeline and model of a run whose start has not arrived.
 pub(crate) const UNKNOWN: &str = "unknown";

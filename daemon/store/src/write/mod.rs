@@ -170,6 +170,7 @@ impl Writer {
             self.unreturned_result.merge(committed);
         }
         self.file.record_log();
+        // The file may have been moved while the transactions ran. Their data then counts as not stored.
         self.check_file()?;
         Ok(std::mem::take(&mut self.unreturned_result))
     }

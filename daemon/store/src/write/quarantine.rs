@@ -33,6 +33,7 @@ impl<'a> RejectedBatch<'a> {
     /// Creates the value for a batch that the database refused.
     pub(super) fn from_refused(batch: &PreparedBatch, reason: &'a str) -> Self {
         let (head, body) = (batch.head, &batch.body);
+        // The received frame is dropped when a batch is prepared, so a frame with the same events is encoded.
         let frame = Bytes::from(codec::encode_batch(&head, body, false));
         Self { head, frame, events: codec::decode_events(body, head.events).ok(), reason }
     }

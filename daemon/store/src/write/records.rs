@@ -110,8 +110,8 @@ pub(super) fn describe_batches_of_other_database(stream: &StreamId, from: u64, t
 }
 
 /// Stores a gap of `events` events whose runs are unknown. No page of a run shows this gap, so an incident with the
-/// reason is stored, too. If the number of events is unknown (`None`), the gap has the number 0. Returns the additions to
-/// the counters of the host.
+/// reason is stored, too. If the number of events is unknown (`None`), the gap has the number 0. Returns the additions
+/// to the counters of the host.
 pub(super) async fn insert_unattributed_gap(
     connection: &mut SqliteConnection,
     host: i64,

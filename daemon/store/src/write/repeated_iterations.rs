@@ -13,6 +13,7 @@ use super::prepared::PreparedBatch;
 
 /// Selects which iterations of a run are stored: ?1 run, ?2 host, ?3 numbers of the iterations in question, as a JSON
 /// array. Each number is looked up by the key of the table.
+// With an array, one prepared statement serves any number of iterations.
 const STORED: &str = "SELECT iteration.number FROM run \
      JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
      CROSS JOIN json_each(?3) AS requested \

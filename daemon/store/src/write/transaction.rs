@@ -147,6 +147,7 @@ impl Staging {
         self.rollups.write(connection).await?;
         committed.hosts = self.counters.write(connection, now, storage_s).await?;
         self.links.write(connection, storage_s).await?;
+        // Ends come after the counters: a run without a reported end ends with its last iteration.
         self.ends.write(connection).await?;
         self.foreign_reports.write(connection, now).await?;
         committed.marks.extend(self.advanced_streams.write(connection, now).await?);

@@ -21,6 +21,7 @@ impl BatchBuilder {
         let counted_nodes = tree.counted_nodes();
         let run = self.add_to_run(iteration, edge.wall, counted_nodes.get(&stage::SKIPPED_STARTS));
         let index = self.batch.iterations.len() as u32;
+        // The edge's anchor needs no row: its host is the host of the run, and its time is the start of the iteration.
         for (position, anchor) in (1..).zip(other_anchors) {
             let (host, wall_ns) = (self.host_position(anchor.host), anchor.wall.unix_nanos());
             self.batch.anchors.push(AnchorRow { iteration: index, position, host, wall_ns });
