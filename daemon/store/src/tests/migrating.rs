@@ -123,10 +123,14 @@ async fn skipped_starts_of_stored_runs_are_counted_once() {
         test_store.store_run(5).await;
         let path = copy_to_version(&test_store, version).await;
         reopen(&mut test_store, &path).await;
-        assert_eq!(test_store.skipped_starts().await, [super::skipped::SKIPPED, 0], "version {version}");
+        assert_eq!(
+            test_store.skipped_starts().await,
+            [super::skipped_starts::SKIPPED, 0],
+            "version {version}"
+        );
         reopen(&mut test_store, &path).await;
         test_store.store_run_with_skipped_starts().await;
-        let expected = [super::skipped::SKIPPED, 0, super::skipped::SKIPPED];
+        let expected = [super::skipped_starts::SKIPPED, 0, super::skipped_starts::SKIPPED];
         assert_eq!(test_store.skipped_starts().await, expected, "version {version}");
     }
 }

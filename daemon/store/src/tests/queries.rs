@@ -71,19 +71,21 @@ async fn runs_read_in_one_query_equal_single_runs() {
     for iterations in [40, 30, 20] {
         test_store.store_run(iterations).await;
     }
-    let together = test_store.store.statistics(&[3, 9, 1, 2, 1]).await.expect("answers");
-    let mut alone = Vec::new();
+    let in_one_query = test_store.store.statistics(&[3, 9, 1, 2, 1]).await.expect("answers");
+    let mut single_runs = Vec::new();
     for run in [3, 9, 1, 2, 1] {
-        alone.push(test_store.store.statistics_of(run).await.expect("answers"));
+        single_runs.push(test_store.store.statistics_of(run).await.expect("answers"));
     }
-    assert_eq!(together, alone);
+    assert_eq!(in_one_query, single_runs);
     let total = |statistics: &RunStatistics| {
         statistics.stages.iter().find(|stage| stage.stage == stage::TOTAL).map(|total| total.statistics.count)
     };
-    let counts: Vec<Option<u64>> = together.iter().map(total).collect();
+    let counts: Vec<Option<u64>> = in_one_query.iter().map(total).collect();
     assert_eq!(counts, [Some(20), None, Some(40), Some(30), Some(40)]);
-    assert!(together[0].bounds.iter().any(|bound| bound.half_width.is_some() && !bound.verdicts.is_empty()));
-    assert_eq!(together[1], RunStatistics::default(), "there is no such run");
+    assert!(
+        in_one_query[0].bounds.iter().any(|bound| bound.half_width.is_some() && !bound.verdicts.is_empty())
+    );
+    assert_eq!(in_one_query[1], RunStatistics::default(), "there is no such run");
     let listed = test_store.store.runs(&RunFilter::default()).await.expect("answers");
     let totals: Vec<Option<u64>> = listed.iter().map(|run| run.total.map(|total| total.count)).collect();
     assert_eq!(totals, [Some(20), Some(30), Some(40)], "each run has its own total");

@@ -113,7 +113,9 @@ pub(super) async fn assert_sound(test_store: &TestStore, simulated: &SimulatedRu
 pub(super) async fn assert_run_is_sound(test_store: &TestStore, run: i64, simulated: &SimulatedRun) {
     let mut judged_delays = 0;
     let samples = rejudge_delays(&test_store.store.readers, run, |delay| {
-        let (Some(before), Some(after)) = (delay.before, delay.after) else { panic!("judged: {delay:?}") };
+        let (Some(before), Some(after)) = (delay.before, delay.after) else {
+            panic!("a delay is not judged: {delay:?}")
+        };
         // Delays come in the order of iterations, the upload and the download of an iteration together.
         let (up, down) = simulated.true_delays[judged_delays / 2];
         let true_delay = if delay.direction == Direction::Up { up } else { down };

@@ -370,8 +370,9 @@ async fn replaced_spool_leaves_one_gap() {
     test_store.writer = open(&test_store.path).await;
     assert!(test_store.writer.streams().marks.is_empty(), "no batch of any stream is stored");
     let hello = hello_of(test_store.edge, StreamId::from_bytes([9; 16]), None);
-    let known = StreamRecord { was_used: true, last_stream: Some(hello.stream), ..StreamRecord::default() };
-    assert_eq!(test_store.writer.streams().record(&hello, None), known);
+    let expected =
+        StreamRecord { was_used: true, last_stream: Some(hello.stream), ..StreamRecord::default() };
+    assert_eq!(test_store.writer.streams().record(&hello, None), expected);
 }
 
 #[tokio::test]
@@ -382,8 +383,9 @@ async fn missing_batches_of_previous_stream_are_one_gap() {
     let mark = test_store.commit(&[work]).await.marks[&old];
     test_store.writer = open(&test_store.path).await;
     let hello = hello_of(test_store.edge, new, Some(old));
-    let known = StreamRecord { last_stream: Some(old), previous_mark: Some(mark), ..StreamRecord::default() };
-    assert_eq!(test_store.writer.streams().record(&hello, None), known);
+    let expected =
+        StreamRecord { last_stream: Some(old), previous_mark: Some(mark), ..StreamRecord::default() };
+    assert_eq!(test_store.writer.streams().record(&hello, None), expected);
     let (host, missing_previous) =
         (hello.host, Some(MissingPreviousBatches { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous_stream, first, replaced) = (1, Some(old), 5, None);
