@@ -160,7 +160,7 @@ impl HostSnapshot {
     pub fn missing_events(&self) -> u64 {
         // Both numbers count the gaps that the agent reported, so a sum would count these gaps twice. The aggregator
         // also counts batches that it found missing, and the agent also counts events whose gap it has not sent yet.
-        self.accounting.dropped.max(self.stored.missing_here())
+        self.accounting.dropped.max(self.stored.missing_everywhere())
     }
 }
 

@@ -17,24 +17,24 @@ use crate::error::OpenError;
 /// value means KiB.
 const CACHE: &str = "-65536";
 
-/// Number of pages in the log (WAL) at which SQLite checkpoints them into the file: about 64 MiB.
+/// Number of pages in the write-ahead log (WAL) at which SQLite checkpoints them into the file: about 64 MiB.
 ///
 /// A commit of 100,000 nodes from a thousand agents changes some thousand pages; the next commit changes most of them
 /// again. With SQLite's default of 1,000 pages every commit would checkpoint, sync the file once more, and take a third
-/// to three quarters longer (1,000 interleaved runs, a busy machine).
+/// to three quarters longer (measured in 1,000 interleaved repeats on a busy machine).
 const CHECKPOINT_PAGES: &str = "16000";
 
 /// Size in bytes to which SQLite truncates the write-ahead log's file when it begins to write the log from its start
-/// again. A reader may have made the file grow. This is the usual size: the log's header, and 16,000 pages with their
-/// frames' headers.
+/// again. A long read may have made the file grow beyond this size. This is the usual size: the log's header, and
+/// 16,000 pages with their frames' headers.
 const TRUNCATED_WAL_BYTES: &str = "65920032";
 
 pub(crate) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
 
 /// Returns the settings of the connection that writes.
 ///
-/// WAL lets readers read while it writes. `synchronous=FULL` syncs the log at each commit: with NORMAL a power cut
-/// would lose batches that were acknowledged, and that their agents have deleted.
+/// In WAL mode, readers can read while this connection writes. `synchronous=FULL` syncs the log at each commit. With
+/// `NORMAL`, a power cut would lose batches that were acknowledged and that their agents have therefore deleted.
 pub(crate) fn write_options(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(path)
@@ -51,16 +51,20 @@ pub(crate) fn write_options(path: &Path) -> SqliteConnectOptions {
 
 /// Opens the file for writing, creates it if it is missing, and brings its schema up to date.
 pub(crate) async fn open(path: &Path) -> Result<SqliteConnection, OpenError> {
-    prepare(path, write_options(path)).await
+    connect_and_migrate(path, write_options(path)).await
 }
 
 /// Opens an existing file for writing, and brings its schema up to date.
 pub(crate) async fn open_existing(path: &Path) -> Result<SqliteConnection, OpenError> {
-    prepare(path, write_options(path).create_if_missing(false)).await
+    connect_and_migrate(path, write_options(path).create_if_missing(false)).await
 }
 
-/// Connects, checks that the file is an aggregator's database and can be written, and runs missing migrations.
-async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteConnection, OpenError> {
+/// Connects, checks that the file is an aggregator's database and can be written, runs missing migrations, and makes
+/// the roll-ups that earlier versions did not make.
+async fn connect_and_migrate(
+    path: &Path,
+    options: SqliteConnectOptions,
+) -> Result<SqliteConnection, OpenError> {
     let cannot_open = |source| OpenError::cannot_open(path, source);
     let mut connection = options.connect().await.map_err(cannot_open)?;
     // A read-only file can be opened without an error, and the first batch would fail. This transaction shows the error
@@ -84,7 +88,7 @@ async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteCon
     })?;
     // On a full disk the file can still be read. The first commit reports the error.
     if let Err(error) = assign_id(&mut connection).await {
-        tracing::warn!(%error, database = %path.display(), "cannot write to the database yet; nothing is stored until it succeeds");
+        tracing::warn!(%error, database = %path.display(), "cannot write to the database yet; nothing is stored until a write succeeds");
     }
     Ok(connection)
 }

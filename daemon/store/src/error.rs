@@ -21,14 +21,14 @@ pub enum OpenError {
         /// SQLite's error.
         source: DatabaseError,
     },
-    /// A part that the start needs is damaged.
+    /// A part of the database that is read at the start is damaged.
     #[error("cannot open the database {}: it is damaged: {source}; agents keep their events; {}", path.display(), remedy(path, *is_repairable))]
     Damaged {
         /// The configured file.
         path: PathBuf,
         /// SQLite's error.
         source: DatabaseError,
-        /// `true` if rows can be found in it.
+        /// `true` if rows can be found in the file.
         is_repairable: bool,
     },
     /// The file has no database header, or no longer has one.
@@ -54,7 +54,7 @@ pub enum OpenError {
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// The database was written by a newer version.
-    #[error("the database {} was written by a newer version (its schema {found}, this program supports {supported}); update this program or choose another file with `database`", path.display())]
+    #[error("the database {} was written by a newer version (its schema is {found}; this program supports schemas up to {supported}); update this program or choose another file with `database`", path.display())]
     NewerSchema {
         /// The configured file.
         path: PathBuf,
@@ -92,8 +92,8 @@ impl OpenError {
         }
     }
 
-    /// Completes a `Damaged` error: the file shows whether rows can be found in it.
-    pub(crate) fn with_file(mut self, file: &Arc<File>) -> Self {
+    /// Sets `is_repairable` of a `Damaged` error according to the contents of the file.
+    pub(crate) fn with_repairability(mut self, file: &Arc<File>) -> Self {
         if let Self::Damaged { is_repairable, .. } = &mut self {
             *is_repairable = has_table_list(Arc::clone(file));
         }
@@ -147,7 +147,7 @@ pub enum StoreError {
         /// Data that was requested.
         what: &'static str,
     },
-    /// The database is closed at present.
+    /// The database is closed now.
     #[error("cannot read {what}: the database is closed; /readyz gives the reason")]
     Closed {
         /// Data that was requested.

@@ -1,6 +1,6 @@
 //! Ranges of whole numbers.
 
-/// A range of whole numbers, both ends included; `first` is not above `last`.
+/// A range of whole numbers, including both ends; `first` is not above `last`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Extent {
     pub(crate) first: i64,
@@ -8,17 +8,17 @@ pub(crate) struct Extent {
 }
 
 impl Extent {
-    /// Makes the range of one number.
+    /// Makes the range that contains one number.
     pub(crate) const fn single(number: i64) -> Self {
         Self { first: number, last: number }
     }
 
-    /// Returns the smallest range that contains both.
+    /// Returns the smallest range that contains both ranges.
     pub(crate) fn hull(self, other: Self) -> Self {
         Self { first: self.first.min(other.first), last: self.last.max(other.last) }
     }
 
-    /// Returns the parts of this range that none of the others contains, in ascending order.
+    /// Returns the numbers of this range that no range in `others` contains, as ranges in ascending order.
     pub(crate) fn without(self, mut others: Vec<Self>) -> Vec<Self> {
         others.sort_unstable_by_key(|other| other.first);
         let mut remaining = Vec::new();

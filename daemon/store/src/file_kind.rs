@@ -15,17 +15,17 @@ pub enum FileKind {
     Other,
 }
 
-/// Selects three counts: of all tables except the table of migrations, of the tables of an aggregator's database, and
-/// of the tables of a spool.
+/// Selects three numbers: of all tables, of the tables that only an aggregator's database has, and of the tables that
+/// only a spool has. Tables of SQLite (`sqlite_…`) and the table of migrations (`_…`) do not count.
 const TABLES: &str = "SELECT count(*), coalesce(sum(name IN ('host', 'run', 'iteration')), 0), \
      coalesce(sum(name IN ('stream', 'batch', 'reached', 'unreported', 'unresolved')), 0) \
      FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE '\\_%' ESCAPE '\\' AND name NOT LIKE 'sqlite\\_%' ESCAPE '\\'";
 
 impl FileKind {
-    /// Recognises a file.
+    /// Returns the kind of the opened file.
     ///
     /// # Errors
-    /// If it cannot be read.
+    /// If the file cannot be read.
     pub(crate) async fn detect(connection: &mut SqliteConnection) -> Result<Self, sqlx::Error> {
         let (all_tables, database_tables, spool_tables): (i64, i64, i64) =
             sqlx::query_as(TABLES).fetch_one(connection).await?;

@@ -1,8 +1,9 @@
 //! Detection of a log (`-wal`) that belongs to another database file.
 //!
-//! SQLite applies any log that lies beside the file. If a backup replaces a database, SQLite would apply the old file's
-//! log to the backup: the backup would be damaged, and the log lost. Therefore each file has a random id in the header
-//! field that SQLite leaves to programs (`user_version`). <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
+//! SQLite applies any write-ahead log that lies beside a database. If an operator replaces a database by a backup,
+//! SQLite would apply the old file's log to the backup: the backup would be damaged, and the log would be lost.
+//! Therefore each database has a random id in the header field that SQLite leaves to programs (`user_version`).
+//! <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -17,7 +18,7 @@ use super::integrity::pages::be32;
 
 /// Offset of the id within page 1, which is also the offset within the file.
 const ID_OFFSET: usize = 60;
-/// First word of a log. Its lowest bit gives the byte order of the checksum's words.
+/// First four bytes of a write-ahead log, without the lowest bit, which gives the byte order of the checksum's words.
 const MAGIC: u32 = 0x377f_0682;
 /// Size of the write-ahead log's header, bytes.
 const LOG_HEADER: usize = 32;
@@ -28,14 +29,14 @@ const FRAME_HEADER: usize = 24;
 #[derive(Debug, thiserror::Error)]
 #[error(
     "the write-ahead log {} belongs to another database, which was at this path before; move it beside that \
-     database, or delete it if nobody needs what it contains", .0.display()
+     database, or delete the log if nobody needs its contents", .0.display()
 )]
 pub struct ForeignLog(pub(crate) PathBuf);
 
-/// Gives the file an id if it has none.
+/// Gives the file an id if the file has none.
 ///
-/// Always writes page 1, so that the write-ahead log contains the id. Commits that change only other pages, such as the
-/// commits of an aggregator without agents, would not write page 1.
+/// Page 1 is written even if the file has an id, so that the write-ahead log contains the id. Commits that change only
+/// other pages, such as the commits of an aggregator without agents, would not write page 1.
 pub(crate) async fn assign_id(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let id: i32 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await?;
     let id = if id == 0 { random_id() } else { id };
@@ -43,7 +44,7 @@ pub(crate) async fn assign_id(connection: &mut SqliteConnection) -> Result<(), s
     Ok(())
 }
 
-/// Gives a new id to a copied file, which has no log. No connection may have the file open.
+/// Gives a new id to a copy of a database. The copy has no write-ahead log, and no connection may have the copy open.
 pub(crate) fn assign_new_id(file: &File) -> io::Result<()> {
     file.write_all_at(&random_id().to_be_bytes(), ID_OFFSET as u64)
 }
@@ -56,9 +57,9 @@ fn random_id() -> i32 {
 /// Refuses the write-ahead log beside a database if it belongs to another file. Has to be called before SQLite opens
 /// the file.
 ///
-/// The descriptor has to stay open as long as SQLite's (see [`DatabaseLock`](super::lock::DatabaseLock)). A file of an
-/// earlier version has no id and is not checked. Read errors are only logged here; SQLite reports them when it opens
-/// the file.
+/// `file` has to stay open until SQLite has closed the database (see [`DatabaseLock`](super::lock::DatabaseLock)). A
+/// file of an earlier version has no id and is not checked. An error while reading is logged and not returned, because
+/// SQLite reports the error when it opens the file.
 pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), ForeignLog> {
     let mut log = fs::canonicalize(database).map_or_else(|_| database.into(), OsString::from);
     log.push("-wal");
@@ -75,7 +76,8 @@ pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), For
     }
 }
 
-/// Does the same as [`refuse_foreign_log`] for a file that no connection of this process has open.
+/// Does the same as [`refuse_foreign_log`] for a file that no connection of this process has open: the file is opened
+/// and closed here.
 pub(crate) fn refuse_foreign_log_at(database: &Path) -> Result<(), ForeignLog> {
     File::open(database).map_or(Ok(()), |file| refuse_foreign_log(database, &file))
 }
@@ -87,9 +89,9 @@ fn read_id(file: &File) -> io::Result<Option<u32>> {
     Ok(Some(be32(&header, ID_OFFSET)).filter(|id| is_database && *id != 0))
 }
 
-/// Returns whether the write-ahead log belongs to another database. The log contains copies of page 1, which have the
-/// database's id. It belongs to another database if, in the part that SQLite would apply, at least one copy has another
-/// id and none has this id.
+/// Returns whether the write-ahead log belongs to another database. The log contains copies of page 1, and each copy
+/// has an id. The log belongs to another database if, in the part that SQLite would apply, at least one copy has
+/// another id than `database_id`, and no copy has `database_id`.
 fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
     let log = match File::open(log) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
@@ -112,13 +114,13 @@ fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
         let (head, page) = frame.split_at(FRAME_HEADER);
         checksum.add(&head[..8]);
         checksum.add(page);
-        // The frames after this one are older than the start of the write-ahead log, or were not written completely.
-        // SQLite stops here, too.
+        // This frame and the frames after it were left by an earlier use of the log file (other salts), or were not
+        // written completely. SQLite stops here, too.
         if head[8..16] != header[16..24] || !checksum.equals_stored(&head[16..]) {
             break;
         }
         match be32(page, ID_OFFSET) {
-            // Only page 1 has the id, and a file of an earlier version has none.
+            // Only page 1 has an id. In a file of an earlier version, page 1 has no id.
             id if be32(head, 0) != 1 || id == 0 => {}
             id if id == database_id => return Ok(false),
             _ => has_other_id = true,
@@ -152,7 +154,7 @@ impl Checksum {
     }
 }
 
-/// Fills `bytes` from the file; returns `false` if the file is too short.
+/// Fills `bytes` from the file. Returns `false` if the file ends before `bytes` is full.
 fn read_whole(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<bool> {
     match file.read_exact_at(bytes, offset) {
         Err(error) if error.kind() == ErrorKind::UnexpectedEof => Ok(false),

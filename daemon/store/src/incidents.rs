@@ -9,7 +9,7 @@ use crate::types::AggregatorIncidentKind;
 /// Maximum number of stored incidents of the aggregator: at one per hour they cover more than a year.
 const MAX_STORED: i64 = 10_000;
 /// Number of incidents that may wait while the database cannot be written. Later incidents are dropped, because the
-/// first ones are the most useful.
+/// first incidents are the closest to the cause.
 const MAX_PENDING: usize = 64;
 
 const INSERT: &str = "INSERT INTO incident (host, at_ns, kind, text) VALUES (NULL, ?1, ?2, ?3)";
@@ -17,7 +17,8 @@ const INSERT: &str = "INSERT INTO incident (host, at_ns, kind, text) VALUES (NUL
 const DELETE_OLDEST: &str = "DELETE FROM incident WHERE host IS NULL AND id <= \
      (SELECT id FROM incident WHERE host IS NULL ORDER BY id DESC LIMIT 1 OFFSET ?1)";
 
-/// Stores an incident of the aggregator itself and returns its id. Only the newest [`MAX_STORED`] remain.
+/// Stores an incident of the aggregator itself and returns the id of the incident. Deletes all incidents of the
+/// aggregator except the newest [`MAX_STORED`].
 pub(crate) async fn record(
     connection: &mut SqliteConnection,
     kind: AggregatorIncidentKind,
@@ -51,7 +52,7 @@ impl PendingIncidents {
         Self { wall_clock: WallClockWatch::new(now), waiting: Vec::new() }
     }
 
-    /// Adds an incident, or drops it if too many wait.
+    /// Adds an incident, or drops the incident if too many are waiting.
     pub fn add(&mut self, kind: AggregatorIncidentKind, at: WallTime, text: String) {
         if self.waiting.len() < MAX_PENDING {
             self.waiting.push(PendingIncident { kind, at, text });
@@ -65,8 +66,8 @@ impl PendingIncidents {
     }
 
     /// Adds an incident if the wall clock is behind its reading at the last commit.
-    pub(super) fn compare(&mut self, now: Stamp, last_stored: WallTime) {
-        self.add_step(WallClockWatch::compare(now, last_stored), now);
+    pub(super) fn compare_with_last_commit(&mut self, now: Stamp, last_stored: WallTime) {
+        self.add_step(WallClockWatch::compare_with_last_commit(now, last_stored), now);
     }
 
     pub(super) const fn is_empty(&self) -> bool {

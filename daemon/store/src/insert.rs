@@ -7,11 +7,11 @@ use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, AssertSqlSafe, SqliteConnection};
 
-/// Numbers of rows per statement, largest first. There are few sizes, so that every statement stays prepared. For up to
-/// 31 columns the largest statement has fewer than 32,766 parameters, which is SQLite's limit.
+/// Numbers of rows per statement, largest first. There are few sizes, so that every statement stays prepared. With up
+/// to 31 columns, the largest statement has at most 31,744 parameters; SQLite allows 32,766.
 const SIZES: [usize; 5] = [1024, 256, 32, 4, 1];
 
-/// Statement that inserts rows into one table, once for each number of rows in [`SIZES`].
+/// Statements that insert rows into one table: one statement for each number of rows in [`SIZES`].
 #[derive(Debug)]
 pub(crate) struct Insert {
     statements: [Arc<str>; SIZES.len()],
@@ -19,7 +19,7 @@ pub(crate) struct Insert {
 }
 
 impl Insert {
-    /// Makes a statement over rows of `columns` columns: `head VALUES (?, …), (?, …) tail`.
+    /// Makes the statements `head VALUES (?, …), (?, …) tail` for rows of `columns` columns.
     pub(crate) fn new(head: &str, columns: usize, tail: &str) -> Self {
         let row = format!("({})", vec!["?"; columns].join(","));
         let statements = SIZES
@@ -27,7 +27,7 @@ impl Insert {
         Self { statements, columns }
     }
 
-    /// Executes the statement for all rows; `bind` adds one row's values in the order of the columns.
+    /// Inserts all rows; `bind` adds one row's values in the order of the columns.
     ///
     /// SQLite works on a separate thread: while it executes a statement, the values of the next statement are bound.
     pub(crate) fn run<'a, R: 'a>(

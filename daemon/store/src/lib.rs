@@ -44,7 +44,7 @@ use readers::Readers;
 pub use database_error::DatabaseError;
 pub use error::{OpenError, StoreError};
 pub use lock::{DatabaseLock, LockError};
-pub use quantity_statistics::{DelayAccuracy, QuantityStatistics, rank};
+pub use quantity_statistics::{DelayAccuracy, QuantityStatistics, table_order};
 pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, StoredCounts};
 pub use types::{
@@ -60,7 +60,7 @@ pub mod writing {
     pub use crate::integrity::Integrity;
     pub use crate::opening::{OpenDatabase, ReopenError, StoredState};
     pub use crate::readers::Readers;
-    pub use crate::retention::Step;
+    pub use crate::retention::StepResult;
     pub use crate::write::{
         CommitError, CommitResult, ConnectionSample, FormerFiles, Introduction, PendingIncidents, RunName,
         Streams, UnstorableBatch, Work, Writer,
@@ -92,29 +92,28 @@ impl Store {
     /// Returns runs, newest first.
     ///
     /// # Errors
-    /// When the database cannot be read. This applies to all queries here.
+    /// When the database cannot be read. This applies to all queries of the store.
     pub async fn runs(&self, filter: &RunFilter) -> Result<Vec<RunSummary>, StoreError> {
         read::runs::runs(&self.readers, filter).await
     }
 
-    /// Returns one run, or `None` when no run has this number. The other queries about one run also return `None` for
-    /// an unknown number.
+    /// Returns one run, or `None` when no run has this number.
     pub async fn run(&self, number: i64) -> Result<Option<RunDetail>, StoreError> {
         read::runs::run(&self.readers, number).await
     }
 
-    /// Returns the first runs of an experiment, oldest first; `limit` is 1 to 1,000. Empty for an unknown experiment.
+    /// Returns at most `limit` (1 to 1,000) runs of an experiment, oldest first. An unknown experiment has no runs.
     pub async fn runs_of_experiment(&self, id: &str, limit: u32) -> Result<Vec<RunSummary>, StoreError> {
         read::runs::runs_of_experiment(&self.readers, id, limit).await
     }
 
-    /// Returns experiments, the one with the newest run first; `limit` is 1 to 1,000.
+    /// Returns at most `limit` (1 to 1,000) experiments. The experiment with the newest run comes first.
     pub async fn experiments(&self, limit: u32) -> Result<Vec<ExperimentSummary>, StoreError> {
         read::runs::experiments(&self.readers, limit).await
     }
 
-    /// Returns the values of node names over the time of a run, each as at most `max_buckets` summaries, in the order
-    /// of `stages`. Names without samples are omitted.
+    /// Divides the time of a run into at most `max_buckets` buckets, and returns for each node name the summaries of
+    /// its values in these buckets. The result is in the order of `stages`; names without values are omitted.
     pub async fn stage_buckets(
         &self,
         run: i64,
@@ -124,8 +123,8 @@ impl Store {
         read::statistics::stage_buckets(&self.readers, run, stages, max_buckets).await
     }
 
-    /// Returns counts and means over the time of a run, in the buckets of [`Store::stage_buckets`]. Takes a tenth of
-    /// the time of `stage_buckets`.
+    /// Returns counts and means over the time of a run, in the buckets of [`Store::stage_buckets`]. This query reads no
+    /// sketches and therefore takes a tenth of the time of `stage_buckets`.
     pub async fn stage_means(
         &self,
         run: i64,
@@ -135,7 +134,8 @@ impl Store {
         read::statistics::stage_means(&self.readers, run, stages, max_buckets).await
     }
 
-    /// Returns the statistics of whole runs, in the order of `runs`; they are empty for a run that is not stored.
+    /// Returns the statistics of whole runs, in the order of `runs`. The statistics of a run that is not stored are
+    /// empty.
     pub async fn statistics(&self, runs: &[i64]) -> Result<Vec<RunStatistics>, StoreError> {
         read::statistics::statistics(&self.readers, runs).await
     }
@@ -145,8 +145,8 @@ impl Store {
         Ok(self.statistics(&[run]).await?.pop().unwrap_or_default())
     }
 
-    /// Returns the distribution of one node name in the bins of [`Binning`](peernet_statistics::histogram::Binning), at
-    /// most `bins`.
+    /// Returns the distribution of the values of one node name, in at most `bins` bins
+    /// ([`Binning`](peernet_statistics::histogram::Binning)). `None` if the run has no values of this name.
     pub async fn histogram(
         &self,
         run: i64,
@@ -157,13 +157,14 @@ impl Store {
     }
 
     /// Returns the values of node names over the time of a run, in at most `max_points` buckets of 1, 2, 5, 10, 20, 30,
-    /// 60 … seconds. If retention deleted the fine buckets of a part of the run, all points are made from coarser
-    /// buckets.
+    /// 60 … seconds. If retention deleted the fine buckets of a part of the run, all points of the run are made from
+    /// coarser buckets.
     pub async fn series(&self, run: i64, stages: &[Name], max_points: usize) -> Result<Series, StoreError> {
         read::statistics::series(&self.readers, run, stages, max_points).await
     }
 
-    /// Returns episodes, warm-up and failed iterations for charts of a run over time: at most a few hundred rows.
+    /// Returns episodes, periods of warm-up, and failed iterations for charts of a run over time. Each list has at most
+    /// a few hundred entries.
     pub async fn episodes(&self, run: i64) -> Result<Episodes, StoreError> {
         read::episodes::episodes(&self.readers, run).await
     }
@@ -185,8 +186,9 @@ impl Store {
     /// Returns the values of two node names in at most `max_pairs` iterations, evenly spread over the stored
     /// iterations.
     ///
-    /// The value of a standard name is the sum of the nodes of this name directly below the root. The value of a custom
-    /// name is the value of its first node. Both are as in `data.csv`. Only a few iterations of a long run are read.
+    /// The value of a standard name is the sum of the nodes of this name directly below the root, as in `data.csv`. The
+    /// value of a custom name is the sum of all its nodes. At most `max_pairs` iterations are read, however long the
+    /// run is.
     pub async fn value_pairs(
         &self,
         run: i64,
@@ -196,14 +198,15 @@ impl Store {
         read::pairs::value_pairs(&self.readers, run, names, max_pairs).await
     }
 
-    /// Returns the time in which a run measured; `None` without a successful iteration after the warm-up, and if too
-    /// little is stored to say.
+    /// Returns the time in which a run measured. `None` if the run has no successful iteration after the warm-up, or if
+    /// too little of the run is still stored to know this time.
     pub async fn measured_time(&self, run: &RunSummary) -> Result<Option<MeasuredTime>, StoreError> {
         read::measured_time::measured_time(&self.readers, run).await
     }
 
-    /// Returns the iterations of a run that started from one time to before another time. Both times must be multiples
-    /// of the [resolution](MeasuredTime::resolution_s), unless it is 0. Counts are exact, quantiles within 1 %.
+    /// Returns the number and the totals of the iterations of a run that started at `from` or later and before `to`.
+    /// Both times must be multiples of the [resolution](MeasuredTime::resolution_s), unless the resolution is 0. The
+    /// number is exact; quantiles of the totals are within 1 %.
     pub async fn measured_within(
         &self,
         run: i64,
@@ -213,8 +216,7 @@ impl Store {
         read::measured_time::measured_within(&self.readers, run, (from, to)).await
     }
 
-    /// Returns the values that the trust findings of a run are computed from, with its time series in at most 120
-    /// buckets.
+    /// Returns the values from which the trust findings of a run are computed, with time series of at most 120 buckets.
     pub async fn trust_input(&self, run: &RunDetail) -> Result<TrustInput, StoreError> {
         read::trust::trust_input(&self.readers, run).await
     }
@@ -224,8 +226,8 @@ impl Store {
         read::iterations::iteration(&self.readers, run, number).await
     }
 
-    /// Returns the next iterations after a number, as the agent sent them, in the order of their numbers. The first
-    /// part of the result is the number of the last examined iteration, which is the argument `after` of the next call.
+    /// Returns the next iterations after a number, as the agent sent them, in the order of their numbers. The number in
+    /// the result is the number of the last examined iteration; the caller passes it as `after` to the next call.
     /// Returns `None` after the last iteration.
     pub async fn full_iterations(
         &self,
@@ -236,7 +238,8 @@ impl Store {
     }
 
     /// Returns the first iteration of each shape of tree among the next few thousand iterations. Arguments and result
-    /// are those of [`Store::full_iterations`]. These iterations have all columns that a table of the run needs.
+    /// are those of [`Store::full_iterations`]. The nodes of these iterations are all columns that a table of the next
+    /// few thousand iterations needs.
     pub async fn iterations_by_shape(
         &self,
         run: &RunSummary,
@@ -250,7 +253,7 @@ impl Store {
         read::incidents::incidents(&self.readers, filter).await
     }
 
-    /// Returns all hosts by name.
+    /// Returns all hosts that have introduced themselves, ordered by name.
     pub async fn hosts(&self) -> Result<Vec<HostRow>, StoreError> {
         read::incidents::hosts(&self.readers).await
     }
@@ -277,7 +280,8 @@ impl Store {
         read::clocks::link_assumptions(&self.readers, link).await
     }
 
-    /// Judges the one-way delays of a run again, with the exchanges that were stored after the delays. Writes nothing.
+    /// Judges the one-way delays of a run again, from all stored exchanges, including exchanges after the delays.
+    /// `None` for an unknown run. Writes nothing.
     pub async fn recompute(&self, run: i64) -> Result<Option<RecomputedDelays>, StoreError> {
         read::recompute::recompute(&self.readers, run).await
     }

@@ -2,5 +2,5 @@
 
 use std::time::Duration;
 
-/// Longest wait of a connection for another program that locks the file.
+/// Longest time for which a connection waits while another program locks the file.
 pub(crate) const BUSY_TIMEOUT: Duration = Duration::from_secs(1);

@@ -10,7 +10,7 @@ use std::sync::Arc;
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
     /// Another process holds the lock.
-    #[error("the database {} is in use by {holder}; stop it, or name another file", path.display())]
+    #[error("the database {} is in use by {holder}; stop that process, or name another file", path.display())]
     Taken {
         /// The database.
         path: PathBuf,
@@ -32,9 +32,10 @@ pub enum LockError {
 ///
 /// A file has one lock under all its names (symbolic link, hard link, another mount).
 //
-// The lock is made with flock(2), because SQLite makes its locks with fcntl(2). When SQLite closes another descriptor
-// of the file, this lock stays. The reverse does not hold: closing *this* descriptor would release the locks that
-// SQLite holds with fcntl in this process. So this descriptor is closed after SQLite's last connection.
+// The lock is made with flock(2), because SQLite makes its own locks with fcntl(2). When SQLite closes one of its
+// descriptors of the file, this lock stays. The reverse does not hold: closing *this* descriptor would release all
+// locks that SQLite holds with fcntl in this process. Therefore this descriptor is closed after SQLite's last
+// connection.
 #[derive(Debug)]
 pub struct DatabaseLock {
     file: Arc<File>,
@@ -74,8 +75,8 @@ impl DatabaseLock {
     }
 
     /// Returns the locked file for reading. The caller has to drop the returned value before the lock.
-    // Readers use this descriptor, because SQLite loses its own locks on a file when the process closes any other
-    // descriptor of it.
+    // Code that reads the file without SQLite uses this descriptor: if the process closed a separate descriptor of the
+    // file, SQLite would lose its own locks on the file.
     pub(crate) fn file(&self) -> Arc<File> {
         Arc::clone(&self.file)
     }
@@ -112,8 +113,8 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("peernet.sqlite");
         assert!(matches!(DatabaseLock::take_existing(&path), Err(LockError::Failed { .. })));
-        let first = DatabaseLock::take(&path).expect("nobody has it");
-        let refused = DatabaseLock::take(&path).expect_err("one has it").to_string();
+        let first = DatabaseLock::take(&path).expect("the lock is free");
+        let refused = DatabaseLock::take(&path).expect_err("the lock is held").to_string();
         assert!(refused.contains(&format!("pid {}", std::process::id())), "{refused}");
 
         let (link, hard_link) = (folder.path().join("link.sqlite"), folder.path().join("hard.sqlite"));
@@ -127,7 +128,7 @@ mod tests {
         drop(first);
         let second = DatabaseLock::take(&hard_link).expect("the lock was released");
         let other = folder.path().join("other.sqlite");
-        DatabaseLock::take(&other).expect("nobody has the other");
+        DatabaseLock::take(&other).expect("the other file has its own lock");
         assert!(!second.is_lock_of(&other).expect("the file exists"));
     }
 

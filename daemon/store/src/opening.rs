@@ -1,8 +1,8 @@
 //! Opening of the database for writing, at the start and after the file was moved, replaced or unmounted.
 //!
-//! Reopening assumes nothing about the contents of the file. It therefore works in the same way for a descriptor that
-//! became read-only, and for a file that was moved, replaced or unmounted. It takes the same steps as the start, but
-//! never accepts an empty or missing file.
+//! Reopening assumes nothing about the contents of the file. Reopening therefore works in the same way for a descriptor
+//! that became read-only, and for a file that was moved, replaced or unmounted. Reopening takes the same steps as the
+//! start, but never accepts an empty or missing file.
 
 use std::path::{Path, PathBuf};
 
@@ -33,14 +33,14 @@ pub struct OpenDatabase {
     /// The only connection that writes.
     pub writer: Writer,
     check: IntegrityCheck,
-    /// Released after the connection is closed: see [`DatabaseLock`].
+    /// Lock of the file, released after the connection is closed ([`DatabaseLock`] gives the reason).
     lock: DatabaseLock,
 }
 
 /// Contents of a database at its opening, from which ingest and the live state start.
 #[derive(Debug)]
 pub struct StoredState {
-    /// The stored streams, with the position up to which each is stored.
+    /// The stored streams with their marks.
     pub streams: Streams,
     /// The newest runs with their numbers.
     pub runs: Vec<(HostId, RunId, i64)>,
@@ -62,7 +62,7 @@ pub enum ReopenError {
     #[error("the database file {} is empty; put the right file there, or restart the aggregator to create a new database in it", .0.display())]
     Empty(PathBuf),
     /// The write-ahead log at the path belongs to another database, which was at this path before. SQLite would apply
-    /// it to the new file.
+    /// this log to the new file.
     #[error(transparent)]
     ForeignLog(ForeignLog),
     /// Another process holds the lock, or the file cannot be opened for writing.
@@ -86,7 +86,7 @@ impl OpenDatabase {
 
     /// Opens the file that is now at the path of a database that was in use: the same file or another one.
     ///
-    /// An empty file is refused, because it would hide that the right file is missing.
+    /// An empty file is refused: a new database in it would hide that the right file is missing.
     pub async fn reopen(
         path: &Path,
         retention: RetentionConfig,
@@ -111,8 +111,8 @@ impl OpenDatabase {
         }
         let (mut database, state) = Self::open_locked(lock, path, retention, integrity).await?;
         if let Err(source) = database.writer.write_nothing().await {
-            // If the connection is only dropped, it keeps the file open for some time. Until then the lock is held, and
-            // the file system cannot be unmounted.
+            // A connection that is only dropped keeps the file open for some time. During this time the lock is held,
+            // and the file system cannot be unmounted.
             let (_, closed) = database.close().await;
             if let Err(error) = closed {
                 tracing::debug!(%error, database = %path.display(), "cannot close the database cleanly");
@@ -132,9 +132,10 @@ impl OpenDatabase {
         let cannot_open = |source| OpenError::cannot_open(path, source);
         integrity.load_record().map_err(|error| cannot_open(error.into()))?;
         refuse_foreign_log(path, &lock.file())?;
-        // Taking the lock has created the file. If the file was removed since then, it must not be created again.
+        // Taking the lock created the file if it was missing. If the file was removed since then, it must not be
+        // created again without a lock.
         let mut connection =
-            database::open_existing(path).await.map_err(|error| error.with_file(&lock.file()))?;
+            database::open_existing(path).await.map_err(|error| error.with_repairability(&lock.file()))?;
         let runs = read_newest_runs(&mut connection, MAX_RUNS).await.map_err(cannot_open)?;
         let unnamed_runs = read_unnamed_runs(&mut connection, MAX_RUNS).await.map_err(cannot_open)?;
         let host_secrets = read_host_secrets(&mut connection).await.map_err(cannot_open)?;
@@ -151,8 +152,9 @@ impl OpenDatabase {
         Ok((Self { writer, check, lock }, state))
     }
 
-    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite checkpoints the
-    /// write-ahead log into the file and removes the log. Returns the identities of the files, for reopening.
+    /// Closes the connection and releases the lock. When the last connection to the file is closed, SQLite checkpoints
+    /// the write-ahead log into the file and removes the log. Returns the identities of the database's files, which
+    /// [`OpenDatabase::reopen`] takes.
     pub async fn close(self) -> (FormerFiles, Result<(), DatabaseError>) {
         let Self { writer, check, lock } = self;
         check.stop().await;

@@ -4,8 +4,8 @@
 use peernet_clock::{DelaySource, Interval, Offset, Span};
 use peernet_stream::{DelayPoint, DelaySecond, EstimateBasis};
 
-/// Returns the offset with each source once, and without sources whose bounds are reversed. Returns `None` if the
-/// estimate is outside the offset's own bounds.
+/// Returns the offset with at most one interval of each source, without reversed intervals and without a skew that is
+/// infinite or NaN. Returns `None` if the estimate is outside the offset's own bounds.
 pub fn offset(offset: &Offset) -> Option<Offset> {
     if !offset.bounds.contains(offset.estimate) {
         return None;
@@ -20,8 +20,8 @@ pub fn offset(offset: &Offset) -> Option<Offset> {
     Some(Offset { sources, skew_ppm, ..*offset })
 }
 
-/// Returns the basis without numbers that are infinite, NaN or negative, and without a proven skew whose ends are
-/// reversed.
+/// Returns the basis without impossible values: a drift change that is infinite, NaN or negative, a proven skew whose
+/// ends are infinite, NaN or reversed, and a grown window without length.
 pub fn basis(basis: EstimateBasis) -> EstimateBasis {
     let is_valid_change = |change: &f64| change.is_finite() && *change >= 0.0;
     let is_valid_skew = |(min, max): &(f64, f64)| min.is_finite() && max.is_finite() && min <= max;
@@ -33,8 +33,8 @@ pub fn basis(basis: EstimateBasis) -> EstimateBasis {
     }
 }
 
-/// Returns the second without implausible values: a median delay that is negative or outside its bounds, and an
-/// impossible data rate.
+/// Returns the delays of one second without impossible values: a median that is negative or outside its own bounds, and
+/// a data rate that is infinite, NaN or negative.
 pub fn delays(second: DelaySecond) -> DelaySecond {
     let is_valid_rate = |rate: &f64| rate.is_finite() && *rate >= 0.0;
     let median =

@@ -1,4 +1,4 @@
-//! Statistics of a summary, without quantiles for which it has too few values.
+//! Statistics of one quantity, without quantiles for which there are too few values.
 
 use peernet_analysis::delays::{ClockInterval, CountedAverage, DelayAverages};
 use peernet_analysis::slowness::Medians;
@@ -15,16 +15,16 @@ use utoipa::ToSchema;
 // The REST API keeps the former name of this type.
 #[schema(as = Figures)]
 pub struct QuantityStatistics {
-    /// Samples.
+    /// Number of values.
     pub count: u64,
     pub mean: f64,
-    /// Sample standard deviation; null below two samples.
+    /// Sample standard deviation; null below two values.
     pub std: Option<f64>,
     pub min: f64,
     pub p50: f64,
-    /// Null below 60 samples.
+    /// Null below 60 values.
     pub p95: Option<f64>,
-    /// Null below 300 samples.
+    /// Null below 300 values.
     pub p99: Option<f64>,
     pub max: f64,
 }
@@ -50,7 +50,8 @@ impl QuantityStatistics {
         self.mean * self.count as f64
     }
 
-    /// Returns the statistics of the lower and of the upper ends of intervals; `None` if there are none.
+    /// Returns the statistics of the lower ends and of the upper ends of intervals; `None` if there are no lower ends
+    /// or no upper ends.
     pub fn from_ends([lower, upper]: &[Summary; 2]) -> Option<[Self; 2]> {
         Some([Self::from_summary(lower)?, Self::from_summary(upper)?])
     }
@@ -66,7 +67,7 @@ pub(crate) fn medians(statistics: &[(Name, QuantityStatistics)]) -> Medians {
 pub struct DelayAccuracy {
     /// `upload` or `download`.
     pub stage: Name,
-    /// Half the width of the interval that contains the delay, seconds; `None` when no delay had one.
+    /// Half the width of the interval that contains the delay, seconds; `None` if no delay had an interval.
     pub half_width: Option<QuantityStatistics>,
     /// Lower and upper ends of the intervals of the delays whose value is known, seconds; `None` if an earlier version
     /// recorded the delays.
@@ -76,7 +77,8 @@ pub struct DelayAccuracy {
 }
 
 impl DelayAccuracy {
-    /// Returns the number of messages to the other host and the number back, including those with an unknown delay.
+    /// Returns the number of messages from the edge to the cloud and the number of messages back. Messages with an
+    /// unknown delay count, too.
     pub fn sent_messages(directions: &[Self]) -> [u64; 2] {
         [stage::UPLOAD, stage::DOWNLOAD].map(|name| {
             let direction = directions.iter().find(|direction| direction.stage == name);
@@ -89,14 +91,14 @@ impl DelayAccuracy {
         self.half_width.map(|width| width.p50)
     }
 
-    /// Returns the interval of the median of these delays, whose statistics are `delay`. `None` unless every delay has
-    /// an interval.
+    /// Returns the interval that contains the median of the true delays; `delay` has the statistics of the estimated
+    /// delays. `None` unless every delay has an interval.
     pub fn interval_of_median(&self, delay: &QuantityStatistics) -> Option<ClockInterval> {
         self.interval(delay, |statistics| statistics.p50)
     }
 
-    /// Returns the interval of the mean of these delays, whose statistics are `delay`. `None` unless every delay has an
-    /// interval.
+    /// Returns the interval that contains the mean of the true delays; `delay` has the statistics of the estimated
+    /// delays. `None` unless every delay has an interval.
     pub fn interval_of_mean(&self, delay: &QuantityStatistics) -> Option<ClockInterval> {
         self.interval(delay, |statistics| statistics.mean)
     }
@@ -121,7 +123,7 @@ impl DelayAccuracy {
 
 /// Returns the sort key of a name in tables: the stages in their order, then `total`, `stages-total`, `unattributed`,
 /// throughputs, sizes, and custom names in alphabetical order.
-pub fn rank(name: &str) -> (usize, &str) {
+pub fn table_order(name: &str) -> (usize, &str) {
     const NAMES_AFTER_STAGES: [Name; 9] = [
         stage::TOTAL,
         stage::STAGES_TOTAL,
@@ -133,18 +135,18 @@ pub fn rank(name: &str) -> (usize, &str) {
         stage::UPLOAD_LOGGER_BYTES,
         stage::DOWNLOAD_LOGGER_BYTES,
     ];
-    // The positions of the standard names are multiples of three, so that the two parts of `sensing` have positions
-    // between it and the next stage, as children have in a tree.
+    // The positions of the standard names are multiples of three, so that the two children of `sensing` have positions
+    // between `sensing` and the next stage, as in a tree.
     let standard_position = || {
         let index = stage::ORDER.iter().chain(&NAMES_AFTER_STAGES).position(|standard| standard == name)?;
         Some(3 * index)
     };
-    let sensing_part = match name {
+    let sensing_child = match name {
         "capture" => Some(1),
         "transform" => Some(2),
         _ => None,
     };
-    (sensing_part.or_else(standard_position).unwrap_or(usize::MAX), name)
+    (sensing_child.or_else(standard_position).unwrap_or(usize::MAX), name)
 }
 
 #[cfg(test)]
@@ -152,14 +154,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_need_enough_samples() {
+    fn quantile_is_absent_below_its_minimum_count() {
         let mut summary = Summary::default();
         assert_eq!(QuantityStatistics::from_summary(&summary), None);
         let statistics_at = |summary: &mut Summary, count: u64| {
             while summary.count() < count {
                 summary.record(0.001);
             }
-            QuantityStatistics::from_summary(summary).expect("has samples")
+            QuantityStatistics::from_summary(summary).expect("has values")
         };
         let one = statistics_at(&mut summary, 1);
         assert_eq!((one.p50, one.std, one.p95), (0.001, None, None));
@@ -172,7 +174,7 @@ mod tests {
     #[test]
     fn tables_show_stages_first_and_custom_names_last() {
         let mut names = ["zeta", "upload-bytes", "total", "upload", "capture", "alpha", "encode", "sensing"];
-        names.sort_by_key(|name| rank(name));
+        names.sort_by_key(|name| table_order(name));
         assert_eq!(
             names,
             ["sensing", "capture", "encode", "upload", "total", "upload-bytes", "alpha", "zeta"]

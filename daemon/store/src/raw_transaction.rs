@@ -1,14 +1,15 @@
 //! Transactions on a connection that stays usable even if SQLite rolls a transaction back by itself.
 //!
 //! SQLite rolls a transaction back by itself when the disk is full, for example. sqlx's `Transaction` still considers
-//! the transaction open and cannot begin another one on this connection, so these statements are sent directly.
+//! the transaction open and cannot begin another transaction on this connection. Therefore the functions here send the
+//! statements `BEGIN`, `COMMIT` and `ROLLBACK` themselves.
 
 use sqlx::SqliteConnection;
 
 /// Begins a transaction that writes.
 pub(crate) async fn begin(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
-    // After a plain BEGIN, the write lock is taken by the first write. It fails at once, without a wait, if
-    // another connection has written since the first read.
+    // After a plain BEGIN, the first write takes the write lock. If another connection has written since the first
+    // read, that write would fail at once, without waiting for the lock.
     sqlx::query("BEGIN IMMEDIATE").execute(connection).await.map(drop)
 }
 
@@ -19,7 +20,7 @@ pub(crate) async fn commit(connection: &mut SqliteConnection) -> Result<(), sqlx
 
 /// Rolls back a transaction if there is one.
 pub(crate) async fn roll_back(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
-    /// SQLITE_ERROR: there is no transaction. It did not begin, or SQLite rolled it back by itself.
+    /// SQLITE_ERROR: no transaction is open. It did not begin, or SQLite rolled it back by itself.
     const NO_TRANSACTION: &str = "1";
     match sqlx::query("ROLLBACK").execute(connection).await {
         Err(error)

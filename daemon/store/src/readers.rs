@@ -28,15 +28,16 @@ const INTERRUPTED: &str = "9";
 pub struct Readers {
     /// Closed while the database is closed.
     pool: Arc<RwLock<SqlitePool>>,
+    /// Longest time of a statement.
     limit: Duration,
     integrity: Integrity,
 }
 
 impl Readers {
-    /// Creates at most `connections` connections to the file, which is opened at the first query.
+    /// Prepares at most `connections` connections to the file. The file is opened at the first query.
     ///
-    /// `limit` bounds each statement, from the moment it gets the connection until its last row was read. Damage that a
-    /// statement encounters is recorded in `integrity`.
+    /// `limit` is the longest time of a statement, from the moment it gets the connection until its last row was read.
+    /// Damage that a statement encounters is recorded in `integrity`.
     pub fn open(
         path: &Path,
         connections: u32,
@@ -56,8 +57,8 @@ impl Readers {
         let pool = SqlitePoolOptions::new()
             .max_connections(connections)
             .acquire_timeout(ACQUIRE_TIMEOUT)
-            // A connection to a file does not break while it waits; a test before each use would only take
-            // time.
+            // A connection to a file does not break while it is unused. A test before each use would cost time and find
+            // nothing.
             .test_before_acquire(false)
             .after_connect(move |connection, _| deadline.clone().set(connection))
             .before_acquire(move |connection, _| {
@@ -68,7 +69,7 @@ impl Readers {
         Self { pool: Arc::new(RwLock::new(pool)), limit, integrity }
     }
 
-    /// Returns the present connections.
+    /// Returns the current pool of connections.
     pub(super) fn pool(&self) -> SqlitePool {
         self.pool.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -86,7 +87,10 @@ impl Readers {
     }
 
     /// Returns a function that turns the error of a statement into an error that names the requested data (`what`).
-    pub(super) fn failed(&self, what: &'static str) -> impl Fn(sqlx::Error) -> StoreError + Copy + use<'_> {
+    pub(super) fn error_for(
+        &self,
+        what: &'static str,
+    ) -> impl Fn(sqlx::Error) -> StoreError + Copy + use<'_> {
         let Self { limit, integrity, .. } = self;
         let limit = *limit;
         move |source| match source {
@@ -98,7 +102,7 @@ impl Readers {
             error => {
                 let source = DatabaseError::new(error);
                 integrity.record_if_damage(&source);
-                match integrity.refusal().filter(|_| source.is_damage()) {
+                match integrity.damage_description().filter(|_| source.is_damage()) {
                     Some(damage) => StoreError::Damaged { what, damage },
                     None => StoreError::Database { what, source },
                 }
@@ -107,7 +111,7 @@ impl Readers {
     }
 }
 
-/// Time limit of the statement for which the pool gives out a connection.
+/// Time limit of a statement. The time counts from the moment at which the pool gives out the connection.
 #[derive(Clone)]
 struct Deadline {
     limit: Span,

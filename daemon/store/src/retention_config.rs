@@ -10,8 +10,8 @@ const MIN_SIZE_LIMIT_BYTES: u64 = 16 << 20;
 
 /// The `[aggregator.retention]` table.
 ///
-/// The age of data is the time since it was stored, without the time in which no aggregator ran or stored into the
-/// database. Wall clocks do not matter. Pinned runs are exempt.
+/// Data ages only while an aggregator runs and stores into the database. Wall clocks do not matter. Data of pinned runs
+/// is never deleted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RetentionConfig {
@@ -28,8 +28,8 @@ pub struct RetentionConfig {
     pub hours_days: u32,
     /// Time for which samples of the relation between two hosts' clocks (one per second) are kept, days.
     pub clock_samples_days: u32,
-    /// Bytes that the database may use; 0 for no limit. Above it, the oldest nodes are deleted, then the oldest of the
-    /// finer statistics, at any age.
+    /// Bytes that the database may use; 0 for no limit. Above this limit, the oldest nodes are deleted at any age. When
+    /// no nodes remain, the statistics per second, per ten seconds and per minute are deleted in this order.
     pub size_limit_bytes: u64,
 }
 
@@ -48,10 +48,10 @@ impl Default for RetentionConfig {
 }
 
 impl RetentionConfig {
-    /// Returns the invalid settings: the key of each and a description of the problem.
+    /// Returns the key of each invalid setting with a description of the problem.
     pub fn problems(&self) -> Vec<(&'static str, String)> {
         let mut problems = Vec::new();
-        let widths = [
+        let periods_of_statistics = [
             ("retention.seconds_days", self.seconds_days),
             ("retention.ten_seconds_days", self.ten_seconds_days),
             ("retention.minutes_days", self.minutes_days),
@@ -61,12 +61,12 @@ impl RetentionConfig {
             ("retention.nodes_days", self.nodes_days),
             ("retention.clock_samples_days", self.clock_samples_days),
         ];
-        for (key, days) in widths.into_iter().chain(other_periods) {
+        for (key, days) in periods_of_statistics.into_iter().chain(other_periods) {
             if days > MAX_DAYS {
                 problems.push((key, format!("{days} is outside 0 to {MAX_DAYS}; 0 means no limit")));
             }
         }
-        for [(finer, finer_days), (coarser, coarser_days)] in widths.array_windows() {
+        for [(finer, finer_days), (coarser, coarser_days)] in periods_of_statistics.array_windows() {
             if period_s(*finer_days).unwrap_or(i64::MAX) > period_s(*coarser_days).unwrap_or(i64::MAX) {
                 let finer = finer.trim_start_matches("retention.");
                 let message = format!(
@@ -107,7 +107,7 @@ mod tests {
         assert!(problems(|config| (config.nodes_days, config.size_limit_bytes) = (0, 1 << 30)).is_empty());
         assert_eq!(problems(|config| config.nodes_days = 40_000), ["retention.nodes_days"]);
         assert_eq!(problems(|config| config.size_limit_bytes = 1), ["retention.size_limit_bytes"]);
-        // The coarser statistics serve pages for the time of which the finer statistics are deleted.
+        // Pages show the coarser statistics for times whose finer statistics are deleted.
         assert_eq!(problems(|config| config.seconds_days = 8), ["retention.ten_seconds_days"]);
         assert_eq!(problems(|config| config.minutes_days = 0), Vec::<&str>::new());
         assert_eq!(

@@ -6,10 +6,10 @@
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use sqlx::SqliteConnection;
 
-/// Longest advance between two transactions. Longer times do not count, because the process was stopped, or the
-/// database refused to store.
+/// Longest advance between two transactions. If more time passes, the rest does not count: the process was suspended,
+/// or the database could not be written.
 const LONGEST_ADVANCE: Span = Span::from_seconds(60);
-/// Longest time between two stored readings. After `kill -9` the stored reading is behind by at most this time.
+/// Longest time between two stored readings. After `kill -9`, the stored reading lacks at most this time.
 const STORE_INTERVAL: Span = Span::from_seconds(30);
 
 const READ: &str = "SELECT elapsed_ns FROM storage_clock";
@@ -18,7 +18,7 @@ const ADVANCE: &str = "INSERT INTO storage_clock (id, elapsed_ns, wall_ns) VALUE
      ON CONFLICT (id) DO UPDATE SET elapsed_ns = elapsed_ns + excluded.elapsed_ns, wall_ns = excluded.wall_ns \
      RETURNING elapsed_ns";
 
-/// The part of the reading that is not yet in the database.
+/// The part of the storage clock that is only in memory: the time since the last stored reading.
 #[derive(Debug, Default)]
 pub(crate) struct StorageClock {
     /// Time of the last transaction, up to which the stored reading is complete. `None` before the first transaction of
@@ -62,15 +62,17 @@ impl StorageClock {
         self.advanced_at.is_none_or(|advanced_at| now - advanced_at >= STORE_INTERVAL)
     }
 
-    /// Returns the time since the last transaction, limited to `LONGEST_ADVANCE`.
+    /// Returns the time since the last transaction, but at most `LONGEST_ADVANCE`.
     fn elapsed(&self, now: MonoTime) -> Span {
         let elapsed = self.advanced_at.map_or(Span::ZERO, |advanced_at| now - advanced_at);
         elapsed.clamp(Span::ZERO, LONGEST_ADVANCE)
     }
 }
 
-/// Returns the aggregator's wall clock at the last commit, or `None` if there was none.
-pub(super) async fn last_wall(connection: &mut SqliteConnection) -> Result<Option<WallTime>, sqlx::Error> {
+/// Returns the reading of the aggregator's wall clock at the last commit, or `None` if nothing was committed yet.
+pub(super) async fn wall_at_last_commit(
+    connection: &mut SqliteConnection,
+) -> Result<Option<WallTime>, sqlx::Error> {
     let wall: Option<Option<i64>> =
         sqlx::query_scalar("SELECT wall_ns FROM storage_clock").fetch_optional(connection).await?;
     Ok(wall.flatten().map(WallTime::from_unix_nanos))

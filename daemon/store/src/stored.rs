@@ -3,14 +3,15 @@
 pub use peernet_analysis::clock_points::ClockPoint;
 use serde::Serialize;
 
-/// Prefix of the reason of a gap whose events are in another database, because their host streamed to it before.
+/// Prefix of a gap's reason. It means that the events of the gap are in another database, to which the host sent its
+/// stream before.
 macro_rules! other_database_prefix {
     () => {
         "from before this database: "
     };
 }
 
-/// SQL expression for a row of `host`: number of the host's missing events that are in another database.
+/// SQL expression in a query of the table `host`: number of the host's missing events that are in another database.
 macro_rules! in_other_database {
     () => {
         concat!(
@@ -28,24 +29,25 @@ pub(crate) use {in_other_database, other_database_prefix};
 pub struct StoredCounts {
     /// Events of all kinds.
     pub events: u64,
-    /// Nodes of iterations.
+    /// Nodes of all iterations.
     pub nodes: u64,
-    /// Gaps that the host reported or that were noticed in its streams.
+    /// Gaps that the host reported, or that the aggregator noticed in the host's streams.
     pub gaps: u64,
-    /// Number of events in these gaps; events that could not be counted are not included.
+    /// Number of events in `gaps`, without gaps whose number of events is unknown.
     pub missing: u64,
-    /// Number of the missing events that are in another database, because the host streamed to it before.
+    /// Number of the missing events that are in another database, to which the host sent its stream before.
     #[serde(rename = "missing_before")]
     pub in_other_database: u64,
-    /// Batches that arrived more than once and were stored once, since the aggregator started.
+    /// Batches that arrived although they were already stored, since the aggregator started. They were not stored
+    /// again.
     pub duplicates: u64,
     /// Batches that were quarantined because they could not be stored.
     pub quarantined: u64,
 }
 
 impl StoredCounts {
-    /// Returns the number of missing events that are in no database, as far as they could be counted.
-    pub const fn missing_here(&self) -> u64 {
+    /// Returns the number of missing events that are in no database, without gaps whose number of events is unknown.
+    pub const fn missing_everywhere(&self) -> u64 {
         self.missing.saturating_sub(self.in_other_database)
     }
 }

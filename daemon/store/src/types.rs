@@ -83,14 +83,15 @@ pub struct RunSummary {
     pub misses: Option<Misses>,
     /// Superseded answers, and success and return of the episodes.
     pub actuator: ActuatorResults,
-    /// Figures of `total`, seconds; successful iterations only.
+    /// Statistics of `total`, seconds; only of successful iterations after the warm-up.
     pub total: Option<QuantityStatistics>,
     /// `true` if a clock fault was injected on one of the run's hosts.
     pub has_clock_fault: bool,
     /// `true` if the run is pinned, so retention deletes none of its data.
     pub pinned: bool,
-    /// Number of the last iteration that was deleted because of its age or the size limit; 0 if none was deleted.
-    pub nodes_from: u64,
+    /// Number of the last iteration that retention deleted; 0 if it deleted none.
+    #[serde(rename = "nodes_from")]
+    pub last_deleted_iteration: u64,
     /// Position of the run in an experiment, if it belongs to one.
     pub experiment: Option<ExperimentPosition>,
 }
@@ -138,29 +139,29 @@ pub struct GapRow {
     pub count: u64,
     /// Reason for the loss.
     pub reason: String,
-    /// Number of gaps that are combined in this row: 1, or more after the first 1,000 gaps of a run.
+    /// Number of gaps that this row combines. It is 1 for the first 1,000 gaps of a run; further gaps are combined.
     pub gaps: u64,
 }
 
 /// Distribution of one node name over a run, in bins of equal width.
 ///
-/// It is made from a sketch whose bins are 2 % wide. The count of each bin of the sketch is spread evenly over the bins
-/// of the histogram that the bin overlaps.
+/// It is made from a sketch whose bins are 2 % wide. Each bin of the sketch spreads its count evenly over its own
+/// width; each bin of the histogram gets the part of this count that lies within it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Histogram {
     /// The node's name.
     pub stage: Name,
-    /// Unit of the edges.
+    /// Unit of the values.
     pub unit: String,
     /// Edges of the bins in ascending order, one more than `counts`.
     pub edges: Vec<f64>,
-    /// Samples per bin.
+    /// Number of values per bin.
     pub counts: Vec<u64>,
-    /// Samples below the first edge.
+    /// Number of values below the first bin.
     pub below: u64,
-    /// Samples above the last edge.
+    /// Number of values above the last bin.
     pub beyond: u64,
-    /// Figures of all samples.
+    /// Statistics of all values.
     pub statistics: QuantityStatistics,
 }
 
@@ -169,9 +170,10 @@ pub struct Histogram {
 pub struct Series {
     /// Width of a bucket, seconds.
     pub bucket_s: u32,
-    /// One entry per name that has samples, in the requested order.
+    /// One entry per name that has values, in the requested order.
     pub stages: Vec<StageSeries>,
-    /// Missing events, oldest first, without combined gaps: events between them were recorded.
+    /// Missing events, oldest first. Rows that combine several gaps are left out, because events between these gaps
+    /// were recorded.
     pub gaps: Vec<GapRow>,
 }
 
@@ -182,7 +184,7 @@ pub struct StageSeries {
     pub stage: Name,
     /// Unit of the values.
     pub unit: String,
-    /// Buckets that have samples, oldest first; a bucket without samples is absent.
+    /// Buckets that have values, oldest first; a bucket without values is absent.
     pub points: Vec<SeriesPoint>,
 }
 
@@ -191,13 +193,13 @@ pub struct StageSeries {
 pub struct SeriesPoint {
     /// Start of the bucket on the edge's wall clock; a multiple of the bucket's width.
     pub at: WallTime,
-    /// Number of samples.
+    /// Number of values.
     pub count: u64,
     /// Mean.
     pub mean: f64,
     /// Median.
     pub p50: f64,
-    /// 95th percentile; `None` below 60 samples.
+    /// 95th percentile; `None` below 60 values.
     pub p95: Option<f64>,
 }
 
@@ -252,7 +254,7 @@ pub struct IterationRow {
     /// Seconds of `upload` and `download` together if they are not known separately: the total minus the other stages
     /// and `unattributed`. `None` if each is known, or if nothing was sent.
     pub both_ways: Option<f64>,
-    /// The judged one-way delays, in the order of the tree.
+    /// The one-way delays that were judged, in the order of the tree.
     pub delays: Vec<DelayRow>,
 }
 
@@ -263,7 +265,7 @@ pub struct DelayRow {
     pub stage: Name,
     /// The estimate; `None` when it is not known.
     pub value: Option<f64>,
-    /// Bounds that contain the true delay; `None` when nothing is known.
+    /// Bounds that contain the true delay; `None` when no bounds are known.
     pub bounds: Option<(f64, f64)>,
     /// The receiver's stamp minus the sender's stamp, both on wall clocks; may be negative.
     pub raw: f64,
@@ -281,13 +283,14 @@ pub struct DelayRow {
 pub struct DelayAssumptions {
     /// The related clocks.
     pub clocks: RelatedClocks,
-    /// Highest drift between the two clocks, parts per million; `None` if not reported.
+    /// Highest drift between the two clocks, parts per million; `None` if the agent did not report a valid limit.
     pub max_drift_ppm: Option<f64>,
-    /// Highest change of the drift, parts per million per second; `None` if nothing was assumed.
+    /// Highest change of the drift, parts per million per second; `None` if no limit was assumed.
     pub max_drift_change_ppm_per_s: Option<f64>,
     /// `true` if claims of time daemons might narrow the interval; `None` if not reported (releases before 0.3).
     pub claims_trusted: Option<bool>,
-    /// `true` if all probes were authenticated; `None` if there were none or it was not reported.
+    /// `true` if all probes were authenticated; `None` if there were no probes, or if the agent did not report whether
+    /// they were authenticated.
     pub probes_authenticated: Option<bool>,
 }
 
@@ -311,8 +314,8 @@ pub struct IterationDetail {
     pub row: IterationRow,
     /// The tree as the agent sent it.
     pub tree: Tree,
-    /// Names of the hosts of the tree's anchors, in the order of the anchors; `None` for a host that never reported
-    /// here and is not the run's server.
+    /// Names of the hosts of the tree's anchors, in the order of the anchors; `None` for a host that never introduced
+    /// itself to this aggregator and is not the run's cloud.
     pub hosts: Vec<Option<Slug>>,
     /// Rank among the slowest successful iterations of the run, from 1; `None` beyond the 1,000 slowest, and for
     /// iterations that are excluded from statistics.
@@ -325,12 +328,12 @@ pub struct IterationDetail {
     pub slower: Option<u64>,
     /// Number of the next faster successful iteration; `None` without a `rank`.
     pub faster: Option<u64>,
-    /// Figures of the run per node name, for comparison; in the order of tables.
+    /// Statistics of the run per node name, for comparison with this iteration; in the order of tables.
     pub run_figures: Vec<(Name, QuantityStatistics)>,
 }
 
 impl IterationDetail {
-    /// Returns the medians of the run's nodes.
+    /// Returns the run's median of each node name.
     pub fn medians(&self) -> Medians {
         medians(&self.run_figures)
     }
@@ -341,11 +344,11 @@ impl IterationDetail {
 pub struct IncidentFilter {
     /// Maximum number of incidents, 1 to 1,000.
     pub limit: u32,
-    /// Selects the incidents before the incident with this id, which is the last incident of the previous page.
+    /// Selects the incidents that are older than the incident with this id: the last incident of the previous page.
     pub before: Option<i64>,
-    /// Selects the incidents of this kind.
+    /// Selects the incidents of this kind; `None` for all kinds.
     pub kind: Option<String>,
-    /// Selects the incidents that the host of this name reported.
+    /// Selects the incidents that the host of this name reported; `None` for all hosts and the aggregator.
     pub host: Option<String>,
 }
 
@@ -374,7 +377,8 @@ pub struct IncidentRow {
     pub pipeline: Option<String>,
     /// The number of the run concerned, if any.
     pub run: Option<i64>,
-    /// The name of the other host concerned, if any; its id if it never introduced itself here.
+    /// The name of the other host concerned, if any; the id of that host if it never introduced itself to this
+    /// aggregator.
     pub peer: Option<String>,
     /// One sentence for people.
     pub text: String,
@@ -443,9 +447,9 @@ pub struct LinkRow {
     pub cloud_name: Slug,
     /// The network.
     pub network: NetworkName,
-    /// Time of the first stored sample, on the edge's wall clock.
+    /// Time of the first stored clock sample, on the edge's wall clock.
     pub first: WallTime,
-    /// Time of the last stored sample, on the edge's wall clock.
+    /// Time of the last stored clock sample, on the edge's wall clock.
     pub last: WallTime,
 }
 
@@ -459,8 +463,8 @@ impl LinkRow {
 /// The clock relation of a link over time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClockSeries {
-    /// Width of a bucket, seconds; 1 means samples as stored.
+    /// Width of a bucket, seconds; with 1, each point is one stored clock sample.
     pub bucket_s: u32,
-    /// The buckets, oldest first; buckets without samples are absent.
+    /// One point per bucket, oldest first; buckets without clock samples have no point.
     pub points: Vec<ClockPoint>,
 }

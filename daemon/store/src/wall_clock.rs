@@ -6,9 +6,10 @@ use peernet_clock::{Span, Stamp, WallTime};
 /// whole seconds.
 const MIN_STEP: Span = Span::from_seconds(10);
 
-/// Comparison of the wall clock with the monotonic clock.
+/// Comparison of the wall clock with the monotonic clock, which no program can step.
 #[derive(Debug)]
 pub(super) struct WallClockWatch {
+    /// Readings of the clocks at the last check.
     last: Stamp,
 }
 
@@ -19,12 +20,12 @@ impl WallClockWatch {
     }
 
     /// Returns a description if the wall clock is behind its reading at the last commit of an aggregator.
-    pub(super) fn compare(now: Stamp, last_stored: WallTime) -> Option<String> {
+    pub(super) fn compare_with_last_commit(now: Stamp, last_stored: WallTime) -> Option<String> {
         let step = now.wall - last_stored;
         (step <= -MIN_STEP).then(|| {
             format!(
-                "this aggregator's wall clock shows {} less than when it last stored something: it was set back while \
-                 the aggregator did not run, or it was wrong before",
+                "this aggregator's wall clock shows {} less than when the aggregator last stored something: the clock was \
+                 set back while the aggregator did not run, or the clock was wrong before",
                 format_span(step)
             )
         })
@@ -81,9 +82,10 @@ mod tests {
 
     #[test]
     fn start_before_stored_time_is_reported() {
-        assert_eq!(WallClockWatch::compare(stamp(1_000, 0), stamp(1_009, 0).wall), None);
-        assert_eq!(WallClockWatch::compare(stamp(9_000_000, 0), stamp(1_000, 0).wall), None);
-        let text = WallClockWatch::compare(stamp(1_000, 0), stamp(1_000 + 10_800, 0).wall).expect("a step");
+        assert_eq!(WallClockWatch::compare_with_last_commit(stamp(1_000, 0), stamp(1_009, 0).wall), None);
+        assert_eq!(WallClockWatch::compare_with_last_commit(stamp(9_000_000, 0), stamp(1_000, 0).wall), None);
+        let text = WallClockWatch::compare_with_last_commit(stamp(1_000, 0), stamp(1_000 + 10_800, 0).wall)
+            .expect("a step");
         assert!(text.contains("3.0 h less"), "{text}");
     }
 }

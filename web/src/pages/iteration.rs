@@ -122,7 +122,7 @@ fn facts(app: &AppState, run: &RunSummary, detail: &IterationDetail) -> Vec<Stri
         format!("episode {}, step {}", count(row.episode.into()), count(row.step.into())),
     ];
     // The rank is among the stored iterations.
-    let base = if run.nodes_from > 0 {
+    let base = if run.last_deleted_iteration > 0 {
         "the iterations that are still stored".to_owned()
     } else {
         count(run.counts.ok)

@@ -24,7 +24,8 @@ pub(crate) enum End {
     InProgress,
     /// The run ended, and its agent reported this reason.
     Reported(String),
-    /// No end was reported, because the agent was killed or is not connected. Contains the start of the last stored iteration.
+    /// No end was reported, because the agent was killed or is not connected. Contains the start of the last stored
+    /// iteration.
     Unreported(Option<ZonedTime>),
 }
 
@@ -100,10 +101,10 @@ pub(crate) fn reject_deleted(
     iteration: u64,
     retention: &RetentionConfig,
 ) -> Result<(), WebError> {
-    if iteration == 0 || iteration > run.nodes_from {
+    if iteration == 0 || iteration > run.last_deleted_iteration {
         return Ok(());
     }
-    let (number, last, why) = (run.number, run.nodes_from, deletion_reason(retention));
+    let (number, last, why) = (run.number, run.last_deleted_iteration, deletion_reason(retention));
     Err(WebError::Gone(format!(
         "iterations 1 to {last} of run {number} were deleted {why}, iteration {iteration} among them; the statistics \
          of the run remain"
@@ -112,7 +113,7 @@ pub(crate) fn reject_deleted(
 
 /// Returns a note about the iterations that retention deleted.
 pub(crate) fn deleted_iterations_note(run: &RunSummary, retention: &RetentionConfig) -> Option<Note> {
-    let which = match run.nodes_from {
+    let which = match run.last_deleted_iteration {
         0 => return None,
         1 => "Iteration 1".to_owned(),
         last => format!("Iterations 1 to {}", count(last)),

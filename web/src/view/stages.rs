@@ -4,7 +4,7 @@ use peernet_aggregator::Window;
 use peernet_analysis::stage_split::share_of_total;
 use peernet_figures::drawing::{StagePart, share_bar};
 use peernet_statistics::number::{self, DurationFormat, EXACT, NONE, bound_ms};
-use peernet_store::{DelayAccuracy, QuantityStatistics, StageStatistics, rank};
+use peernet_store::{DelayAccuracy, QuantityStatistics, StageStatistics, table_order};
 
 use super::chip::{Chip, Sign};
 use super::clocks;
@@ -20,8 +20,8 @@ pub(crate) struct StageRow {
     pub look: &'static str,
     /// 1 for a part of another row, such as `capture` of `sensing`; else 0.
     pub depth: u8,
-    /// Number of iterations that have the stage, as `50 of 100`, where not every iteration has it. The statistics in the
-    /// row are over these iterations.
+    /// Number of iterations that have the stage, as `50 of 100`, where not every iteration has it. The statistics in
+    /// the row are over these iterations.
     pub occurrence: Option<String>,
     pub mean: String,
     pub std: Option<String>,
@@ -84,8 +84,8 @@ impl StageRow {
         self.p50 != NONE
     }
 
-    /// Adds the number of iterations to the rows of stages that not every iteration has. `count_of` returns the number of
-    /// values of a stage.
+    /// Adds the number of iterations to the rows of stages that not every iteration has. `count_of` returns the number
+    /// of values of a stage.
     fn with_occurrences(mut rows: Vec<Self>, count_of: impl Fn(&str) -> Option<u64>) -> Vec<Self> {
         let iterations = count_of("total").unwrap_or(0);
         for row in &mut rows {
@@ -128,7 +128,7 @@ impl StageRow {
         // A direction without a known delay has no statistics, and therefore no row yet. Its row shows the verdict on
         // the delays.
         for bound in bounds.iter().filter(|bound| stages.iter().all(|stage| stage.stage != bound.stage)) {
-            let index = rows.partition_point(|row| rank(&row.name) < rank(&bound.stage));
+            let index = rows.partition_point(|row| table_order(&row.name) < table_order(&bound.stage));
             rows.insert(index, Self::new(column, &bound.stage, None, Some(bound), None));
         }
         // If a direction is unknown, the sum of both directions has a row, after all stages of the network.

@@ -27,7 +27,8 @@ use crate::config::AggregatorConfig;
 use crate::live_state::LiveState;
 use crate::readiness::Readiness;
 use peernet_store::writing::{
-    CommitError, CommitResult, Integrity, OpenDatabase, PendingIncidents, Step, StoredState, Work, Writer,
+    CommitError, CommitResult, Integrity, OpenDatabase, PendingIncidents, StepResult, StoredState, Work,
+    Writer,
 };
 use peernet_store::{AggregatorIncidentKind, StoreError};
 
@@ -187,7 +188,7 @@ async fn serve(
     // A commit may take longer than the interval; checks that were missed need not be made up for.
     check_interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
     // Retention starts at once: limits may have changed while the aggregator was stopped.
-    let (mut commits, mut retention_step) = (0_u64, Step::More);
+    let (mut commits, mut retention_step) = (0_u64, StepResult::More);
     // Whether damage was known at the previous check.
     let mut was_damaged = false;
     loop {
@@ -202,7 +203,7 @@ async fn serve(
                 }
                 first = context.queue.recv() => first,
                 // Retention runs only while no work waits.
-                () = std::future::ready(()), if retention_step == Step::More => {
+                () = std::future::ready(()), if retention_step == StepResult::More => {
                     retention_step = run_retention_step(writer, context).await;
                     continue;
                 }
@@ -216,7 +217,7 @@ async fn serve(
                         Err(error) => return ServeEnd::Failed(error),
                     }
                     was_damaged = context.integrity.damage().is_some();
-                    retention_step = Step::More;
+                    retention_step = StepResult::More;
                     continue;
                 }
             };
@@ -248,7 +249,7 @@ async fn serve(
         // Frees the capacity of the queue before retention, which may take long.
         drop((work, capacity));
         commits += 1;
-        retention_step = Step::More;
+        retention_step = StepResult::More;
         if commits.is_multiple_of(COMMITS_PER_RETENTION) {
             retention_step = run_retention_step(writer, context).await;
             match check_and_maintain(writer, context, state).await {
@@ -287,16 +288,16 @@ async fn check_and_maintain(
 }
 
 /// Deletes a small part of the expired data. A failed deletion is retried in the next step.
-async fn run_retention_step(writer: &mut Writer, context: &TaskContext) -> Step {
+async fn run_retention_step(writer: &mut Writer, context: &TaskContext) -> StepResult {
     // Deletion writes to freed pages. In a damaged file freed pages must stay unchanged, because a repair may read rows
     // from them.
     if context.integrity.damage().is_some() {
-        return Step::Done;
+        return StepResult::Done;
     }
     writer.retain(context.clock.stamp()).await.unwrap_or_else(|error| {
         context.integrity.record_if_damage(&error);
         tracing::warn!(%error, "cannot delete expired data; the deletion is retried");
-        Step::Done
+        StepResult::Done
     })
 }
 

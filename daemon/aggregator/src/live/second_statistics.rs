@@ -11,7 +11,7 @@ use peernet_stream::{OutcomeCounts, Second, bound_names};
 
 use super::MAX_NAMES;
 use crate::live_state::{LiveSecond, Window};
-use peernet_store::{DelayAccuracy, QuantityStatistics, rank};
+use peernet_store::{DelayAccuracy, QuantityStatistics, table_order};
 
 /// Statistics of one or more seconds. A list is faster than a map here, because there are few names.
 #[derive(Clone, Debug, Default)]
@@ -59,7 +59,7 @@ impl SecondStatistics {
             .map(|(name, summary)| (name.clone(), summary.moments.mean))
             .collect();
         // All lists of names have this order, whatever order the agent used.
-        means.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
+        means.sort_by(|(a, _), (b, _)| table_order(a).cmp(&table_order(b)));
         let mean_of = |name: &str| {
             let (_, summary) = self.values.iter().find(|(other, _)| other == name)?;
             (summary.count() > 0).then_some((summary.count(), summary.moments.mean))
@@ -90,7 +90,7 @@ impl SecondStatistics {
             Some((name.clone(), QuantityStatistics::from_summary(summary)?))
         };
         let mut values: Vec<(Name, QuantityStatistics)> = self.values.iter().filter_map(statistics).collect();
-        values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
+        values.sort_by(|(a, _), (b, _)| table_order(a).cmp(&table_order(b)));
         // A pipeline with a deadline reports a value of `DEADLINE_MISSED` for each answer: 1 for a late answer and 0
         // for any other. The sum of these values is the number of late answers. In a second without any answer, the
         // name is reported without values: all iterations failed and missed the deadline.

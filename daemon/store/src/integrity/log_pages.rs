@@ -1,4 +1,4 @@
-//! The pages in a database's log (`-wal`), read without SQLite.
+//! The pages in a database's write-ahead log (`-wal`), read without SQLite.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -12,24 +12,24 @@ use super::pages::be32;
 const HEADER_BYTES: u64 = 32;
 /// Size of the header of a frame, which holds one page.
 const FRAME_BYTES: u64 = 24;
-/// First word of every log, except for the lowest bit, which gives the byte order of the checksums.
+/// First four bytes of a write-ahead log, without the lowest bit, which gives the byte order of the checksums.
 const MAGIC: u32 = 0x377f_0682;
 
 /// The newest version of each page that is in the write-ahead log.
 ///
-/// A checkpoint copies pages from the log into the main file one after the other. It leaves out pages whose older
-/// version readers still need, so the main file alone may mix versions of different times. Checksums are not verified,
-/// so this value may contain pages of a transaction that is not committed.
+/// A checkpoint copies pages from the log into the main file one after the other. The checkpoint leaves out pages whose
+/// older version a reader still needs. Therefore the main file alone may mix versions of different times. The checksums
+/// of the log are not verified, so this value may contain pages of a transaction that is not committed.
 #[derive(Debug)]
 pub(super) struct LogPages {
     file: File,
     page_bytes: usize,
-    /// Offset of each page in the file.
+    /// Offset of the newest version of each page in the log file.
     offsets: HashMap<u32, u64>,
 }
 
-/// Returns the path of the write-ahead log of a database. A symbolic link is resolved, because the log lies beside the
-/// file itself.
+/// Returns the path of the write-ahead log of a database. A symbolic link to the database is resolved, because the log
+/// lies beside the database itself.
 pub(crate) fn log_path(database: &Path) -> PathBuf {
     let mut path = std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
     path.push("-wal");
@@ -40,7 +40,7 @@ impl LogPages {
     /// Reads which pages are in the write-ahead log. Returns `None` if there is no log, or the log has no valid header.
     ///
     /// # Errors
-    /// When the log cannot be read; this applies to the other functions, too.
+    /// When the log cannot be read. This applies to all functions here that return an `io::Result`.
     pub(super) fn open(log: &Path, page_bytes: usize) -> io::Result<Option<Self>> {
         let file = match File::open(log) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
@@ -74,7 +74,7 @@ impl LogPages {
         self.offsets.contains_key(&number)
     }
 
-    /// Reads one page; `None` if it is not in the write-ahead log.
+    /// Reads one page; `None` if the page is not in the write-ahead log.
     pub(super) fn read(&self, number: u32) -> io::Result<Option<Vec<u8>>> {
         let Some(offset) = self.offsets.get(&number) else { return Ok(None) };
         let mut bytes = vec![0; self.page_bytes];

@@ -1,12 +1,13 @@
-//! Damage of the database's file: its detection, and the record that stops all storing into it.
+//! Damage of the database's file: the check that finds damage, and the record of damage. While the record exists,
+//! nothing is stored.
 //!
 //! The check reads the main file with `pread` through the descriptor that holds the lock: closing another descriptor
-//! would release SQLite's locks in this process. The check reads page by page at a bounded rate and parses the pages as
-//! SQLite's file format describes them. SQLite's own `quick_check` of a table is one read transaction, which for a
-//! large table would keep the write-ahead log from being checkpointed. It also goes through a cache and costs several
-//! times as much. Page checksums would also find a changed value, but SQLite's `cksumvfs` is not in the bundled
-//! library. Checksums beside the file would have to be written with every checkpoint, which needs a virtual file system
-//! of our own.
+//! would release SQLite's locks in this process. The check reads page by page at a limited rate and parses the pages as
+//! SQLite's file format describes them. SQLite's own `quick_check` of a table is one read transaction. For a large
+//! table, this transaction would prevent checkpoints of the write-ahead log for a long time. `quick_check` also goes
+//! through a cache and costs several times as much. Checksums of pages would also find a changed value, but SQLite's
+//! `cksumvfs` is not in the bundled library. Checksums in a separate file would have to be written with every
+//! checkpoint, which needs a virtual file system of our own.
 
 mod log_pages;
 mod page_check;
@@ -32,26 +33,28 @@ use self::pages::PageFile;
 
 /// Record of the damage of one database, shared by everything that reads or writes it.
 ///
-/// The record is also kept in a file beside the database, `<database>-damaged`, because the damaged page may be rarely
-/// read. An aggregator that finds this file stores nothing until the whole database was checked.
+/// The record is also written to a file beside the database, `<database>-damaged`: the damaged page may be read rarely,
+/// and after a restart it may take long to find the damage again. An aggregator that finds this file stores nothing
+/// until the whole database was checked.
 #[derive(Clone, Debug)]
 pub struct Integrity {
     database: Arc<Path>,
     damage: watch::Sender<Option<Damage>>,
-    /// The database's file while it is open here. A second descriptor would release SQLite's locks when it is closed.
+    /// The database's file while this process has it open. A second descriptor would release SQLite's locks when it is
+    /// closed.
     file: Arc<Mutex<Weak<File>>>,
 }
 
-/// Description of damage.
+/// Damage of a database.
 #[derive(Clone, Debug)]
 struct Damage {
-    what: String,
-    /// `true` if rows can be found.
+    description: String,
+    /// `true` if rows can be found in the file.
     is_repairable: bool,
 }
 
 impl Integrity {
-    /// Makes the record of a database, without damage.
+    /// Creates a record without damage.
     pub fn new(database: &Path) -> Self {
         Self { database: database.into(), damage: watch::Sender::new(None), file: Arc::default() }
     }
@@ -59,11 +62,12 @@ impl Integrity {
     /// Reads the recorded damage of the file that is now at the path.
     pub(crate) fn load_record(&self) -> io::Result<()> {
         let recorded_damage = recorded_damage(&self.database)?;
-        self.damage.send_replace(recorded_damage.map(|what| Damage { what, is_repairable: true }));
+        self.damage
+            .send_replace(recorded_damage.map(|description| Damage { description, is_repairable: true }));
         Ok(())
     }
 
-    /// Remembers the opened file, which shows whether a repair is possible.
+    /// Takes the opened file, whose contents show whether a repair is possible.
     pub(crate) fn attach_file(&self, file: &Arc<File>) {
         *self.file.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(file);
         let is_repairable = self.is_repairable();
@@ -80,9 +84,9 @@ impl Integrity {
         file.is_none_or(has_table_list)
     }
 
-    /// Returns the description of the damage, if there is any.
+    /// Returns what is damaged; `None` while there is no damage.
     pub fn damage(&self) -> Option<String> {
-        self.damage.borrow().as_ref().map(|damage| damage.what.clone())
+        self.damage.borrow().as_ref().map(|damage| damage.description.clone())
     }
 
     /// Waits until damage is found.
@@ -92,41 +96,45 @@ impl Integrity {
         let _never_closed = damage.wait_for(Option::is_some).await;
     }
 
-    /// Returns why nothing is stored, and what to do; `None` while there is no damage.
-    pub fn refusal(&self) -> Option<String> {
+    /// Returns a sentence for people: which database is damaged, what is damaged, and what to do. `None` while there is
+    /// no damage.
+    pub fn damage_description(&self) -> Option<String> {
         let damage = self.damage.borrow();
         let database = self.database.display();
-        damage.as_ref().map(|Damage { what, is_repairable }| {
-            format!("the database {database} is damaged: {what}; {}", remedy(&self.database, *is_repairable))
+        damage.as_ref().map(|Damage { description, is_repairable }| {
+            format!(
+                "the database {database} is damaged: {description}; {}",
+                remedy(&self.database, *is_repairable)
+            )
         })
     }
 
-    /// Records damage. An earlier record stays.
-    pub(crate) fn record_damage(&self, what: impl Into<String>) {
-        let what = what.into();
+    /// Records damage, unless damage is recorded already: the first damage found is the closest to the cause.
+    pub(crate) fn record_damage(&self, description: impl Into<String>) {
+        let description = description.into();
         let is_repairable = self.is_repairable();
         let is_first = self.damage.send_if_modified(|damage| {
             let is_first = damage.is_none();
-            damage.get_or_insert_with(|| Damage { what: what.clone(), is_repairable });
+            damage.get_or_insert_with(|| Damage { description: description.clone(), is_repairable });
             is_first
         });
         if !is_first {
             return;
         }
         tracing::error!(
-            "the database {database} is damaged: {what}; nothing is stored any more, and agents keep their events; {remedy}",
+            "the database {database} is damaged: {description}; nothing is stored any more, and agents keep their events; {remedy}",
             database = self.database.display(),
             remedy = remedy(&self.database, is_repairable)
         );
-        if let Err(error) = fs::write(marker_path(&self.database), format!("{what}\n")) {
+        if let Err(error) = fs::write(record_path(&self.database), format!("{description}\n")) {
             tracing::warn!(
-                %error, file = %marker_path(&self.database).display(),
-                "cannot record the damage of the database in a file; after a restart the check has to find it again"
+                %error, file = %record_path(&self.database).display(),
+                "cannot record the damage of the database in a file; after a restart the check has to find the damage again"
             );
         }
     }
 
-    /// Records damage if the error reports it.
+    /// Records damage if the error reports damage.
     pub fn record_if_damage(&self, error: &DatabaseError) {
         if error.is_damage() {
             self.record_damage(error.to_string());
@@ -141,19 +149,19 @@ impl Integrity {
     }
 }
 
-/// Returns the advice for a damaged database. Without its list of tables no row can be found, and a repair has nothing
-/// to salvage.
+/// Returns what to do about a damaged database. If its list of tables is lost, no row can be found, and a repair has
+/// nothing to salvage.
 pub(crate) fn remedy(database: &Path, is_repairable: bool) -> String {
     if is_repairable {
         format!("stop the aggregator and run `peernetd doctor --repair --database {}`", database.display())
     } else {
-        "its list of tables is lost, without which no row can be found: stop the aggregator and replace it by the newest backup, and \
-         agents send the events in their spools again"
+        "its list of tables is lost, so that no row can be found: stop the aggregator and replace the database by the newest \
+         backup; agents then send the events in their spools again"
             .to_owned()
     }
 }
 
-/// Returns whether the header of a database and the first page of the list of its tables can be read.
+/// Returns whether the file has a valid header and a valid first page of the list of tables.
 pub(crate) fn has_table_list(file: Arc<File>) -> bool {
     let first_page =
         PageFile::from_file(file).and_then(|file| file.map_or(Ok(None), |file| file.read_btree_page(1)));
@@ -162,7 +170,7 @@ pub(crate) fn has_table_list(file: Arc<File>) -> bool {
 
 /// Returns the path of the file that records damage. A symbolic link is resolved, because the file lies beside the
 /// database itself.
-fn marker_path(database: &Path) -> PathBuf {
+fn record_path(database: &Path) -> PathBuf {
     let mut path = fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
     path.push("-damaged");
     path.into()
@@ -171,9 +179,9 @@ fn marker_path(database: &Path) -> PathBuf {
 /// Returns the damage that an aggregator found earlier.
 ///
 /// # Errors
-/// When the file that records it cannot be read.
+/// When the file that records the damage cannot be read.
 pub(crate) fn recorded_damage(database: &Path) -> io::Result<Option<String>> {
-    match fs::read_to_string(marker_path(database)) {
+    match fs::read_to_string(record_path(database)) {
         Ok(text) => Ok(Some(text.trim().to_owned())),
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
         Err(error) => Err(error),
@@ -182,7 +190,7 @@ pub(crate) fn recorded_damage(database: &Path) -> io::Result<Option<String>> {
 
 /// Removes the record of damage that was found earlier.
 pub(crate) fn delete_record(database: &Path) -> io::Result<()> {
-    match fs::remove_file(marker_path(database)) {
+    match fs::remove_file(record_path(database)) {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
         _ => Ok(()),
     }

@@ -12,26 +12,27 @@ use super::pages::{PageFile, be32};
 /// One pass over the file, some pages at a time.
 ///
 /// A page of a b-tree is well-formed if its header, its cell pointers and the headers of all its records are
-/// well-formed. Overflow pages (on which long records continue) and free pages may contain any bytes. They are
-/// recognised by the pages that refer to them.
+/// well-formed. Overflow pages (on which long records continue) and free pages may contain any bytes. The pages that
+/// refer to them show that they are overflow pages or free pages.
 #[derive(Debug)]
 pub(crate) struct PageCheck {
     file: PageFile,
     log: PathBuf,
     /// Number of the page that is examined next.
     next: u32,
-    /// Pages that are not well-formed pages of a b-tree, with their first four bytes. In an overflow page these bytes
-    /// are the number of the next overflow page.
+    /// Pages that are not well-formed pages of a b-tree, with the number in their first four bytes. In an overflow page
+    /// this number is the next overflow page.
     other_pages: HashMap<u32, u32>,
-    /// Overflow pages that are in use and were not yet removed from `other_pages`.
+    /// Overflow pages to which other pages refer. They are still to be removed from `other_pages`.
     overflow_pages: Vec<u32>,
 }
 
 impl PageCheck {
-    /// Starts a pass with the open file and the path of its log; `None` if the file has no header of a database.
+    /// Starts a pass over the open file; `log` is the path of its write-ahead log. `None` if the file has no header of
+    /// a database.
     ///
     /// # Errors
-    /// When a file cannot be read; this applies to the other functions, too.
+    /// When a file cannot be read. This applies to all functions here that return an `io::Result`.
     pub(crate) fn start(database: Arc<File>, log: PathBuf) -> io::Result<Option<Self>> {
         Ok(PageFile::from_file(database)?.map(|file| Self {
             file,
@@ -43,7 +44,8 @@ impl PageCheck {
     }
 
     /// Makes a whole pass over a file. Returns the numbers of malformed pages. No connection of this process may have
-    /// the file open, because closing it here would release SQLite's locks (see [`PageFile::open`]).
+    /// the file open, because this function closes its own descriptor of the file, which would release SQLite's locks
+    /// (see [`PageFile::open`]).
     pub(crate) fn find_malformed(database: &Path) -> io::Result<Vec<u32>> {
         let file = Arc::new(File::open(database)?);
         let Some(mut check) = Self::start(file, log_path(database))? else { return Ok(vec![1]) };
@@ -51,14 +53,14 @@ impl PageCheck {
         check.finish()
     }
 
-    /// Examines the next pages, about `bytes` bytes. Returns whether more remain.
+    /// Examines the next pages, about `bytes` bytes. Returns whether more pages remain.
     pub(crate) fn step(&mut self, bytes: u64) -> io::Result<bool> {
         let first = self.next;
         let count = (bytes / self.file.page_bytes as u64).max(1);
         let read = self.file.read(first, u32::try_from(count).unwrap_or(u32::MAX))?;
         for (number, page) in (first..).zip(read.chunks_exact(self.file.page_bytes)) {
             self.next = number + 1;
-            match self.file.well_formed_page(number, page.to_vec(), self.file.pages) {
+            match self.file.well_formed_page(number, page.to_vec(), self.file.page_count) {
                 Some(page) => self.overflow_pages.extend(page.overflow_pages()),
                 None if self.file.is_lock_page(number) => {}
                 None => {
@@ -66,15 +68,15 @@ impl PageCheck {
                 }
             }
         }
-        Ok(self.next <= self.file.pages)
+        Ok(self.next <= self.file.page_count)
     }
 
     /// Returns the malformed pages that are in use.
     ///
     /// While an aggregator stores, a checkpoint may be in progress, so the main file may mix pages of different times.
-    /// Therefore overflow pages to which pages in the write-ahead log refer are not malformed, either. A page is
-    /// returned only if it is still malformed when it is read again. The result may still contain pages that were moved
-    /// during the pass; another pass does not find these pages again.
+    /// Therefore an overflow page is also in use if a page in the write-ahead log refers to it. A page is returned only
+    /// if it is malformed when it is read a second time, too. The result may nevertheless contain pages whose contents
+    /// moved during the pass; another pass does not find these pages malformed.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing_page = self.file.first_missing_page()?;
         self.follow_overflows(None)?;
@@ -82,9 +84,9 @@ impl PageCheck {
             return Ok(Vec::new());
         }
         let log = LogPages::open(&self.log, self.file.page_bytes)?;
-        // The file may have grown, and the write-ahead log has pages that are still to be appended to it.
+        // The file may have grown, and the write-ahead log may have pages beyond the end of the file.
         self.file.update_length()?;
-        let last = log.iter().flat_map(LogPages::numbers).max().unwrap_or(0).max(self.file.pages);
+        let last = log.iter().flat_map(LogPages::numbers).max().unwrap_or(0).max(self.file.page_count);
         for number in log.iter().flat_map(LogPages::numbers) {
             let page = log.as_ref().map_or(Ok(None), |log| log.read(number))?;
             let page = page.and_then(|page| self.file.well_formed_page(number, page, last));
@@ -110,16 +112,16 @@ impl PageCheck {
             && malformed.iter().any(|number| log.contains(*number))
             && !self.is_checkpointed(log)?
         {
-            // SQLite reads the pages of the write-ahead log from the log. In the main file there may be an older
-            // version, a sparse range, or nothing yet.
+            // If a page is in the write-ahead log, SQLite reads it from the log. The main file may have an older
+            // version of this page, a sparse range, or nothing yet.
             malformed.retain(|number| !log.contains(*number));
         }
         malformed.sort_unstable();
         Ok(malformed)
     }
 
-    /// Removes the overflow pages from the pages that may be malformed. The chain of a record may end early, at a
-    /// malformed or missing page; this is not reported here.
+    /// Removes the overflow pages that are in use from the pages that may be malformed. Does not report a chain of
+    /// overflow pages that ends early, at a malformed or missing page.
     fn follow_overflows(&mut self, log: Option<&LogPages>) -> io::Result<()> {
         let mut seen_in_log = HashSet::new();
         while let Some(page) = self.overflow_pages.pop() {
@@ -131,10 +133,10 @@ impl PageCheck {
     }
 
     /// Returns whether the main file has the same contents as the write-ahead log in all pages of the log, except for
-    /// pages that may be malformed. A log that was checkpointed stays until the next commit, and readers no longer use
-    /// it.
+    /// pages that may be malformed. After a checkpoint, the log file keeps its contents until the next commit, but
+    /// SQLite reads the main file.
     fn is_checkpointed(&self, log: &LogPages) -> io::Result<bool> {
-        // A truncated file has no page beyond its end.
+        // The main file may be truncated. Pages beyond its end cannot be compared.
         let is_well_formed =
             |number: &u32| !self.other_pages.contains_key(number) && self.file.contains(*number);
         for number in log.numbers().filter(is_well_formed) {
@@ -145,7 +147,7 @@ impl PageCheck {
         Ok(true)
     }
 
-    /// Returns the free pages according to the write-ahead log.
+    /// Returns the free pages as SQLite sees them, with the newer versions of pages in the write-ahead log.
     fn free_pages_of(&self, log: Option<&LogPages>) -> io::Result<Option<Vec<u32>>> {
         log.map_or(Ok(None), |log| self.file.free_pages(|number| log.read(number)))
     }

@@ -23,8 +23,8 @@ pub(crate) struct PageFile {
     pub(crate) page_bytes: usize,
     /// Number of bytes of a page that hold content. The rest, at the end of the page, is reserved for extensions.
     usable_bytes: usize,
-    /// Number of complete pages in the file.
-    pub(crate) pages: u32,
+    /// Number of complete pages in the file, as of the last [`Self::update_length`].
+    pub(crate) page_count: u32,
 }
 
 /// Kind of a b-tree page; the file format defines the numbers.
@@ -45,32 +45,32 @@ pub(crate) struct BtreePage {
     /// Offset of the array of cell pointers.
     pointers_offset: usize,
     /// Number of cells.
-    pub(crate) cells: usize,
-    /// Last child of an interior page.
+    pub(crate) cell_count: usize,
+    /// Number of the last child page; `None` on a leaf page.
     pub(crate) right_child: Option<u32>,
 }
 
-/// A cell of a page: an entry of the b-tree.
+/// A cell of a page: one entry of the b-tree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Cell<'a> {
-    /// Number of the child page with the entries before this one, on an interior page.
+    /// Number of the child page that has the entries before this entry; `None` on a leaf page.
     pub(crate) child: Option<u32>,
-    /// Key in a table with row ids.
+    /// Row id, which is the key in a table with row ids; `None` in an index or a table without row ids.
     pub(crate) rowid: Option<i64>,
     /// Part of the record that is on this page; empty on the interior pages of a table with row ids.
-    pub(crate) local: &'a [u8],
+    pub(crate) local_content: &'a [u8],
     /// Size of the whole record in bytes.
     pub(crate) record_bytes: usize,
-    /// First overflow page, with the rest of the record.
+    /// Number of the first overflow page, on which the record continues; `None` if the whole record is on this page.
     pub(crate) overflow: Option<u32>,
 }
 
 impl PageFile {
-    /// Opens a file that no connection of this process has open: when the descriptor is closed, the system releases all
-    /// locks that SQLite holds on the file in this process.
+    /// Opens a file. No connection of this process may have the file open: when the descriptor is closed, the system
+    /// releases all locks that SQLite holds on the file in this process.
     ///
     /// # Errors
-    /// If the file cannot be read; this applies to the other functions, too.
+    /// If the file cannot be read. This applies to all functions here that return an `io::Result`.
     pub(crate) fn open(path: &Path) -> io::Result<Option<Self>> {
         Self::from_file(Arc::new(File::open(path)?))
     }
@@ -92,7 +92,7 @@ impl PageFile {
         if header[..16] != *MAGIC || !page_bytes.is_power_of_two() || page_bytes < 512 || usable_bytes < 480 {
             return Ok(None);
         }
-        let mut file = Self { file, page_bytes, usable_bytes, pages: 0 };
+        let mut file = Self { file, page_bytes, usable_bytes, page_count: 0 };
         file.update_length()?;
         Ok(Some(file))
     }
@@ -100,14 +100,14 @@ impl PageFile {
     /// Reads the length of the file again, because it may have grown.
     pub(crate) fn update_length(&mut self) -> io::Result<()> {
         let pages = self.file.metadata()?.len() / self.page_bytes as u64;
-        self.pages = u32::try_from(pages).unwrap_or(u32::MAX);
+        self.page_count = u32::try_from(pages).unwrap_or(u32::MAX);
         Ok(())
     }
 
     /// Reads at most `count` pages from `first`; the file's first page is 1.
     pub(crate) fn read(&self, first: u32, count: u32) -> io::Result<Vec<u8>> {
         // The last read of a file is usually shorter.
-        let count = count.min((self.pages + 1).saturating_sub(first)) as usize;
+        let count = count.min((self.page_count + 1).saturating_sub(first)) as usize;
         let mut bytes = vec![0; count * self.page_bytes];
         self.file.read_exact_at(&mut bytes, u64::from(first - 1) * self.page_bytes as u64)?;
         Ok(bytes)
@@ -123,10 +123,10 @@ impl PageFile {
 
     /// Returns whether the file has a page of this number.
     pub(crate) const fn contains(&self, page: u32) -> bool {
-        page >= 1 && page <= self.pages
+        page >= 1 && page <= self.page_count
     }
 
-    /// Returns whether SQLite never uses that page.
+    /// Returns whether the page has the bytes that SQLite locks. SQLite never uses this page.
     pub(crate) const fn is_lock_page(&self, page: u32) -> bool {
         page as u64 == LOCK_BYTE / self.page_bytes as u64 + 1
     }
@@ -136,14 +136,14 @@ impl PageFile {
         BtreePage::parse(number, bytes, self.usable_bytes)
     }
 
-    /// Parses a page as part of a b-tree; `None` if its header, a cell pointer or a cell is malformed, or if it refers
-    /// to a page beyond the number `last`.
+    /// Parses a page as part of a b-tree; `None` if its header, a cell pointer or a cell is malformed, or if the page
+    /// refers to a page after `last`, the last page of the database.
     pub(crate) fn well_formed_page(&self, number: u32, bytes: Vec<u8>, last: u32) -> Option<BtreePage> {
         let page = self.btree_page(number, bytes)?;
         let exists = |page: Option<u32>| page.is_none_or(|page| (1..=last).contains(&page));
         let refers_to_pages = |cell: Cell<'_>| exists(cell.child) && exists(cell.overflow);
         let is_well_formed = exists(page.right_child)
-            && (0..page.cells).all(|index| page.cell(index).is_some_and(refers_to_pages));
+            && (0..page.cell_count).all(|index| page.cell(index).is_some_and(refers_to_pages));
         is_well_formed.then_some(page)
     }
 
@@ -157,7 +157,7 @@ impl PageFile {
 
     /// Reads the whole record of a cell; `None` if its chain of overflow pages is broken.
     pub(crate) fn record(&self, cell: &Cell<'_>) -> io::Result<Option<Vec<u8>>> {
-        let mut record = cell.local.to_vec();
+        let mut record = cell.local_content.to_vec();
         let mut next = cell.overflow;
         while record.len() < cell.record_bytes {
             let Some(page) = next.filter(|page| self.contains(*page)) else { return Ok(None) };
@@ -171,8 +171,8 @@ impl PageFile {
         Ok(next.is_none().then_some(record))
     }
 
-    /// Returns all free pages, or `None` if the list of free pages is broken. `read_newer` returns the newer version of
-    /// a page, if there is one.
+    /// Returns all free pages, or `None` if the list of free pages is broken. `read_newer` returns the version of a
+    /// page in the write-ahead log, if the log has the page.
     pub(crate) fn free_pages(
         &self,
         read_newer: impl Fn(u32) -> io::Result<Option<Vec<u8>>>,
@@ -214,31 +214,31 @@ impl BtreePage {
             13 => PageKind::TableLeaf,
             _ => return None,
         };
-        let cells = usize::from(be16(&bytes, start + 3));
+        let cell_count = usize::from(be16(&bytes, start + 3));
         let content_offset = match be16(&bytes, start + 5) {
             // 65,536 does not fit into the two bytes of the field.
             0 => 65_536,
             offset => usize::from(offset),
         };
         let pointers_offset = start + if kind.is_interior() { 12 } else { 8 };
-        let pointers_end = pointers_offset + 2 * cells;
+        let pointers_end = pointers_offset + 2 * cell_count;
         // The last condition: SQLite keeps the number of fragmented free bytes at 60 or less.
         if pointers_end > content_offset || content_offset > usable_bytes || bytes[start + 7] > 60 {
             return None;
         }
         let right_child = kind.is_interior().then(|| be32(&bytes, start + 8));
-        let page = Self { bytes, usable_bytes, kind, pointers_offset, cells, right_child };
+        let page = Self { bytes, usable_bytes, kind, pointers_offset, cell_count, right_child };
         // Every cell takes at least four bytes between the start of the content and the end of the page.
         let fits = |index| (content_offset..=usable_bytes - 4).contains(&page.pointer(index));
-        (0..cells).all(fits).then_some(page)
+        (0..cell_count).all(fits).then_some(page)
     }
 
-    /// Returns the offset of a cell.
+    /// Returns the offset of the cell with this index within the page.
     fn pointer(&self, index: usize) -> usize {
         usize::from(be16(&self.bytes, self.pointers_offset + 2 * index))
     }
 
-    /// Returns an entry, or `None` if it is malformed.
+    /// Returns the entry with this index, or `None` if the entry is malformed.
     pub(crate) fn cell(&self, index: usize) -> Option<Cell<'_>> {
         let mut rest = self.bytes.get(self.pointer(index)..self.usable_bytes)?;
         let child = if self.kind.is_interior() {
@@ -251,7 +251,13 @@ impl BtreePage {
         if self.kind == PageKind::TableInterior {
             let (rowid, _) = varint(rest)?;
             // Interior pages of these tables have keys without records.
-            return Some(Cell { child, rowid: Some(rowid), local: &[], record_bytes: 0, overflow: None });
+            return Some(Cell {
+                child,
+                rowid: Some(rowid),
+                local_content: &[],
+                record_bytes: 0,
+                overflow: None,
+            });
         }
         let (length, after) = varint(rest)?;
         rest = after;
@@ -264,16 +270,16 @@ impl BtreePage {
             None
         };
         let local_bytes = self.local_bytes(record_bytes);
-        let (local, after) = rest.split_at_checked(local_bytes)?;
+        let (local_content, after) = rest.split_at_checked(local_bytes)?;
         let overflow = if local_bytes < record_bytes { Some(be32(after.get(..4)?, 0)) } else { None };
-        let cell = Cell { child, rowid, local, record_bytes, overflow };
+        let cell = Cell { child, rowid, local_content, record_bytes, overflow };
         cell.is_record().then_some(cell)
     }
 
-    /// Returns how many bytes of a record of that length are on the page itself.
+    /// Returns how many bytes of a record with `record_bytes` bytes are on this page; the rest is on overflow pages.
     fn local_bytes(&self, record_bytes: usize) -> usize {
         let usable = self.usable_bytes;
-        // The numbers are those of the file format (section 1.6 of its description).
+        // The constants are from section 1.6 of the description of the file format.
         let max_local =
             if self.kind == PageKind::TableLeaf { usable - 35 } else { (usable - 12) * 64 / 255 - 23 };
         if record_bytes <= max_local {
@@ -286,7 +292,7 @@ impl BtreePage {
 
     /// Returns the first overflow page of each record that continues on other pages.
     pub(crate) fn overflow_pages(&self) -> impl Iterator<Item = u32> {
-        (0..self.cells).filter_map(|index| self.cell(index)?.overflow)
+        (0..self.cell_count).filter_map(|index| self.cell(index)?.overflow)
     }
 }
 
@@ -307,16 +313,16 @@ impl Cell<'_> {
     /// Returns whether the columns that the record's header declares take exactly as many bytes as the record has. A
     /// header that continues on another page is not examined.
     fn is_record(&self) -> bool {
-        let Some((header_bytes, mut types)) = varint(self.local) else { return false };
+        let Some((header_bytes, mut types)) = varint(self.local_content) else { return false };
         let Ok(header_bytes) = usize::try_from(header_bytes) else { return false };
-        let types_offset = self.local.len() - types.len();
+        let types_offset = self.local_content.len() - types.len();
         if header_bytes < types_offset || header_bytes > self.record_bytes {
             return false;
         }
-        if header_bytes > self.local.len() {
+        if header_bytes > self.local_content.len() {
             return true;
         }
-        types = &self.local[types_offset..header_bytes];
+        types = &self.local_content[types_offset..header_bytes];
         let mut bytes = header_bytes;
         while !types.is_empty() {
             let Some((code, after)) = varint(types) else { return false };
@@ -328,7 +334,8 @@ impl Cell<'_> {
     }
 }
 
-/// Returns the size of a column of that type; `None` for a type that does not exist.
+/// Returns the size of a column, in bytes, from the code of its type in a record's header; `None` for a code that does
+/// not exist.
 pub(crate) fn column_bytes(code: i64) -> Option<usize> {
     Some(match code {
         0 | 8 | 9 => 0,
@@ -345,7 +352,7 @@ pub(crate) fn column_bytes(code: i64) -> Option<usize> {
 pub(crate) fn varint(bytes: &[u8]) -> Option<(i64, &[u8])> {
     let mut value = 0_i64;
     for (index, byte) in bytes.iter().take(9).enumerate() {
-        // Only the ninth byte contributes all its bits.
+        // The ninth byte contributes all its bits; the earlier bytes contribute seven bits each.
         if index == 8 {
             return Some((value << 8 | i64::from(*byte), &bytes[9..]));
         }

@@ -17,15 +17,16 @@ use super::{Integrity, PageCheck, log_path};
 use crate::database_error::is_damage;
 use crate::limits::BUSY_TIMEOUT;
 
-/// Number of bytes of one read.
+/// Number of bytes that one step of a pass reads.
 const READ_STEP_BYTES: u64 = 1 << 20;
-/// Bytes per second of the first pass: the file may have been damaged while no aggregator ran.
+/// Bytes per second of the first pass. It is faster than later passes, because the file may have been damaged while no
+/// aggregator ran.
 const FIRST_BYTES_PER_SECOND: u64 = 128 << 20;
 /// Bytes per second of later passes: 1 GiB takes a minute, of which a processor core is busy for two seconds.
 const BYTES_PER_SECOND: u64 = 16 << 20;
-/// Instructions of SQLite's virtual machine between two checks whether to stop.
+/// Instructions of SQLite's virtual machine between two checks whether the task is to stop.
 const INSTRUCTIONS_PER_CHECK: i32 = 10_000;
-/// SQLite checks the whole file only if a page looks malformed in this number of passes, because the check takes far
+/// Number of passes in which a page has to look malformed before SQLite checks the whole file. SQLite's check takes far
 /// longer than a pass.
 const MAX_PASSES: usize = 3;
 /// Pause between two passes.
@@ -35,15 +36,16 @@ const PAUSE: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub(crate) struct IntegrityCheck {
     stop: CancellationToken,
-    /// Dropping it aborts the task, which then releases the file.
+    /// The task; dropping this handle aborts the task, which then releases the file.
     task: AbortOnDropHandle<()>,
-    /// Reads in progress on other threads, which also hold the file open.
+    /// Reads in progress on other threads. They hold the file open, too.
     reads: TaskTracker,
 }
 
 impl IntegrityCheck {
-    /// Starts the check. When the check finds damage, it records the damage, which stops all writing. When the database
-    /// is not damaged, the check removes an earlier record of damage.
+    /// Starts the check. If damage was recorded earlier, the check first examines the whole database, and removes the
+    /// record if the database is not damaged. When the check finds damage, it records the damage, which stops all
+    /// writing, and ends.
     pub(crate) fn start(integrity: Integrity, file: Arc<File>) -> Self {
         integrity.attach_file(&file);
         let stop = CancellationToken::new();
@@ -64,7 +66,7 @@ impl IntegrityCheck {
         Self { stop, task, reads }
     }
 
-    /// Stops the check. The file is released when this returns.
+    /// Stops the check. When this function returns, the check no longer holds the file open.
     pub(crate) async fn stop(self) {
         self.stop.cancel();
         if let Err(error) = self.task.await {
@@ -81,7 +83,10 @@ async fn confirm_earlier_damage(integrity: &Integrity, stop: &CancellationToken)
     loop {
         match find_damage_with_sqlite(&integrity.database, stop).await {
             Ok(Some(finding)) => {
-                tracing::error!("{}; this check found: {finding}", integrity.refusal().unwrap_or_default());
+                tracing::error!(
+                    "{}; this check found: {finding}",
+                    integrity.damage_description().unwrap_or_default()
+                );
                 return;
             }
             Ok(None) => match integrity.clear() {
@@ -144,7 +149,7 @@ async fn check_once(
     );
     match find_damage_with_sqlite(&integrity.database, stop).await? {
         Some(finding) => integrity.record_damage(format!("page {first} is malformed ({finding})")),
-        // No other page refers to the malformed pages.
+        // SQLite did not read the malformed pages, so no other page refers to them.
         None => {
             tracing::info!(%database, "the database is not damaged: SQLite found no error in the whole file");
             *unused_pages = malformed.into_iter().collect();
@@ -153,8 +158,8 @@ async fn check_once(
     Ok(())
 }
 
-/// Reads the whole file. Repeats this while pages look malformed, up to [`MAX_PASSES`] passes. Returns the pages that
-/// look malformed in each pass.
+/// Makes a pass over the whole file. If pages look malformed, makes further passes, up to [`MAX_PASSES`]. Returns the
+/// pages that look malformed in every pass.
 ///
 /// While events are stored, records move from page to page during a pass, so an overflow page may look as if no record
 /// used it. Such pages differ from pass to pass, whereas a damaged page looks malformed in all passes.
@@ -175,7 +180,7 @@ pub(super) async fn malformed_pages(
     Ok(malformed)
 }
 
-/// Reads the file once. Returns the pages that look malformed.
+/// Makes one pass over the file. Returns the pages that look malformed.
 async fn read_pages(
     database: &Path,
     file: &Arc<File>,
@@ -201,7 +206,7 @@ async fn read_pages(
     read_blocking(reads, move || check.finish()).await
 }
 
-/// Reads on a thread, because reading a file blocks.
+/// Executes `work` on a thread for blocking work, because reading a file blocks.
 async fn read_blocking<T: Send + 'static>(
     reads: &TaskTracker,
     work: impl FnOnce() -> io::Result<T> + Send + 'static,
@@ -226,7 +231,7 @@ pub(crate) async fn find_damage_with_sqlite(
     let finding = match options.connect().await {
         Ok(mut connection) => {
             let finding = first_finding(&mut connection, stop.clone()).await;
-            // Everything was read, so an error while closing does not matter.
+            // The result is known, so an error while closing does not matter.
             let _closed = connection.close().await;
             finding
         }
@@ -247,7 +252,7 @@ async fn first_finding(
         .lock_handle()
         .await?
         .set_progress_handler(INSTRUCTIONS_PER_CHECK, move || !stop.is_cancelled());
-    // The quick check takes a fraction of the time of the full check, and finds most errors.
+    // The quick check comes first: it finds most errors in a fraction of the time of the full check.
     for pragma in ["PRAGMA quick_check(1)", "PRAGMA integrity_check(1)"] {
         let problems: Vec<String> =
             sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await?;

@@ -16,8 +16,9 @@ use super::{Integrity, PageCheck, log_path};
 
 const PAGE: u64 = 4096;
 
-/// Makes a file with all kinds of pages: two tables of either kind, an index, long records, free pages.
-async fn file_of_all_pages(rows: u32) -> (TempDir, PathBuf, SqliteConnection) {
+/// Makes a file with all kinds of pages: a table with row ids, a table without row ids, an index, long records, free
+/// pages.
+async fn file_with_all_kinds_of_pages(rows: u32) -> (TempDir, PathBuf, SqliteConnection) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("all.sqlite");
     let options = SqliteConnectOptions::new().filename(&path).create_if_missing(true);
@@ -40,7 +41,7 @@ fn overwrite(path: &Path, offset: u64, bytes: &[u8]) {
     file.write_all_at(bytes, offset).expect("writes");
 }
 
-/// Returns pseudo-random bytes.
+/// Returns `length` pseudo-random bytes.
 fn noise(mut seed: u64, length: usize) -> Vec<u8> {
     let mut next = || {
         seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -51,14 +52,14 @@ fn noise(mut seed: u64, length: usize) -> Vec<u8> {
 
 #[tokio::test]
 async fn intact_file_has_no_malformed_page() {
-    let (_folder, path, connection) = file_of_all_pages(1_500).await;
+    let (_folder, path, connection) = file_with_all_kinds_of_pages(1_500).await;
     connection.close().await.expect("closes");
     assert_eq!(PageCheck::find_malformed(&path).expect("reads"), Vec::<u32>::new());
 }
 
 #[tokio::test]
 async fn overwritten_pages_of_every_tree_are_malformed() {
-    let (_folder, path, mut connection) = file_of_all_pages(1_500).await;
+    let (_folder, path, mut connection) = file_with_all_kinds_of_pages(1_500).await;
     let pages: Vec<u32> = sqlx::query_scalar("SELECT pageno FROM dbstat WHERE pagetype <> 'overflow'")
         .fetch_all(&mut connection)
         .await
@@ -68,20 +69,24 @@ async fn overwritten_pages_of_every_tree_are_malformed() {
     assert!(pages.len() > 30);
     let mut unseen = 0;
     for &page in &pages[1..] {
-        // A whole page of noise, a page of zeros, and a sector in its middle.
+        // Overwrites the whole page with noise, the whole page with zeros, and then the last 1,096 bytes with noise.
         let offset = u64::from(page - 1) * PAGE;
         for (at, bytes) in
             [(0, noise(page.into(), 4096)), (0, vec![0; 4096]), (3_000, noise(page.into(), 1_096))]
         {
             overwrite(&path, offset + at, &bytes);
             let is_seen = PageCheck::find_malformed(&path).expect("reads").contains(&page);
-            assert!(is_seen || at > 0, "page {page} is other bytes from its beginning");
+            assert!(is_seen || at > 0, "page {page} was overwritten from its beginning, but is not reported");
             unseen += usize::from(!is_seen);
             overwrite(&path, offset, &whole[offset as usize..(offset + PAGE) as usize]);
         }
     }
-    // A sector may lie within the contents of one large row, where any bytes are valid.
-    assert!(unseen * 20 < pages.len(), "{unseen} of {} overwritten sectors were not seen", pages.len());
+    // The last bytes may be contents of one large row, where any bytes are valid.
+    assert!(
+        unseen * 20 < pages.len(),
+        "{unseen} of {} partly overwritten pages are not reported",
+        pages.len()
+    );
     assert_eq!(PageCheck::find_malformed(&path).expect("reads"), Vec::<u32>::new());
 
     let pages = whole.len() as u64 / PAGE;
@@ -90,7 +95,7 @@ async fn overwritten_pages_of_every_tree_are_malformed() {
     assert!(pages > 21 && malformed.contains(&21), "{malformed:?}");
 }
 
-/// Opens a connection to a database with a log and a table of long records.
+/// Opens a connection to a new database with a write-ahead log and a table of long records.
 async fn growing_file(path: &Path) -> SqliteConnection {
     let options = SqliteConnectOptions::new()
         .filename(path)
@@ -136,15 +141,15 @@ async fn pages_referenced_only_by_log_are_in_use() {
     let mut reader = SqliteConnectOptions::new().filename(&path).connect().await.expect("opens");
     run(&mut reader, "BEGIN; SELECT count(*) FROM long").await;
     run(&mut writer, &long_records(300)).await;
-    // The checkpoint copies what the reader sees, without the pages of which the write-ahead log has a newer version:
-    // the long records are copied, but not what refers to them.
+    // The checkpoint copies the pages that the reader sees, without the pages of which the write-ahead log has a newer
+    // version. It copies the overflow pages of long records, but not the pages that refer to them.
     run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
     assert_ne!(malformed(&path, folder.path().join("none")), Vec::<u32>::new());
     assert_eq!(malformed(&path, log_path(&path)), Vec::<u32>::new());
 }
 
 #[tokio::test]
-async fn damaged_page_is_found_while_log_holds_copy() {
+async fn damaged_page_is_found_although_log_has_intact_copy() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("idle.sqlite");
     let mut writer = growing_file(&path).await;
@@ -157,7 +162,7 @@ async fn damaged_page_is_found_while_log_holds_copy() {
 }
 
 #[tokio::test]
-async fn second_pass_clears_pages_that_moved_during_the_first() {
+async fn page_moved_during_first_pass_is_fine_in_second_pass() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("grows.sqlite");
     let mut writer = growing_file(&path).await;
@@ -176,7 +181,7 @@ async fn second_pass_clears_pages_that_moved_during_the_first() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn no_page_stays_malformed_while_rows_are_written_and_read() {
+async fn busy_intact_database_has_no_page_malformed_in_every_pass() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("busy.sqlite");
     let mut writer = growing_file(&path).await;
@@ -187,7 +192,7 @@ async fn no_page_stays_malformed_while_rows_are_written_and_read() {
         run(&mut reader, "BEGIN; SELECT count(*) FROM long").await;
         for round in 1..200 {
             if round % 4 == 0 {
-                // The checkpoints that follow must leave out what this reader uses.
+                // The next checkpoints must leave out the pages that this reader uses.
                 run(&mut reader, "COMMIT; BEGIN; SELECT count(*) FROM long").await;
             }
             run(&mut writer, &long_records(40)).await;
@@ -207,17 +212,17 @@ async fn no_page_stays_malformed_while_rows_are_written_and_read() {
 }
 
 #[tokio::test]
-async fn first_damage_is_remembered() {
+async fn first_damage_survives_restart() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("peernet.sqlite");
     let integrity = Integrity::new(&path);
-    integrity.load_record().expect("nothing is known");
+    integrity.load_record().expect("no damage is recorded");
     integrity.record_damage("page 7 is malformed");
     integrity.record_damage("page 8 is malformed");
-    let refusal = integrity.refusal().expect("nothing is stored");
+    let description = integrity.damage_description().expect("damage is recorded");
     assert!(
-        refusal.contains("page 7") && refusal.contains("peernetd doctor --repair --database"),
-        "{refusal}"
+        description.contains("page 7") && description.contains("peernetd doctor --repair --database"),
+        "{description}"
     );
     let later = Integrity::new(&path);
     later.load_record().expect("reads");
@@ -230,23 +235,25 @@ async fn first_damage_is_remembered() {
 
 #[tokio::test]
 async fn repair_is_recommended_only_if_it_can_help() {
-    let (_folder, path, connection) = file_of_all_pages(100).await;
+    let (_folder, path, connection) = file_with_all_kinds_of_pages(100).await;
     connection.close().await.expect("closes");
     let file = Arc::new(File::open(&path).expect("opens"));
     let integrity = Integrity::new(&path);
     integrity.attach_file(&file);
     integrity.record_damage("page 7 is malformed");
-    assert!(integrity.refusal().is_some_and(|refusal| refusal.contains("doctor --repair")));
+    assert!(
+        integrity.damage_description().is_some_and(|description| description.contains("doctor --repair"))
+    );
 
     overwrite(&path, 0, &noise(1, 4096));
-    // After a restart, the damage is recalled and the file is opened in the same way.
+    // Both orders occur: damage is recorded before the file is attached (after a restart), and after it is attached.
     integrity.attach_file(&file);
     let other = Integrity::new(&path);
     other.attach_file(&file);
     other.record_damage("page 1 is malformed");
     for integrity in [integrity, other] {
-        let refusal = integrity.refusal().expect("it is damaged");
-        assert!(refusal.contains("newest backup") && !refusal.contains("--repair"), "{refusal}");
+        let description = integrity.damage_description().expect("damage is recorded");
+        assert!(description.contains("newest backup") && !description.contains("--repair"), "{description}");
     }
 }
 

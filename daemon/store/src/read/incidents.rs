@@ -22,6 +22,7 @@ struct Incident {
     text: String,
 }
 
+/// A row of `host` that has introduced itself.
 #[derive(FromRow)]
 struct Host {
     uuid: String,
@@ -49,7 +50,7 @@ pub(crate) async fn incidents(
         .bind(filter.host.as_deref())
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     rows.into_iter()
         .map(|row| {
             Ok(IncidentRow {
@@ -73,7 +74,7 @@ pub(crate) async fn incidents(
 pub(crate) async fn hosts(readers: &Readers) -> Result<Vec<HostRow>, StoreError> {
     const WHAT: &str = "hosts";
     let rows: Vec<Host> =
-        sqlx::query_as(sql::HOSTS).fetch_all(&readers.pool()).await.map_err(readers.failed(WHAT))?;
+        sqlx::query_as(sql::HOSTS).fetch_all(&readers.pool()).await.map_err(readers.error_for(WHAT))?;
     rows.into_iter()
         .map(|row| {
             Ok(HostRow {
@@ -89,6 +90,7 @@ pub(crate) async fn hosts(readers: &Readers) -> Result<Vec<HostRow>, StoreError>
                     gaps: count(row.gaps),
                     missing: count(row.missing),
                     in_other_database: count(row.in_other_database),
+                    // The store does not count duplicates; the live state does.
                     duplicates: 0,
                     quarantined: count(row.quarantined),
                 },

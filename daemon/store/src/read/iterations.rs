@@ -19,7 +19,7 @@ use crate::types::{DelayRow, IterationDetail, IterationFilter, IterationRow};
 const WHAT: &str = "iterations";
 /// Names of the rows of the table `outcome`, in the order of their numbers.
 const OUTCOMES: [&str; 4] = ["ok", "failed", "lost", "timeout"];
-/// Largest rank among the slowest iterations; iterations beyond it get no rank.
+/// Largest rank that an iteration gets. Iterations that are faster than this many iterations have no rank.
 const MAX_RANK: i64 = 1_000;
 
 #[derive(FromRow)]
@@ -34,7 +34,7 @@ pub(super) struct Row {
     total: Option<f64>,
 }
 
-/// Seconds of one node.
+/// Duration of one node.
 #[derive(FromRow)]
 struct NodeSeconds {
     iteration: i64,
@@ -47,6 +47,7 @@ struct NodeSeconds {
     seconds: f64,
 }
 
+/// A stored one-way delay.
 #[derive(FromRow)]
 struct Delay {
     iteration: i64,
@@ -56,7 +57,7 @@ struct Delay {
     value: Option<f64>,
     lo: Option<f64>,
     hi: Option<f64>,
-    /// Difference of the wall clocks, as the agent reported it.
+    /// The receiver's stamp minus the sender's stamp, as the agent reported it with its judgement.
     #[sqlx(rename = "raw_ns")]
     wall_difference_ns: i64,
     source: u8,
@@ -66,7 +67,7 @@ struct Delay {
     cloud: Option<i64>,
 }
 
-/// Rank of an iteration among the slowest, and the numbers of the next slower and the next faster iteration.
+/// Rank of an iteration among the slowest iterations, and the numbers of the next slower and the next faster iteration.
 #[derive(Default)]
 struct Rank {
     rank: Option<u64>,
@@ -84,7 +85,7 @@ pub(crate) async fn slowest_iterations(
         .bind(n.min(1_000))
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     with_stages_and_causes(readers, run, rows).await
 }
 
@@ -100,7 +101,7 @@ pub(crate) async fn iterations(
         .bind(filter.limit.clamp(1, 1_000))
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     with_stages_and_causes(readers, run, rows).await
 }
 
@@ -115,7 +116,7 @@ pub(crate) async fn iteration(
         .bind(number)
         .fetch_optional(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let Some(row) = row else { return Ok(None) };
     let trees = tree::trees(readers, run, &[(number, wall(row.started_ns))]).await?;
     // Retention may have deleted the tree after the row was read.
@@ -123,7 +124,7 @@ pub(crate) async fn iteration(
     let run_figures = statistics::statistics_by_name(readers, run).await?;
     let medians = medians(&run_figures);
     let rank = match row.total {
-        Some(total) if row.outcome == 0 && !row.warm_up => rank(readers, run, (total, number)).await?,
+        Some(total) if row.outcome == 0 && !row.warm_up => read_rank(readers, run, (total, number)).await?,
         _ => Rank::default(),
     };
     let neighbour = async |statement: &'static str| {
@@ -132,7 +133,7 @@ pub(crate) async fn iteration(
             .bind(number)
             .fetch_one(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
+            .map_err(readers.error_for(WHAT))?;
         Ok(number.map(count))
     };
     let (previous, next) = (neighbour(sql::PREVIOUS).await?, neighbour(sql::NEXT).await?);
@@ -141,14 +142,15 @@ pub(crate) async fn iteration(
     Ok(Some(IterationDetail { row, tree, hosts, rank, previous, next, slower, faster, run_figures }))
 }
 
-/// Returns the rank of a successful iteration; no rank if it is not among the [`MAX_RANK`] slowest.
-async fn rank(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Result<Rank, StoreError> {
-    let slower_count: i64 = sqlx::query_scalar(sql::SLOWER)
+/// Returns the rank of a successful iteration. The result is empty if the iteration is not among the [`MAX_RANK`]
+/// slowest iterations.
+async fn read_rank(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Result<Rank, StoreError> {
+    let slower_count: i64 = sqlx::query_scalar(sql::SLOWER_COUNT)
         .bind(run)
         .bind(total)
         .fetch_one(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     if slower_count >= MAX_RANK {
         return Ok(Rank::default());
     }
@@ -159,14 +161,14 @@ async fn rank(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Resul
             .bind(number)
             .fetch_optional(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
+            .map_err(readers.error_for(WHAT))?;
         Ok(number.map(count))
     };
     let rank = Some(count(slower_count) + 1);
-    Ok(Rank { rank, slower: neighbour(sql::ONE_SLOWER).await?, faster: neighbour(sql::ONE_FASTER).await? })
+    Ok(Rank { rank, slower: neighbour(sql::NEXT_SLOWER).await?, faster: neighbour(sql::NEXT_FASTER).await? })
 }
 
-/// Adds the stages, the delays and the causes of slowness. Reads the run's medians for the causes.
+/// Reads the run's medians, and completes the rows with them as [`complete_rows`] does.
 async fn with_stages_and_causes(
     readers: &Readers,
     run: i64,
@@ -176,7 +178,8 @@ async fn with_stages_and_causes(
     complete_rows(readers, run, rows, &medians).await
 }
 
-/// Adds the stages, the delays and the causes of slowness. The number of queries does not depend on the number of rows.
+/// Adds the stages, the delays and the causes of slowness to rows of the table `iteration`. The number of queries does
+/// not depend on the number of rows.
 async fn complete_rows(
     readers: &Readers,
     run: i64,
@@ -190,20 +193,20 @@ async fn complete_rows(
         .bind(&numbers)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let delays: Vec<Delay> = sqlx::query_as(sql::DELAYS)
         .bind(run)
         .bind(&numbers)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let mut by_iteration: HashMap<i64, (IterationValues, Vec<DelayRow>)> = HashMap::with_capacity(rows.len());
     for NodeSeconds { iteration, node, parent, name, seconds } in durations {
         let (values, _) = by_iteration.entry(iteration).or_default();
         values.add(NodeId(node), parent.map(NodeId), &name, Some(seconds));
     }
     let times = || rows.iter().map(|row| row.started_ns);
-    // Only delays depend on the assumptions of a window.
+    // Only delays need the assumptions of clock windows.
     let time_range = times().min().zip(times().max()).filter(|_| !delays.is_empty());
     let windows = match time_range {
         Some((from, to)) => Some(WindowAssumptions::read(readers, run, (wall(from), wall(to))).await?),
@@ -234,13 +237,13 @@ fn complete_row(
         .collect();
     let unattributed = values.get(&stage::UNATTRIBUTED);
     let is_direction_unknown = delays.iter().any(|delay| delay.value.is_none());
-    // Without one-way delays only the sum of both directions is known.
-    let transport_sum = is_direction_unknown.then(|| {
+    // If a one-way delay is unknown, only the sum of both directions is known.
+    let both_ways = is_direction_unknown.then(|| {
         let directions = [stage::UPLOAD, stage::DOWNLOAD];
         let other_stages = stages.iter().filter(|(stage, _)| !directions.contains(stage));
         Some(slowness::both_ways(row.total?, other_stages.map(|(_, seconds)| *seconds), unattributed?))
     });
-    let transport_sum = transport_sum.flatten();
+    let both_ways = both_ways.flatten();
     let outcome = OUTCOMES
         .get(usize::from(row.outcome))
         .ok_or_else(|| corrupt_data(WHAT, format_args!("outcome {}", row.outcome)))?;
@@ -259,11 +262,11 @@ fn complete_row(
             stages: &stages,
             lateness: values.get(&stage::LATENESS),
             unattributed,
-            both_ways: transport_sum,
+            both_ways,
         }),
         stages,
         unattributed,
-        both_ways: transport_sum,
+        both_ways,
         delays,
     })
 }
@@ -272,8 +275,8 @@ impl Delay {
     fn row(self, windows: Option<&WindowAssumptions>) -> Result<DelayRow, StoreError> {
         let source = value_of_number(WHAT, DelaySource::ALL, self.source)?;
         let is_upload = stage::UPLOAD == self.stage.as_str();
-        // Windows have times of the edge's clock. The edge stamped the departure of an upload and the arrival of a
-        // download.
+        // The times of clock windows are readings of the edge's clock. The edge stamps the departure of an upload and
+        // the arrival of a download.
         let edge_ns = if is_upload { Some(self.sent_ns) } else { self.received_ns };
         let assumptions = match (windows, self.cloud, edge_ns) {
             (Some(windows), Some(cloud), Some(at)) if source != DelaySource::SameClock => {
@@ -285,7 +288,7 @@ impl Delay {
             stage: Name::from(self.stage.as_str()),
             value: self.value,
             bounds: self.lo.zip(self.hi),
-            // The difference of the wall clocks, also if the delay was judged by other clocks.
+            // This is the difference of wall clocks, even if the delay was judged by free-running clocks.
             raw: Span::from_nanos(
                 self.received_ns.map_or(self.wall_difference_ns, |at| at.saturating_sub(self.sent_ns)),
             )

@@ -1,5 +1,6 @@
-//! Times in which a run measured. The number of rows that are read does not depend on the length of the run: within a
-//! time, whole buckets are read, each as wide as possible, and single iterations only in the seconds of both ends.
+//! The time in which a run measured, and the values within a period. The number of rows that are read hardly depends on
+//! the length of the period: whole buckets are read, each as wide as possible, and single iterations only from the
+//! incomplete seconds at both ends of the period.
 
 use peernet_clock::WallTime;
 use peernet_logger::stage;
@@ -14,7 +15,8 @@ use crate::types::{MeasuredTime, MeasuredWithin, RunSummary};
 
 /// Name of the requested data in errors.
 const WHAT: &str = "measured times";
-/// Number of iterations at each end of a run among which the first and the last successful iteration is searched.
+/// Number of iterations at the start of a run that are searched for the first successful iteration, and number at its
+/// end that are searched for the last one.
 const MAX_SEARCHED: i64 = 10_000;
 const SECOND_NS: i64 = 1_000_000_000;
 
@@ -24,21 +26,24 @@ pub(crate) async fn measured_time(
 ) -> Result<Option<MeasuredTime>, StoreError> {
     let widths = StoredWidths::read(readers, run.number).await?;
     let Some((width_s, extent)) = widths.finest_complete() else { return Ok(None) };
-    if run.nodes_from == 0 && width_s == WIDTHS_S[0] {
-        let row = async |statement: &'static str| {
+    if run.last_deleted_iteration == 0 && width_s == WIDTHS_S[0] {
+        let read_start = async |statement: &'static str| {
             let row: Option<Row> = sqlx::query_as(statement)
                 .bind(run.number)
                 .bind(MAX_SEARCHED)
                 .fetch_optional(&readers.pool())
                 .await
-                .map_err(readers.failed(WHAT))?;
+                .map_err(readers.error_for(WHAT))?;
             Ok(row.map(|row| wall(row.started_ns)))
         };
-        if let Some((first, last)) = row(sql::FIRST_COUNTED).await?.zip(row(sql::LAST_COUNTED).await?) {
+        if let Some((first, last)) =
+            read_start(sql::FIRST_IN_STATISTICS).await?.zip(read_start(sql::LAST_IN_STATISTICS).await?)
+        {
             return Ok(Some(MeasuredTime { first, last, resolution_s: 0 }));
         }
     }
-    // The first iteration may be anywhere in the first bucket, and the last one in the last bucket.
+    // The first iteration may be anywhere in the first bucket, and the last iteration anywhere in the last bucket. The
+    // whole buckets between these two buckets are certainly within the measured time.
     let (first_s, last_s) = (extent.0 + width_s, extent.1);
     Ok((first_s < last_s).then(|| MeasuredTime {
         first: wall(first_s * SECOND_NS),
@@ -53,12 +58,12 @@ pub(crate) async fn measured_within(
     (from, to): (WallTime, WallTime),
 ) -> Result<MeasuredWithin, StoreError> {
     let (from_ns, to_ns) = (from.unix_nanos(), to.unix_nanos());
-    // The whole seconds within the time: the start is rounded up, and the end is rounded down.
+    // The whole seconds within the period: the start is rounded up, and the end is rounded down.
     let (first_whole_s, end_whole_s) = (-(-from_ns).div_euclid(SECOND_NS), to_ns.div_euclid(SECOND_NS));
-    let mut within = MeasuredWithin::default();
+    let mut measured = MeasuredWithin::default();
     if first_whole_s >= end_whole_s {
-        add_iterations(readers, run, (from_ns, to_ns), &mut within).await?;
-        return Ok(within);
+        add_iterations(readers, run, (from_ns, to_ns), &mut measured).await?;
+        return Ok(measured);
     }
     let name_ids = NameIds::read(readers, &[stage::TOTAL]).await?.ids()?;
     for (width_s, first_s, end_s) in widest_buckets((first_whole_s, end_whole_s)) {
@@ -70,23 +75,23 @@ pub(crate) async fn measured_within(
             .bind(end_s)
             .fetch_all(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
+            .map_err(readers.error_for(WHAT))?;
         for row in rows {
-            within.totals.merge(&row.summary().map_err(|error| corrupt_data(WHAT, error))?);
+            measured.totals.merge(&row.summary().map_err(|error| corrupt_data(WHAT, error))?);
         }
     }
-    within.count = within.totals.count();
-    add_iterations(readers, run, (from_ns, first_whole_s * SECOND_NS), &mut within).await?;
-    add_iterations(readers, run, (end_whole_s * SECOND_NS, to_ns), &mut within).await?;
-    Ok(within)
+    measured.count = measured.totals.count();
+    add_iterations(readers, run, (from_ns, first_whole_s * SECOND_NS), &mut measured).await?;
+    add_iterations(readers, run, (end_whole_s * SECOND_NS, to_ns), &mut measured).await?;
+    Ok(measured)
 }
 
-/// Adds the iterations that started from one time to before another time.
+/// Adds the iterations that started at `from_ns` or later and before `to_ns`.
 async fn add_iterations(
     readers: &Readers,
     run: i64,
     (from_ns, to_ns): (i64, i64),
-    within: &mut MeasuredWithin,
+    measured: &mut MeasuredWithin,
 ) -> Result<(), StoreError> {
     if from_ns >= to_ns {
         return Ok(());
@@ -97,26 +102,26 @@ async fn add_iterations(
             .bind(time_ns)
             .fetch_one(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
+            .map_err(readers.error_for(WHAT))?;
         Ok(number)
     };
     let (Some(from), Some(end)) = (first_number(from_ns).await?, first_number(to_ns).await?) else {
         return Ok(());
     };
-    let totals: Vec<Option<f64>> = sqlx::query_scalar(sql::COUNTED_TOTALS)
+    let totals: Vec<Option<f64>> = sqlx::query_scalar(sql::TOTALS_IN_STATISTICS)
         .bind(run)
         .bind(from)
         .bind(end - 1)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
-    within.count += totals.len() as u64;
-    totals.into_iter().flatten().for_each(|total| within.totals.record(total));
+        .map_err(readers.error_for(WHAT))?;
+    measured.count += totals.len() as u64;
+    totals.into_iter().flatten().for_each(|total| measured.totals.record(total));
     Ok(())
 }
 
-/// Divides whole seconds into buckets of the stored widths, as wide as possible. Returns ranges of buckets: width,
-/// begin of the first bucket, and end of the last bucket.
+/// Divides a range of whole seconds into buckets of the stored widths, each as wide as possible. Returns for each range
+/// of buckets of one width: the width, the start of the first bucket, and the end of the last bucket.
 fn widest_buckets((mut first_s, mut end_s): (i64, i64)) -> Vec<(i64, i64, i64)> {
     let mut ranges = Vec::new();
     for (index, width_s) in WIDTHS_S.into_iter().enumerate() {

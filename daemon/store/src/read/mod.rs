@@ -20,12 +20,12 @@ use peernet_logger::Slug;
 use crate::column::count;
 use crate::error::StoreError;
 
-/// Creates the error for a value that this version cannot have written.
+/// Creates the error for a stored value that this version cannot have written. `what` names the requested data.
 pub(super) fn corrupt_data(what: &'static str, detail: impl std::fmt::Display) -> StoreError {
     StoreError::Corrupt { what, detail: detail.to_string() }
 }
 
-/// Parses a stored text.
+/// Parses a stored text. `what` names the requested data in errors.
 pub(super) fn parse<T: std::str::FromStr<Err: std::fmt::Display>>(
     what: &'static str,
     text: &str,
@@ -33,8 +33,8 @@ pub(super) fn parse<T: std::str::FromStr<Err: std::fmt::Display>>(
     text.parse().map_err(|error| corrupt_data(what, error))
 }
 
-/// Parses a stored name.
-pub(super) fn name(what: &'static str, text: Option<&str>) -> Result<Option<Slug>, StoreError> {
+/// Parses the stored name of a host or another object; `None` for NULL.
+pub(super) fn parse_name(what: &'static str, text: Option<&str>) -> Result<Option<Slug>, StoreError> {
     text.map(|text| parse(what, text)).transpose()
 }
 
@@ -45,14 +45,14 @@ pub(super) fn value_of_number<T: Copy>(what: &'static str, all: &[T], number: u8
     value.ok_or_else(|| corrupt_data(what, format_args!("source or verdict {number}")))
 }
 
-/// One-way delay as the tables `node` and `transit` store it.
+/// One-way delay as the tables `node` and `transit` store it: NULL becomes `None`.
 pub(super) struct StoredDelay {
     pub(super) raw_ns: Option<i64>,
     pub(super) source: Option<u8>,
     pub(super) verdict: Option<u8>,
-    /// Seconds.
+    /// The estimate, seconds.
     pub(super) value: Option<f64>,
-    /// Seconds.
+    /// Lower and upper bound, seconds.
     pub(super) bounds: Option<(f64, f64)>,
 }
 
@@ -73,7 +73,7 @@ impl StoredDelay {
     }
 }
 
-/// Converts a column `_ns` to a time.
+/// Converts the value of a column whose name ends in `_ns` to a time on a wall clock.
 pub(super) fn wall(nanos: i64) -> WallTime {
     WallTime::from_unix_nanos(nanos)
 }

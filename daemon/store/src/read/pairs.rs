@@ -1,4 +1,4 @@
-//! Two quantities of single iterations. Only a sample of the iterations is read, because a run may have ten million.
+//! Two quantities of single iterations. Not all iterations are read, because a run may have ten million.
 
 use std::collections::BTreeMap;
 
@@ -13,13 +13,14 @@ use crate::types::ValuePairs;
 
 /// Name of the requested data in errors.
 const WHAT: &str = "pairs of values";
-/// Number of parts of the sample that are read concurrently.
+/// Number of concurrent reads; each reads an equal part of the selected iterations.
 const CONCURRENT_READS: usize = 4;
-/// The golden ratio. From one interval to the next, the position within the interval moves by this share of the
-/// interval's length. The positions therefore never repeat.
+/// Fractional part of the golden ratio. From one interval to the next, the position within the interval moves by this
+/// share of the interval's length. Multiples of an irrational number never have the same fraction, so positions do not
+/// repeat.
 const GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
 
-/// A node with one of the two names, or a node `sensing`, which is the parent of some of them.
+/// A node with one of the two names, or a node `sensing`, which may be the parent of such a node.
 #[derive(FromRow)]
 struct Row {
     iteration: i64,
@@ -34,12 +35,12 @@ struct Row {
 #[derive(Default)]
 struct Values {
     iteration_values: IterationValues,
-    /// Sum of the values of each further name.
+    /// Sum of the values of each custom name.
     others: Vec<(String, f64)>,
 }
 
 impl Values {
-    /// Adds a node. Nodes are added in the order of their tree.
+    /// Adds a node. Nodes must be added in the order of their tree.
     fn add(&mut self, Row { node, parent, name, value, .. }: Row) {
         let role = self.iteration_values.add(NodeId(node), parent.map(NodeId), &name, value);
         let (NodeRole::Other, Some(value)) = (role, value) else { return };
@@ -49,9 +50,9 @@ impl Values {
         }
     }
 
-    /// Returns the value of the iteration: the sum of all nodes that count for the name. Pages group nodes by name, so
-    /// nodes that custom code logged under one name at several places are one quantity here; `data.csv` has a column
-    /// for each of them.
+    /// Returns the iteration's value of a name: the sum of all nodes that count for the name. Custom code may log one
+    /// name at several places of a tree. Pages group nodes by name, so these nodes are one quantity here; `data.csv`
+    /// has a column for each place.
     fn get(&self, name: &str) -> Option<f64> {
         let other = || Some(self.others.iter().find(|(other, _)| other == name)?.1);
         self.iteration_values.get(name).or_else(other)
@@ -70,12 +71,12 @@ pub(crate) async fn value_pairs(
             .bind(from)
             .fetch_one(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
+            .map_err(readers.error_for(WHAT))?;
         Ok(number)
     };
     let ends = neighbour(sql::NEXT, 0).await?.zip(neighbour(sql::PREVIOUS, i64::MAX).await?);
     let Some((first, last)) = ends else { return Ok(ValuePairs::default()) };
-    let numbers = sample_numbers(first, last, max_pairs);
+    let numbers = select_numbers(first, last, max_pairs);
     let read = async |numbers: &[i64]| -> Result<Vec<Row>, StoreError> {
         sqlx::query_as(sql::PAIRS)
             .bind(run)
@@ -84,10 +85,10 @@ pub(crate) async fn value_pairs(
             .bind(y)
             .fetch_all(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))
+            .map_err(readers.error_for(WHAT))
     };
-    // The iterations are read concurrently: in a long run they are far from each other in the file, and each read waits
-    // for the disk.
+    // The iterations are read concurrently, because in a long run they are far from each other in the file, and each
+    // read waits for the disk.
     let part_length = numbers.len().div_ceil(CONCURRENT_READS).max(1);
     let rows = try_join_all(numbers.chunks(part_length).map(read)).await?;
     let mut by_iteration = BTreeMap::<i64, Values>::new();
@@ -110,9 +111,9 @@ const fn length(first: i64, last: i64) -> u64 {
 /// Returns at most `max_pairs` numbers from the first to the last, in ascending order: all of them, or one from each of
 /// `max_pairs` intervals of equal length.
 ///
-/// The position within the interval changes from one interval to the next. If a run repeats its data set, evenly spaced
-/// iterations would always belong to the same few samples of the data set.
-fn sample_numbers(first: i64, last: i64, max_pairs: u32) -> Vec<i64> {
+/// The position within the interval changes from one interval to the next. With evenly spaced numbers, a run that
+/// repeats its data set would always contribute the same few samples of the data set.
+fn select_numbers(first: i64, last: i64, max_pairs: u32) -> Vec<i64> {
     let total = length(first, last);
     if total <= u64::from(max_pairs) {
         return (first..=last).collect();
@@ -135,9 +136,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sample_covers_repeating_data_set() {
+    fn selection_covers_repeating_data_set() {
         for period in [7, 30, 100] {
-            let numbers = sample_numbers(1, 1_500 * period, 1_500);
+            let numbers = select_numbers(1, 1_500 * period, 1_500);
             let samples: HashSet<i64> = numbers.iter().map(|number| number % period).collect();
             assert_eq!(samples.len() as i64, period);
         }
@@ -147,13 +148,13 @@ mod tests {
         #[test]
         fn each_interval_has_one_number(first in 1i64..i64::MAX, all in 1i64..3_000_000, max_pairs in 0u32..4_000) {
             let last = first.saturating_add(all - 1);
-            let (numbers, all) = (sample_numbers(first, last, max_pairs), length(first, last));
+            let (numbers, all) = (select_numbers(first, last, max_pairs), length(first, last));
             prop_assert_eq!(numbers.len() as u64, all.min(u64::from(max_pairs)));
             prop_assert!(numbers.windows(2).all(|pair| pair[0] < pair[1]));
             prop_assert!(numbers.iter().all(|number| (first..=last).contains(number)));
             let interval = all as f64 / f64::from(max_pairs.max(1));
             let far = numbers.windows(2).any(|pair| (pair[1] - pair[0]) as f64 > 2.0 * interval + 2.0);
-            prop_assert!(!far, "no gap is wider than two intervals");
+            prop_assert!(!far, "numbers are more than two intervals apart");
         }
     }
 }

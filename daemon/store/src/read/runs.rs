@@ -11,7 +11,7 @@ use peernet_stream::{EndReason, FaultyHost, OutcomeCounts, Placement, PlacementK
 use serde::de::DeserializeOwned;
 use sqlx::FromRow;
 
-use super::{corrupt_data, count, name, parse, sql, statistics, wall};
+use super::{corrupt_data, count, parse, parse_name, sql, statistics, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::{ExperimentSummary, GapRow, NameSummary, RunDetail, RunFilter, RunSummary};
@@ -66,7 +66,7 @@ struct ExperimentRow {
 pub(crate) async fn runs(readers: &Readers, filter: &RunFilter) -> Result<Vec<RunSummary>, StoreError> {
     let before = filter.before.unwrap_or(i64::MAX);
     let limit = filter.limit.clamp(1, 1_000);
-    // There are two statements, so that each can use the index that fits it.
+    // There are two statements, so that SQLite uses the suitable index for each.
     let rows: Vec<RunRow> = if filter.pipeline.is_none() && filter.host.is_none() {
         sqlx::query_as(sql::RUNS).bind(before).bind(limit).fetch_all(&readers.pool()).await
     } else {
@@ -78,11 +78,11 @@ pub(crate) async fn runs(readers: &Readers, filter: &RunFilter) -> Result<Vec<Ru
             .fetch_all(&readers.pool())
             .await
     }
-    .map_err(readers.failed(WHAT))?;
+    .map_err(readers.error_for(WHAT))?;
     summaries(readers, &rows).await
 }
 
-/// Returns the runs of an experiment, oldest first.
+/// Returns at most `limit` runs of an experiment, oldest first.
 pub(crate) async fn runs_of_experiment(
     readers: &Readers,
     id: &str,
@@ -93,7 +93,7 @@ pub(crate) async fn runs_of_experiment(
         .bind(limit.clamp(1, 1_000))
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     summaries(readers, &rows).await
 }
 
@@ -103,7 +103,7 @@ pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<Exp
         .bind(limit.clamp(1, 1_000))
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed("experiments"))?;
+        .map_err(readers.error_for("experiments"))?;
     let summary = |row: ExperimentRow| ExperimentSummary {
         id: row.id,
         name: row.name.unwrap_or_default(),
@@ -119,7 +119,7 @@ pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<Exp
 async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>, StoreError> {
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
     let totals = statistics::whole_runs(readers, &numbers, &stage::TOTAL).await?;
-    // One query for all runs of a list.
+    // These functions use one query for all runs of a list.
     let lateness = late_answers(readers, rows).await?;
     let actuators = actuator_results(readers, rows).await?;
     let summaries = rows.iter().map(|row| {
@@ -129,7 +129,8 @@ async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>
     summaries.collect()
 }
 
-/// Returns the results of the actuators. Runs without such results have the default. They count whoever logged them, as the columns of files do.
+/// Returns the results of the actuators of these runs. A run without such results has the default. Values with the
+/// names of these results count no matter which custom code logged them, as in the columns of files.
 async fn actuator_results(
     readers: &Readers,
     rows: &[RunRow],
@@ -151,8 +152,8 @@ async fn actuator_results(
     Ok(numbers.iter().map(|number| (*number, results(number))).collect())
 }
 
-/// Returns the summaries of `DEADLINE_MISSED` for the runs with a deadline. Each successful iteration has a sample: 1
-/// if it was late, 0 otherwise.
+/// Returns the summaries of `DEADLINE_MISSED` for the runs with a deadline. Each successful iteration has the value 1
+/// if it missed the deadline, and 0 otherwise.
 async fn late_answers(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, NameSummary>, StoreError> {
     let with_deadline = rows.iter().filter(|row| deadline_s(&row.configuration).is_some());
     let numbers: Vec<i64> = with_deadline.map(|row| row.number).collect();
@@ -162,10 +163,10 @@ async fn late_answers(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64,
     statistics::whole_runs(readers, &numbers, DEADLINE_MISSED).await
 }
 
-/// Reads the deadline in seconds from the pipeline's table of the configuration. The agent writes the table's own keys
-/// before its sub-tables.
+/// Reads the deadline in seconds from the pipeline's table of the configuration. In the text that the agent writes, the
+/// keys of the table precede its sub-tables.
 fn deadline_s(configuration: &str) -> Option<f64> {
-    // Only this line is needed, and a list has many runs, so the text is not parsed.
+    // The text is not parsed as TOML: only this line is needed, and a list has many runs.
     let keys = configuration.lines().take_while(|line| !line.starts_with('['));
     let milliseconds = keys.filter_map(|line| line.strip_prefix("deadline_ms = ")).next()?;
     milliseconds.parse::<u64>().ok().map(|milliseconds| milliseconds as f64 / 1e3)
@@ -176,7 +177,7 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
         .bind(number)
         .fetch_optional(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let Some(row) = row else { return Ok(None) };
     let totals = statistics::whole_runs(readers, &[number], &stage::TOTAL).await?;
     let lateness = late_answers(readers, std::slice::from_ref(&row)).await?;
@@ -186,27 +187,27 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
         summary: summary(&row, totals.get(&number), lateness.get(&number), actuator)?,
         facts: facts(&row)?,
         conditions: row.conditions.as_deref().map(json).transpose()?.unwrap_or_default(),
-        // Earlier versions stored the arguments of programs.
+        // Earlier versions stored the arguments of programs, which may contain secrets.
         configuration: hide_arguments(&row.configuration),
         version: row.version,
         gaps: gaps(readers, number).await?,
     }))
 }
 
-/// Returns the gaps of a run, oldest first. Further gaps after the first 1,000 are combined, so that the number of
-/// missing events is that of all gaps.
+/// Returns the gaps of a run, oldest first. Gaps after the first 1,000 are combined into few rows, so that the sum over
+/// the rows counts all missing events.
 pub(crate) async fn gaps(readers: &Readers, run: i64) -> Result<Vec<GapRow>, StoreError> {
     type Row = (i64, i64, i64, String, i64);
     let first: Vec<Row> = sqlx::query_as(sql::GAPS)
         .bind(run)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed("gaps"))?;
+        .map_err(readers.error_for("gaps"))?;
     let further: Vec<Row> = sqlx::query_as(sql::FURTHER_GAPS)
         .bind(run)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed("gaps"))?;
+        .map_err(readers.error_for("gaps"))?;
     let row = |(from, to, missing, reason, gaps): Row| GapRow {
         from: wall(from),
         to: wall(to),
@@ -238,8 +239,8 @@ fn summary(
         .find(|kind| kind.name() == row.placement)
         .ok_or_else(|| corrupt_data(WHAT, format_args!("placement {:?}", row.placement)))?;
     let deadline_s = deadline_s(&row.configuration);
-    // The sum of the samples, which are ones and zeros.
-    let late = lateness.map_or(0.0, |samples| samples.summary.moments.sum());
+    // The values are ones and zeros, so their sum is the number of late iterations.
+    let late = lateness.map_or(0.0, |missed| missed.summary.moments.sum());
     let counts = OutcomeCounts {
         ok: count(row.ok),
         failed: count(row.failed),
@@ -254,7 +255,7 @@ fn summary(
         pipeline: parse(WHAT, &row.pipeline)?,
         placement: Placement {
             kind,
-            peer: name(WHAT, row.peer.as_deref())?,
+            peer: parse_name(WHAT, row.peer.as_deref())?,
             network: row.network.clone(),
             address: row.address.clone(),
             model: parse(WHAT, &row.model)?,
@@ -273,7 +274,7 @@ fn summary(
         total: total.and_then(NameSummary::statistics),
         has_clock_fault: facts(row)?.iter().any(|(fact, _)| FaultyHost::from_fact_name(fact).is_some()),
         pinned: row.pinned,
-        nodes_from: count(row.nodes_from),
+        last_deleted_iteration: count(row.nodes_from),
         experiment: row.experiment.as_deref().map(json).transpose()?,
     })
 }

@@ -33,7 +33,7 @@ macro_rules! clock_columns {
     () => {
         clock_columns!("", "")
     };
-    // Text before and after each column of a throughput.
+    // The arguments are texts before and after each column of a throughput.
     ($before:literal, $after:literal) => {
         concat!(
             "at_ns, window, offset_ns, offset_lo_ns, offset_hi_ns, offset_source, offset_verdict, offset_sources, \
@@ -78,9 +78,9 @@ statements! {
         "WHERE run.number < ?1 AND run.pipeline IN (SELECT pipeline.id FROM pipeline JOIN host ON host.id = pipeline.host \
          WHERE (?3 IS NULL OR pipeline.name = ?3) AND (?4 IS NULL OR host.uuid = ?4)) \
          ORDER BY run.number DESC LIMIT ?2");
-    /// ?1 number.
+    /// One run: ?1 number.
     RUN = concat!(run_columns!(), "WHERE run.number = ?1");
-    /// The first runs of an experiment, oldest first: ?1 its id, ?2 limit.
+    /// The first runs of an experiment, oldest first: ?1 id of the experiment, ?2 limit.
     RUNS_OF_EXPERIMENT = concat!(run_columns!(),
         "WHERE run.experiment IS NOT NULL AND run.experiment ->> 'id' = ?1 ORDER BY run.number LIMIT ?2");
     /// Experiments, the one with the newest run first: ?1 limit.
@@ -89,9 +89,10 @@ statements! {
                    min(run.started_ns) AS started_ns \
                    FROM run WHERE run.experiment IS NOT NULL GROUP BY run.experiment ->> 'id' \
                    ORDER BY newest DESC LIMIT ?1";
-    /// ?1 run.
+    /// The first 1,000 gaps of a run: ?1 run.
     GAPS = "SELECT from_ns, to_ns, count, reason, 1 FROM gap WHERE run = ?1 ORDER BY from_ns LIMIT 1000";
-    // Gaps of unknown size, whose count is 0, stay apart from the others.
+    /// The later gaps of a run, combined by reason. Gaps of unknown size, whose count is 0, are not combined with gaps
+    /// of known size. ?1 run.
     FURTHER_GAPS = "SELECT min(from_ns), max(to_ns), sum(count), reason, count(*) FROM \
         (SELECT from_ns, to_ns, count, reason FROM gap WHERE run = ?1 ORDER BY from_ns LIMIT -1 OFFSET 1000) \
         GROUP BY reason, count = 0 ORDER BY min(from_ns)";
@@ -108,54 +109,55 @@ statements! {
     ROLLUPS_OVER_TIME = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
                          FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND quantity = 0 \
                          AND name IN (SELECT value FROM json_each(?3)) ORDER BY bucket_s";
-    /// Summaries of some names within a time: ?1 run, ?2 resolution, ?3 the names' ids, a JSON array, ?4 and ?5 begin
-    /// of the first bucket and of the bucket after the last.
+    /// Summaries of some names within a period: ?1 run, ?2 resolution, ?3 the names' ids, a JSON array, ?4 start of the
+    /// first bucket, ?5 start of the bucket after the last bucket.
     ROLLUPS_WITHIN = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
                       FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s >= ?4 AND bucket_s < ?5 AND quantity = 0 \
                       AND name IN (SELECT value FROM json_each(?3))";
-    /// Counts and sums: ?1 run, ?2 resolution, ?3 list of names, ?4 seconds of a point, a multiple of the resolution.
+    /// Counts and sums of some names over time: ?1 run, ?2 resolution, ?3 the names' ids, a JSON array, ?4 width of a
+    /// point in seconds, a multiple of the resolution.
     SUMS_OVER_TIME = "SELECT name, bucket_s / ?4 AS point, sum(count), sum(count * mean) \
                       FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND quantity = 0 \
                       AND name IN (SELECT value FROM json_each(?3)) GROUP BY point, name ORDER BY point, name";
-    /// ?1 the runs, a JSON array.
+    /// Numbers of delays per verdict: ?1 the runs, a JSON array.
     VERDICTS = "SELECT verdict_count.run, name.text, verdict_count.verdict, verdict_count.count FROM verdict_count \
                 JOIN name ON name.id = verdict_count.name \
                 WHERE verdict_count.run IN (SELECT value FROM json_each(?1)) ORDER BY verdict_count.verdict";
     /// For each resolution: its first and last bucket, and whether buckets were deleted. ?1 run, ?2 the resolutions, a
     /// JSON array.
-    EXTENTS = "SELECT width.value, \
+    WIDTH_EXTENTS = "SELECT width.value, \
                (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = width.value), \
                (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = width.value), \
                EXISTS (SELECT 1 FROM trimmed WHERE run = ?1 AND kind = width.value) \
                FROM json_each(?2) AS width";
-    /// ?1 run, ?2 limit.
+    /// The slowest successful iterations after the warm-up: ?1 run, ?2 limit.
     SLOWEST = concat!(iteration_columns!(),
         "WHERE run = ?1 AND warm_up = 0 AND outcome = 0 AND total IS NOT NULL ORDER BY total DESC, number DESC LIMIT ?2");
-    /// ?1 run, ?2 number above which iterations are selected, ?3 limit.
+    /// A page of iterations: ?1 run, ?2 number above which iterations are selected, ?3 limit.
     ITERATIONS = concat!(iteration_columns!(), "WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3");
-    /// ?1 run, ?2 number above which iterations are selected, ?3 limit.
+    /// A page of failed iterations. Parameters as in `ITERATIONS`.
     ITERATIONS_WITHOUT_ANSWER = concat!(iteration_columns!("iteration_without_answer"),
         "WHERE run = ?1 AND number > ?2 AND outcome <> 0 ORDER BY number LIMIT ?3");
-    /// ?1 run.
+    /// The iteration with the largest number: ?1 run.
     LAST_ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number > 0 ORDER BY number DESC LIMIT 1");
-    /// The number of the first iteration that is not warm-up, from each of these numbers on. `+warm_up` makes SQLite
-    /// find iterations by number and not by the index that contains `warm_up`. ?1 run, ?2 numbers, a JSON array, ?3 how
-    /// many further numbers to look at.
+    /// For each of some numbers, the number of the first iteration at or after it that is not warm-up. `+warm_up` makes
+    /// SQLite find iterations by number and not by the index that contains `warm_up`. ?1 run, ?2 numbers, a JSON array,
+    /// ?3 how many numbers after each number are searched.
     WARM_UP_ENDS = "SELECT (SELECT number FROM iteration \
                     WHERE run = ?1 AND number BETWEEN start.value AND start.value + ?3 AND +warm_up = 0 \
                     ORDER BY number LIMIT 1) FROM json_each(?2) AS start";
-    /// The last iteration that is not warm-up: ?1 run, ?2 and ?3 the first and the last number to look at.
+    /// The last iteration that is not warm-up: ?1 run, ?2 and ?3 the first and the last number that is searched.
     LAST_MEASURED = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number BETWEEN ?2 AND ?3 AND +warm_up = 0 ORDER BY number DESC LIMIT 1");
-    /// The first successful iteration after the warm-up: ?1 run, ?2 the last number to look at.
-    FIRST_COUNTED = concat!(iteration_columns!(),
+    /// The first successful iteration after the warm-up: ?1 run, ?2 the last number that is searched.
+    FIRST_IN_STATISTICS = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number BETWEEN 1 AND ?2 AND +warm_up = 0 AND +outcome = 0 ORDER BY number LIMIT 1");
-    /// The last successful iteration after the warm-up: ?1 run, ?2 how many numbers to look at.
-    LAST_COUNTED = concat!(iteration_columns!(),
+    /// The last successful iteration after the warm-up: ?1 run, ?2 how many of the last numbers are searched.
+    LAST_IN_STATISTICS = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number > (SELECT max(number) FROM iteration WHERE run = ?1 AND number > 0) - ?2 \
          AND +warm_up = 0 AND +outcome = 0 ORDER BY number DESC LIMIT 1");
-    /// The number of the first iteration that did not start before a time, or the number after the last; found by
-    /// bisection, because iterations are stored by number. ?1 run, ?2 time.
+    /// The number of the first iteration that started at a time or later, or one more than the last number if there is
+    /// no such iteration. The iteration is found by bisection, because no index contains the starts. ?1 run, ?2 time.
     FIRST_NUMBER_SINCE = "WITH RECURSIVE search(low, high) AS ( \
                           SELECT 0, (SELECT max(number) FROM iteration WHERE run = ?1 AND number > 0) + 1 \
                           UNION ALL SELECT \
@@ -166,7 +168,7 @@ statements! {
                           FROM search WHERE high - low > 1) \
                           SELECT max(high) FROM search WHERE high - low <= 1";
     /// Totals of the successful iterations after the warm-up: ?1 run, ?2 and ?3 first and last number.
-    COUNTED_TOTALS = "SELECT total FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 AND +warm_up = 0 AND +outcome = 0";
+    TOTALS_IN_STATISTICS = "SELECT total FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 AND +warm_up = 0 AND +outcome = 0";
     /// Number of failed iterations, counted up to a limit: ?1 run, ?2 limit.
     COUNT_WITHOUT_ANSWER = "SELECT count(*) FROM (SELECT 1 FROM iteration INDEXED BY iteration_without_answer \
                             WHERE run = ?1 AND number > 0 AND outcome <> 0 LIMIT ?2)";
@@ -175,16 +177,16 @@ statements! {
     FIRST_WITHOUT_ANSWER = "SELECT (SELECT number FROM iteration INDEXED BY iteration_without_answer \
                             WHERE run = ?1 AND number BETWEEN part.value ->> 0 AND part.value ->> 1 AND outcome <> 0 \
                             ORDER BY number LIMIT 1) FROM json_each(?2) AS part";
-    /// ?1 run, ?2 number.
+    /// One iteration: ?1 run, ?2 number.
     ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number = ?2");
-    /// Durations in iterations, for the rows of a list: ?1 run, ?2 the iterations' numbers, a JSON array.
+    /// Durations of the nodes of some iterations: ?1 run, ?2 the iterations' numbers, a JSON array.
     DURATIONS = "SELECT node.iteration, node.node, node.parent, name.text, node.value \
                  FROM node CROSS JOIN name ON name.id = node.name \
                  WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
                  AND node.value IS NOT NULL AND name.unit = 's' ORDER BY node.iteration, node.node";
     /// The nodes with one of two names, and the nodes `sensing`, in iterations that statistics include. Iterations are
-    /// found by their numbers and not by the index with `warm_up` and `outcome`, which has all iterations of a run. ?1
-    /// run, ?2 numbers, a JSON array, ?3 and ?4 the names.
+    /// found by their numbers: with the index that contains `warm_up` and `outcome`, SQLite would read all iterations
+    /// of the run. ?1 run, ?2 numbers, a JSON array, ?3 and ?4 the names.
     PAIRS = "SELECT node.iteration, node.node, node.parent, node.value, \
              (SELECT text FROM name WHERE id = node.name) AS text \
              FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
@@ -192,7 +194,7 @@ statements! {
              AND +iteration.warm_up = 0 AND +iteration.outcome = 0 \
              AND node.name IN (SELECT id FROM name WHERE text IN (?3, ?4, 'sensing')) \
              ORDER BY iteration.number, node.node";
-    /// One-way delays of iterations, for the rows of a list: ?1 run, ?2 the iterations' numbers, a JSON array.
+    /// Judged one-way delays of some iterations: ?1 run, ?2 the iterations' numbers, a JSON array.
     DELAYS = "SELECT transit.iteration, name.text, node.value, node.lo, node.hi, transit.raw_ns, transit.source, \
               transit.verdict, transit.sent_ns, transit.received_ns, \
               (SELECT anchor.host FROM anchor WHERE anchor.run = ?1 AND anchor.iteration = transit.iteration \
@@ -203,12 +205,14 @@ statements! {
               AND transit.raw_ns IS NOT NULL AND transit.source IS NOT NULL AND transit.verdict IS NOT NULL \
               ORDER BY transit.iteration, transit.node";
     /// Iterations by number: ?1 run, ?2 numbers, a JSON array.
-    ITERATIONS_OF = concat!(iteration_columns!(),
+    ITERATIONS_BY_NUMBER = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number IN (SELECT value FROM json_each(?2)) ORDER BY number");
-    /// The last of the next iterations after a number: ?1 run, ?2 the number, ?3 how many iterations.
-    LAST_OF_NEXT = "SELECT max(number) FROM (SELECT number FROM iteration WHERE run = ?1 AND number > ?2 \
+    /// The number of the last iteration of a page: ?1 run, ?2 number after which the page begins, ?3 number of
+    /// iterations of a page.
+    LAST_OF_PAGE = "SELECT max(number) FROM (SELECT number FROM iteration WHERE run = ?1 AND number > ?2 \
                     ORDER BY number LIMIT ?3)";
-    /// The first iteration of each shape of tree: ?1 run, ?2 after, ?3 through.
+    /// The first iteration of each shape of tree among the iterations of a page: ?1 run, ?2 number after which the page
+    /// begins, ?3 last number of the page.
     SHAPES = "SELECT min(iteration) AS first FROM (SELECT iteration, \
               group_concat(name || '<' || parent || iif(value IS NULL, '?', '')) AS shape \
               FROM node WHERE run = ?1 AND iteration > ?2 AND iteration <= ?3 GROUP BY iteration) \
@@ -218,31 +222,32 @@ statements! {
              name.text, name.kind, name.custom, name.unit FROM node CROSS JOIN name ON name.id = node.name \
              WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
              ORDER BY node.iteration, node.node";
-    /// The transits of these trees. Parameters as in `NODES`.
+    /// The transits in the trees of some iterations. Parameters as in `NODES`.
     TRANSITS = "SELECT iteration, node, sent_ns, received_ns, raw_ns, source, verdict, sent_raw_ns, received_raw_ns FROM transit \
                 WHERE run = ?1 AND iteration IN (SELECT value FROM json_each(?2)) ORDER BY iteration, node";
-    /// The edge, and the name of the cloud: ?1 run.
+    /// The edge of a run, and the name of its cloud: ?1 run.
     TREE_HOSTS = "SELECT host.uuid, host.name, run.peer FROM run JOIN pipeline ON pipeline.id = run.pipeline \
             JOIN host ON host.id = pipeline.host WHERE run.number = ?1";
-    /// The anchors of these trees. Parameters as in `NODES`.
+    /// The anchors in the trees of some iterations, without the edge's anchor. Parameters as in `NODES`.
     ANCHORS = "SELECT anchor.iteration, host.uuid, host.name, anchor.wall_ns FROM anchor \
                CROSS JOIN host ON host.id = anchor.host \
                WHERE anchor.run = ?1 AND anchor.iteration IN (SELECT value FROM json_each(?2)) \
                ORDER BY anchor.iteration, anchor.position";
-    /// Number of slower iterations, up to a thousand: ?1 run, ?2 total.
-    SLOWER = "SELECT count(*) FROM (SELECT 1 FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
+    /// Number of successful iterations that are slower than a total, counted up to 1,000: ?1 run, ?2 total.
+    SLOWER_COUNT = "SELECT count(*) FROM (SELECT 1 FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
               AND total IS NOT NULL AND total > ?2 LIMIT 1000)";
-    /// The next slower iteration, in the order of `SLOWEST`: ?1 run, ?2 total, ?3 number.
-    ONE_SLOWER = "SELECT number FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
+    /// The next slower iteration, in the order of `SLOWEST`: ?1 run, ?2 total and ?3 number of the iteration.
+    NEXT_SLOWER = "SELECT number FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
                   AND (total, number) > (?2, ?3) ORDER BY total, number LIMIT 1";
-    /// The next faster iteration: ?1 run, ?2 total, ?3 number.
-    ONE_FASTER = "SELECT number FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
+    /// The next faster iteration, in the order of `SLOWEST`. Parameters as in `NEXT_SLOWER`.
+    NEXT_FASTER = "SELECT number FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
                   AND (total, number) < (?2, ?3) ORDER BY total DESC, number DESC LIMIT 1";
-    /// ?1 run, ?2 number.
+    /// The number of the previous stored iteration: ?1 run, ?2 number.
     PREVIOUS = "SELECT max(number) FROM iteration WHERE run = ?1 AND number < ?2";
-    /// ?1 run, ?2 number.
+    /// The number of the next stored iteration: ?1 run, ?2 number.
     NEXT = "SELECT min(number) FROM iteration WHERE run = ?1 AND number > ?2";
-    /// ?1 limit, ?2 id of the last incident of the previous page or NULL, ?3 kind or NULL, ?4 name of a host or NULL.
+    /// Incidents, newest first: ?1 limit, ?2 id of the last incident of the previous page or NULL, ?3 kind or NULL, ?4
+    /// name of a host or NULL.
     INCIDENTS = "SELECT incident.id, incident.at_ns, incident.kind, host.uuid AS host, host.name AS host_name, \
                  incident.pipeline, incident.run, coalesce(peer.name, peer.uuid) AS peer, incident.text \
                  FROM incident LEFT JOIN host ON host.id = incident.host LEFT JOIN host AS peer ON peer.id = incident.peer \
@@ -250,50 +255,52 @@ statements! {
                    (coalesce((SELECT at_ns FROM incident WHERE id = ?2), 9223372036854775807), coalesce(?2, 9223372036854775807)) \
                  AND (?3 IS NULL OR incident.kind = ?3) AND (?4 IS NULL OR host.name = ?4) \
                  ORDER BY incident.at_ns DESC, incident.id DESC LIMIT ?1";
-    /// No parameters.
+    /// All hosts that have introduced themselves. No parameters.
     HOSTS = concat!("SELECT uuid, name, description, first_seen_ns, last_seen_ns, events, nodes, gaps, missing, quarantined, ",
              crate::stored::in_other_database!(), " FROM host WHERE name IS NOT NULL ORDER BY name");
-    /// No parameters.
+    /// All links, with the times of their first and last clock samples. No parameters.
     LINKS = "SELECT edge.uuid AS edge, edge.name AS edge_name, cloud.uuid AS cloud, \
              coalesce(cloud.name, link.cloud_name) AS cloud_name, link.network, \
              (SELECT min(at_ns) FROM clock_sample WHERE clock_sample.link = link.id) AS first_ns, \
              (SELECT max(at_ns) FROM clock_sample WHERE clock_sample.link = link.id) AS last_ns \
              FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
              ORDER BY edge_name, cloud_name, link.network, link.id";
-    /// ?1 edge, ?2 cloud, ?3 network.
+    /// The id of a link: ?1 id of the edge, ?2 id of the cloud (the hosts' random ids), ?3 network.
     LINK = "SELECT link.id FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
             WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND link.network = ?3";
-    /// The first and the last second: ?1 link, ?2 from, ?3 to.
+    /// The times of the first and the last clock sample within a period: ?1 link, ?2 from, ?3 to.
     CLOCK_EXTENT = "SELECT (SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3), \
                     (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3)";
-    /// ?1 link, ?2 from, ?3 to.
+    /// The clock samples within a period: ?1 link, ?2 from, ?3 to.
     CLOCK_SAMPLES = concat!("SELECT ", clock_columns!(),
         " FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 ORDER BY at_ns, window");
-    /// The same samples in JSON, one row for each part of the time. Throughputs are rounded to whole numbers, because
-    /// writing fractions would take a fifth of the time. ?1 link, ?2 first and last moments of the parts, a JSON array
-    /// of pairs.
-    CLOCK_PARTS = concat!("SELECT (SELECT json_group_array(json_array(", clock_columns!("CAST(", " AS INTEGER)"),
-        ")) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN part.value ->> 0 AND part.value ->> 1) \
-         FROM json_each(?2) AS part");
-    /// A link's windows in the order of their arrival; the last one may continue: ?1 link, ?2 from, ?3 to.
+    /// The clock samples of each of some buckets, as JSON; one row per bucket. Throughputs are rounded to whole
+    /// numbers, because writing fractions would take a fifth of the query's time. ?1 link, ?2 first and last time of
+    /// each bucket, a JSON array of pairs.
+    CLOCK_BUCKETS = concat!("SELECT (SELECT json_group_array(json_array(", clock_columns!("CAST(", " AS INTEGER)"),
+        ")) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN bucket.value ->> 0 AND bucket.value ->> 1) \
+         FROM json_each(?2) AS bucket");
+    /// A link's windows within a period, in the order of their arrival. The newest window may continue, so its end is
+    /// unlimited. ?1 link, ?2 from, ?3 to.
     CLOCK_WINDOW_ORDER = "SELECT window, first_ns, \
                           iif(id = (SELECT max(id) FROM clock_window WHERE link = ?1), 9223372036854775807, last_ns) AS last_ns \
                           FROM clock_window WHERE link = ?1 AND first_ns <= ?3 \
                           AND (last_ns >= ?2 OR id = (SELECT max(id) FROM clock_window WHERE link = ?1)) ORDER BY id";
-    /// Assumptions of the windows of all links of an edge over a network, in the order of their arrival: ?1 edge, ?2
-    /// network, ?3 from, ?4 to.
+    /// The windows, within a period, of all links of an edge over a network, with their assumptions, in the order of
+    /// arrival: ?1 edge, ?2 network, ?3 from, ?4 to.
     ASSUMED_WINDOWS = "SELECT link.cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, claims_trusted, probes_authenticated \
                        FROM link CROSS JOIN clock_window ON clock_window.link = link.id \
                        WHERE link.edge = ?1 AND link.network = ?2 AND first_ns <= ?4 AND last_ns >= ?3 \
                        ORDER BY clock_window.id";
-    /// Assumptions of the newest window of a link: ?1 link.
+    /// The newest window of a link with its assumptions: ?1 link.
     NEWEST_ASSUMED_WINDOW = "SELECT 0 AS cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, \
                              claims_trusted, probes_authenticated FROM clock_window WHERE link = ?1 ORDER BY id DESC LIMIT 1";
-    /// The edge of a run and its network: ?1 run.
+    /// The edge and the network of a run, which together select the run's links: ?1 run.
     RUN_LINKS = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network FROM run \
                  JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
-    /// The edge of a run and its network, the starts of its first and last iterations, and its first and last minutes
-    /// with successful iterations. If the edge's clock was set back, the first is not the earliest. ?1 run.
+    /// The edge, the network and the model of a run, the starts of its first and last iterations, and its earliest and
+    /// latest minutes with successful iterations. The minutes are needed because the first iteration does not have the
+    /// earliest start if the edge's clock was set back. ?1 run.
     RUN_EXTENT = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network, run.model, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number LIMIT 1) AS first_ns, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number DESC LIMIT 1) AS last_ns, \
@@ -301,7 +308,7 @@ statements! {
                   (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60) AS last_s \
                   FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
     /// A page of the one-way delays that statistics include. The cloud is the tree's second host. `CROSS JOIN` fixes
-    /// the order of the joins, because SQLite would have to sort the rows after any other order. ?1 run, ?2 and ?3
+    /// the order of the joins: after joins in another order, SQLite would have to sort the rows. ?1 run, ?2 and ?3
     /// iteration and node of the last delay of the previous page, ?4 limit.
     RUN_DELAYS = "SELECT transit.iteration, transit.node, name.text, transit.sent_ns, transit.received_ns, \
                   transit.raw_ns, transit.source, transit.verdict, transit.sent_raw_ns, transit.received_raw_ns, \
@@ -316,10 +323,11 @@ statements! {
                   WHERE transit.run = ?1 AND (transit.iteration, transit.node) > (?2, ?3) \
                   AND iteration.warm_up = 0 AND iteration.outcome = 0 AND name.text IN ('upload', 'download') \
                   ORDER BY transit.iteration, transit.node LIMIT ?4";
-    /// ?1 edge, ?2 cloud, as numbers, ?3 network.
-    LINK_OF = "SELECT id FROM link WHERE edge = ?1 AND cloud = ?2 AND network = ?3";
-    /// The windows of a link: their first and last samples and exchanges, by the edge's clock that the window relates.
-    /// ?1 link, ?2 from, ?3 to, by the edge's wall clock, ?4 limit.
+    /// The id of a link: ?1 edge and ?2 cloud, as ids of the table `host`, ?3 network.
+    LINK_BY_IDS = "SELECT id FROM link WHERE edge = ?1 AND cloud = ?2 AND network = ?3";
+    /// The windows of a link with the times of their first and last samples and exchanges. These times are readings of
+    /// the edge's clock that the window relates. ?1 link, ?2 from and ?3 to, readings of the edge's wall clock, ?4
+    /// limit.
     CLOCK_WINDOWS = "SELECT coalesce(clocks, 2) AS clocks, window, \
                      min(iif(clocks < 2, at_raw_ns, at_ns)) AS first_ns, max(iif(clocks < 2, at_raw_ns, at_ns)) AS last_ns, \
                      min(min(coalesce(upper_sent_ns, lower_sent_ns), coalesce(lower_sent_ns, upper_sent_ns))) AS sent_ns, \
@@ -332,7 +340,8 @@ statements! {
                      AND (upper_sent_ns IS NOT NULL OR lower_sent_ns IS NOT NULL) \
                      AND (coalesce(clocks, 2) = 2 OR at_raw_ns IS NOT NULL) \
                      GROUP BY window, coalesce(clocks, 2) ORDER BY first_ns LIMIT ?4";
-    /// A page of the exchanges of one window of wall clocks: ?1 link, ?2 window, ?3 after, ?4 limit.
+    /// A page of the exchanges of one window of wall clocks: ?1 link, ?2 window, ?3 time after which the page begins,
+    /// ?4 limit.
     CLOCK_EXCHANGES = concat!("SELECT at_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample WHERE link = ?1 AND window = ?2 AND at_ns > ?3 AND max_drift_ppm IS NOT NULL \
          ORDER BY at_ns LIMIT ?4");

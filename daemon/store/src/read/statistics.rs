@@ -1,4 +1,5 @@
-//! Statistics of runs, from the roll-ups alone. The cost of these queries does not depend on the number of nodes.
+//! Statistics of runs, computed only from roll-ups. The cost of these queries therefore does not depend on the number
+//! of nodes.
 
 mod means;
 mod runs;
@@ -48,8 +49,8 @@ impl RollupRow {
     }
 }
 
-/// Returns the summary of one name over whole runs, by run. If nodes with this name have several kinds of
-/// measure, their values are merged.
+/// Returns the summary of one name in each of some runs; runs without values of this name are absent. If nodes with
+/// this name have several kinds of measure, the values of all kinds are merged.
 pub(super) async fn whole_runs(
     readers: &Readers,
     runs: &[i64],
@@ -60,7 +61,7 @@ pub(super) async fn whole_runs(
         .bind(name)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let mut by_run = HashMap::<i64, NameSummary>::new();
     for row in rows {
         let summary = row.summary()?;
@@ -69,7 +70,7 @@ pub(super) async fn whole_runs(
     Ok(by_run)
 }
 
-/// Converts numbers to a JSON array, the form in which statements take a list.
+/// Converts numbers to a JSON array, because statements take lists as JSON.
 fn json_array(numbers: &[i64]) -> Result<String, StoreError> {
     serde_json::to_string(numbers).map_err(|error| corrupt_data(WHAT, error))
 }
@@ -80,12 +81,12 @@ pub(crate) async fn histogram(
     stage: &str,
     max_bins: usize,
 ) -> Result<Option<Histogram>, StoreError> {
-    let Some(samples) = whole_runs(readers, &[run], stage).await?.remove(&run) else { return Ok(None) };
-    let Some(statistics) = samples.statistics() else { return Ok(None) };
-    let Some(binning) = Binning::of(&samples.summary, max_bins) else { return Ok(None) };
-    let BinCounts { below, counts, above } = samples.summary.count_in(&binning);
+    let Some(values) = whole_runs(readers, &[run], stage).await?.remove(&run) else { return Ok(None) };
+    let Some(statistics) = values.statistics() else { return Ok(None) };
+    let Some(binning) = Binning::of(&values.summary, max_bins) else { return Ok(None) };
+    let BinCounts { below, counts, above } = values.summary.count_in(&binning);
     let (stage, edges) = (stage.into(), binning.edges());
-    Ok(Some(Histogram { stage, unit: samples.unit, edges, counts, below, beyond: above, statistics }))
+    Ok(Some(Histogram { stage, unit: values.unit, edges, counts, below, beyond: above, statistics }))
 }
 
 /// Returns the statistics of all names of a run, in the order of tables.

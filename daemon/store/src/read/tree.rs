@@ -6,7 +6,7 @@ use peernet_logger::{
 };
 use sqlx::FromRow;
 
-use super::{StoredDelay, corrupt_data, name, parse, sql, wall};
+use super::{StoredDelay, corrupt_data, parse, parse_name, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
 
@@ -58,18 +58,19 @@ struct AnchorRow {
     wall_ns: i64,
 }
 
-/// The edge, and the name of the cloud, which is the tree's second host.
+/// The edge of a run, and the name of its cloud, which is the second host of the run's trees.
 #[derive(FromRow)]
 struct TreeHosts {
     uuid: String,
     name: Option<String>,
+    /// The cloud's name, as the edge reported it.
     peer: Option<String>,
 }
 
 /// A tree with the names of its anchors' hosts.
 pub(super) type StoredTree = (Tree, Vec<Option<Slug>>);
 
-/// Returns trees of iterations as they were sent, with the names of their hosts.
+/// Returns the trees of iterations, as the agent sent them, with the names of their hosts.
 ///
 /// `iterations` has the number and the start of each iteration, in ascending order. The result is `None` for an
 /// iteration that was deleted meanwhile.
@@ -84,27 +85,27 @@ pub(super) async fn trees(
         .bind(run)
         .fetch_one(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let anchors: Vec<AnchorRow> = sqlx::query_as(sql::ANCHORS)
         .bind(run)
         .bind(&numbers)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let transits: Vec<TransitRow> = sqlx::query_as(sql::TRANSITS)
         .bind(run)
         .bind(&numbers)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
-    // The nodes are read last. If retention deletes an iteration meanwhile, the iteration then has no nodes, but never
-    // nodes without their stamps.
+        .map_err(readers.error_for(WHAT))?;
+    // The nodes are read last. If retention deletes an iteration between the statements, the iteration has no nodes and
+    // is reported as deleted. It cannot have nodes without their stamps.
     let nodes: Vec<NodeRow> = sqlx::query_as(sql::NODES)
         .bind(run)
         .bind(&numbers)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let (mut anchors, mut nodes, mut transits) = (&anchors[..], &nodes[..], &transits[..]);
     let mut trees = Vec::with_capacity(iterations.len());
     for (number, started) in iterations {
@@ -120,7 +121,7 @@ pub(super) async fn trees(
     Ok(trees)
 }
 
-/// Splits off the first rows up to the first row for which `predicate` is false.
+/// Removes and returns the rows before the first row for which `predicate` is false.
 fn take_while<'a, T>(rows: &mut &'a [T], predicate: impl Fn(&T) -> bool) -> &'a [T] {
     let (taken, rest) = rows.split_at(rows.iter().take_while(|row| predicate(row)).count());
     *rows = rest;
@@ -136,13 +137,13 @@ fn tree(
     transits: &[TransitRow],
 ) -> Result<StoredTree, StoreError> {
     let mut anchors = vec![Anchor { host: parse(WHAT, &tree_hosts.uuid)?, wall: started }];
-    let mut hosts = vec![name(WHAT, tree_hosts.name.as_deref())?];
+    let mut hosts = vec![parse_name(WHAT, tree_hosts.name.as_deref())?];
     for (index, anchor) in other_anchors.iter().enumerate() {
         anchors.push(Anchor { host: parse(WHAT, &anchor.uuid)?, wall: wall(anchor.wall_ns) });
-        // A server that does not report to this aggregator has no name of its own here. It gets the name that the edge
-        // has for it.
+        // A cloud that never introduced itself to this aggregator has no name in the table `host`. The edge reported a
+        // name for it.
         let peer = tree_hosts.peer.as_ref().filter(|_| index == 0);
-        hosts.push(name(WHAT, anchor.name.as_ref().or(peer).map(String::as_str))?);
+        hosts.push(parse_name(WHAT, anchor.name.as_ref().or(peer).map(String::as_str))?);
     }
     let mut tree_nodes = Vec::with_capacity(nodes.len());
     for row in nodes {
@@ -159,7 +160,7 @@ fn tree(
     Ok((tree, hosts))
 }
 
-/// Returns the measure. Seconds are converted to nanoseconds without loss for durations up to 17 days.
+/// Returns the measure of a node. Seconds are converted to nanoseconds without loss for durations up to 17 days.
 fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, StoreError> {
     let unit = || Unit::new(&row.unit);
     // SQLite stores not-a-number as NULL.

@@ -1,4 +1,4 @@
-//! Reads the values from which the trust findings of a run are computed: its stored statistics.
+//! Reads the stored values from which the trust findings of a run are computed.
 
 use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
 use peernet_analysis::outcomes::Counts;
@@ -20,8 +20,8 @@ use crate::quantity_statistics::DelayAccuracy;
 use crate::readers::Readers;
 use crate::types::{RunDetail, RunStatistics, RunSummary, StageBuckets};
 
-/// Maximum number of buckets in which a run's time series is read.
-const BUCKETS: usize = 120;
+/// Maximum number of buckets of a run's time series.
+const MAX_BUCKETS: usize = 120;
 
 pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<TrustInput, StoreError> {
     let number = run.summary.number;
@@ -35,12 +35,12 @@ pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<Tr
     let standstill_s = standstill_length(readers, run, stages_over_time.first()).await?;
     let run_statistics = run_statistics.into_iter().next().unwrap_or_default();
     let times = StartTimes { first, last, standstill_s };
-    let input = collect(run, times, &run_statistics, &stages_over_time);
+    let input = collect_input(run, times, &run_statistics, &stages_over_time);
     Ok(TrustInput { two_modes: two_modes(readers, number, &run_statistics).await?, ..input })
 }
 
-/// Returns the length of the standstill of a run, seconds. `buckets` are those of the total. `None` without a
-/// standstill, and if events of the run are missing.
+/// Returns the length of a run's standstill, seconds. `buckets` are the buckets of the total latency. `None` if there
+/// was no standstill, or if events of the run are missing: a gap in the buckets may then be a gap of events.
 async fn standstill_length(
     readers: &Readers,
     run: &RunDetail,
@@ -59,11 +59,13 @@ async fn standstill_length(
         iterations: summary.counts.total(),
         slowest_s: summary.total.as_ref().map_or(0.0, |total| total.max),
     };
-    // The warm-up has no buckets, so all the time before the first bucket may be warm-up.
+    // Iterations of the warm-up are in no bucket, so all the time before the first bucket may be warm-up.
     let answered = || buckets.bucket_starts.iter().map(|start| (*start, *start + buckets.bucket_width));
     if standstill(&extent, answered()).is_none() {
         return Ok(None);
     }
+    // Failed iterations are in no bucket, either. They are read only if a standstill is possible, because most runs
+    // have none.
     let failed = failed_starts(readers, summary.number).await?;
     Ok(standstill(&extent, answered().chain(failed.into_iter().map(|start| (start, start)))))
 }
@@ -82,33 +84,32 @@ async fn two_modes(
     Ok(found)
 }
 
-/// Reads the time series of the total latency. If the run has no totals, because it only reads a sensor, reads the time
-/// series of sensing instead.
+/// Reads the time series of the total latency and, if the total changed notably during the run, the time series of all
+/// stages. For a run of a day, the stages have tens of thousands of rows, so they are not always read.
 ///
-/// The stages are read only if the total changed notably during the run, because over a day the stages have tens of
-/// thousands of rows.
+/// A run that only reads a sensor has no total. For such a run, the function reads the time series of sensing.
 async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBuckets>, StoreError> {
-    let mut stages = stage_buckets(readers, run, &[stage::TOTAL], BUCKETS).await?;
+    let mut stages = stage_buckets(readers, run, &[stage::TOTAL], MAX_BUCKETS).await?;
     let has_notable_change = |stage: &StageBuckets| {
         TimeSeries::from_summaries(&stage.buckets).is_some_and(|series| series.has_notable_change())
     };
     if stages.is_empty() {
-        stages = stage_buckets(readers, run, &[stage::SENSING], BUCKETS).await?;
+        stages = stage_buckets(readers, run, &[stage::SENSING], MAX_BUCKETS).await?;
     } else if stages.iter().any(has_notable_change) {
-        stages.extend(stage_buckets(readers, run, &stage::ORDER, BUCKETS).await?);
+        stages.extend(stage_buckets(readers, run, &stage::ORDER, MAX_BUCKETS).await?);
     }
     Ok(stages)
 }
 
-/// Collects the values from which the trust findings of a run are computed. `stages_over_time` is the result of the
-/// function of that name.
-fn collect(
+/// Collects the values from which the trust findings of a run are computed. `stages_over_time` is the result of
+/// [`stages_over_time()`].
+fn collect_input(
     run: &RunDetail,
     times: StartTimes,
     run_statistics: &RunStatistics,
     stages_over_time: &[StageBuckets],
 ) -> TrustInput {
-    // `None` if the number of missing events is unknown. Then the progress of the run is unknown, too.
+    // `None` if a gap has an unknown number of events. Then the progress of the run is unknown, too.
     let missing_events: Option<u64> = run.gaps.iter().map(|gap| (gap.count > 0).then_some(gap.count)).sum();
     let RunStatistics { stages: statistics, bounds, .. } = run_statistics;
     let counts = Counts {
@@ -129,9 +130,9 @@ fn collect(
         stages.iter().position(|(name, _)| name == stage::TOTAL.as_str()).map(|index| stages.remove(index).1);
     let sensing =
         || stages.iter().find(|(name, _)| name == stage::SENSING.as_str()).map(|(_, series)| series.clone());
-    // An agent of another version may write the configuration in another form. The report then contains no limit and no
-    // rate.
-    let configured: Option<ConfiguredParts> = toml::from_str(&run.configuration).ok();
+    // An agent of another version may write the configuration in another form. The trust findings then do not mention
+    // the run's limit and rate.
+    let configured: Option<ConfiguredLimitAndLoad> = toml::from_str(&run.configuration).ok();
     let input = TrustInput {
         conditions: run.conditions.clone(),
         counts,
@@ -195,23 +196,25 @@ fn collect(
     input.with_end_reason(run.summary.reason.as_ref()).with_facts(&run.facts)
 }
 
-/// Part of a run's configuration that a report needs.
+/// The parts of a run's configuration that the trust findings need.
 #[derive(Clone, Copy, Deserialize)]
-struct ConfiguredParts {
+struct ConfiguredLimitAndLoad {
     #[serde(default)]
     limit: Limits,
     #[serde(default)]
     load: Load,
 }
 
-/// Leaves out the configured rate and the time, which a summary does not contain.
+/// Takes the numbers of starts from a run. The configured rate and the times are left out, because [`RunSummary`] does
+/// not contain them.
 impl From<&RunSummary> for Starts {
     fn from(run: &RunSummary) -> Self {
         Self { started: run.counts.total(), skipped: run.skipped_starts, ..Self::default() }
     }
 }
 
-/// Compares a run that has ended with the limits in its configuration.
+/// Compares a run that has ended with the limits in its configuration. `None` if the run is still running, or reached
+/// its limits.
 fn ended_early(
     run: &RunDetail,
     counts: &Counts,
@@ -224,7 +227,7 @@ fn ended_early(
     let progress = Progress {
         measured: counts.measured() + missing_events,
         warm_up: counts.warm_up,
-        // A run whose beginning was deleted has lasted at least since its start.
+        // If the first iterations were deleted, the time counts from the start of the run.
         seconds: StartTimes { first: times.first.or(Some(summary.started)), ..*times }.seconds(),
     };
     EndedEarly::from_progress(&limit, &progress, summary.reason.as_ref().unwrap_or(&EndReason::Unknown))

@@ -1,4 +1,4 @@
-//! Iterations as the agent sent them, many at a time.
+//! Whole iterations with their trees, as the agent sent them, many at a time.
 
 use peernet_stream::{Iteration, Outcome};
 
@@ -11,9 +11,9 @@ use crate::types::RunSummary;
 
 /// Name of the requested data in errors.
 const WHAT: &str = "whole iterations";
-/// Maximum number of iterations that are read at a time, because a tree may be large.
+/// Maximum number of iterations whose trees are in memory at a time. A tree may be large.
 const MAX_ITERATIONS: u32 = 200;
-/// Number of iterations whose shapes are compared together.
+/// Number of iterations whose shapes one statement compares.
 const ITERATIONS_PER_COMPARISON: u32 = 5_000;
 
 pub(crate) async fn full_iterations(
@@ -27,7 +27,7 @@ pub(crate) async fn full_iterations(
         .bind(MAX_ITERATIONS)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let Some(last) = rows.last().map(|row| count(row.number)) else { return Ok(None) };
     Ok(Some((last, with_trees(readers, run, rows).await?)))
 }
@@ -37,13 +37,13 @@ pub(crate) async fn iterations_by_shape(
     run: &RunSummary,
     after: u64,
 ) -> Result<Option<(u64, Vec<Iteration>)>, StoreError> {
-    let last: Option<i64> = sqlx::query_scalar(sql::LAST_OF_NEXT)
+    let last: Option<i64> = sqlx::query_scalar(sql::LAST_OF_PAGE)
         .bind(run.number)
         .bind(column(after))
         .bind(ITERATIONS_PER_COMPARISON)
         .fetch_one(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let Some(last) = last else { return Ok(None) };
     let numbers: Vec<i64> = sqlx::query_scalar(sql::SHAPES)
         .bind(run.number)
@@ -51,21 +51,22 @@ pub(crate) async fn iterations_by_shape(
         .bind(last)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let mut iterations = Vec::with_capacity(numbers.len());
     for chunk in numbers.chunks(MAX_ITERATIONS as usize) {
         let chunk = serde_json::to_string(chunk).map_err(|error| corrupt_data(WHAT, error))?;
-        let rows: Vec<Row> = sqlx::query_as(sql::ITERATIONS_OF)
+        let rows: Vec<Row> = sqlx::query_as(sql::ITERATIONS_BY_NUMBER)
             .bind(run.number)
             .bind(chunk)
             .fetch_all(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
+            .map_err(readers.error_for(WHAT))?;
         iterations.extend(with_trees(readers, run, rows).await?);
     }
     Ok(Some((count(last), iterations)))
 }
 
+/// Adds the trees to rows of the table `iteration`. Iterations that retention has deleted meanwhile are left out.
 async fn with_trees(
     readers: &Readers,
     run: &RunSummary,

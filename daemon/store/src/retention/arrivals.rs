@@ -1,7 +1,8 @@
-//! The table `arrival`: it records when each range of data arrived, and so which data has to be deleted next.
+//! The table `arrival` records when each range of data arrived, which shows the data that has to be deleted next.
 //!
-//! If a later row of the same owner covers a part of the range, that part is kept until the later row is due. A jump of
-//! a robot's clock during a run therefore leads to no early deletion.
+//! If a later row of the same owner covers a part of a row's range, that part is kept until the later row is due.
+//! Ranges overlap, for example, if a robot's clock jumps back during a run. Because of this rule, such a jump deletes
+//! no data early.
 
 use sqlx::SqliteConnection;
 
@@ -10,26 +11,29 @@ use super::{DeletedRows, Kind, buckets, clocks, nodes};
 use crate::extent::Extent;
 use crate::rollups::bucket;
 
-/// Maximum number of rows of the table per transaction.
+/// Maximum number of rows of the table `arrival` that are handled per transaction.
 const MAX_ROWS: usize = 64;
 
-/// Sets whether a run is pinned; triggers then update the table `arrival`: ?1 run, ?2 0 or 1.
+/// Pins or unpins a run; triggers then update the table `arrival`: ?1 run, ?2 1 to pin, 0 to unpin.
 const PIN: &str = "UPDATE run SET pinned = ?2 WHERE number = ?1";
-/// Inserts a row that covers all data of a kind, whose retention period begins now: ?1 kind, ?2 run.
+/// Inserts a row that covers all data of a kind of a run. The retention period of this data begins now. ?1 kind, ?2
+/// run.
 const RELEASE: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) \
      SELECT ?1, number, 0, coalesce((SELECT elapsed_ns / 1000000000 FROM storage_clock), 0), \
        -9223372036854775808, 9223372036854775807 FROM run WHERE number = ?2 AND pinned = 0 \
      ON CONFLICT (kind, owner, from_s) DO UPDATE SET to_s = excluded.to_s, first = excluded.first, last = excluded.last";
-/// The row whose retention period began first, at second ?2 of the storage clock or before: ?1 kind.
+/// The row of a kind whose retention period began first, if it began at a second of the storage clock or before: ?1
+/// kind, ?2 second.
 const NEXT: &str =
     "SELECT owner, from_s, first, last FROM arrival WHERE kind = ?1 AND to_s <= ?2 ORDER BY to_s LIMIT 1";
-/// Later rows that overlap a row: ?1 kind, ?2 owner, ?3 `from_s` of the row, ?4 and ?5 its first and last value.
+/// Ranges of the later rows that overlap a row: ?1 kind, ?2 owner, ?3 `from_s` of the row, ?4 and ?5 first and last
+/// number of the row's range.
 const LATER: &str = "SELECT first, last FROM arrival WHERE kind = ?1 AND owner = ?2 AND from_s > ?3 \
      AND first <= ?5 AND last >= ?4";
-/// Ranges of a run's data whose arrival is not in the table yet: ?1 run.
+/// Ranges of a run's data whose arrival is not in the table `arrival` yet: ?1 run.
 const ARRIVING_RUN: &str = "SELECT arriving_first_number, arriving_last_number, arriving_first_s, arriving_last_s \
      FROM run WHERE number = ?1 AND arriving_from_s IS NOT NULL";
-/// Range of a link's data whose arrival is not in the table yet: ?1 link.
+/// Range of a link's data whose arrival is not in the table `arrival` yet: ?1 link.
 const ARRIVING_LINK: &str =
     "SELECT arriving_first_ns, arriving_last_ns FROM link WHERE id = ?1 AND arriving_from_s IS NOT NULL";
 /// Removes a row: ?1 kind, ?2 owner, ?3 `from_s`.
@@ -49,8 +53,8 @@ pub(super) const STATEMENTS: [(&str, &str); 8] = [
     ("POSTPONE", POSTPONE),
 ];
 
-/// Pins a run, so that none of its data is deleted, or releases it, so that its retention periods begin now. Returns
-/// whether the run exists. Data that was deleted before stays deleted.
+/// Pins or unpins a run. No data of a pinned run is deleted; data that was deleted before stays deleted. The retention
+/// periods of an unpinned run begin now. Returns whether the run exists.
 pub(crate) async fn pin(
     connection: &mut SqliteConnection,
     run: i64,
@@ -70,7 +74,7 @@ pub(crate) async fn release(
     Ok(())
 }
 
-/// A row of the table.
+/// A row of the table `arrival`.
 #[derive(Clone, Copy, Debug)]
 struct Arrival {
     kind: Kind,
@@ -79,7 +83,7 @@ struct Arrival {
     extent: Extent,
 }
 
-/// Returns whether there is data of this kind that had arrived by `before_s`, a second of the storage clock.
+/// Returns whether any data of this kind arrived at the second `before_s` of the storage clock or before.
 pub(super) async fn has_due(
     connection: &mut SqliteConnection,
     kind: Kind,
@@ -108,12 +112,12 @@ async fn next(
 pub(super) struct TrimResult {
     /// Cost of the deleted rows, in rows of the table `node`.
     pub(super) cost: u64,
-    /// `true` if no other data is due.
+    /// `true` if no due data remains.
     pub(super) is_complete: bool,
 }
 
-/// Deletes data that had arrived by `before_s`, a second of the storage clock, in the order of arrival. Stops at a cost
-/// of about `max_cost`.
+/// Deletes data that arrived at the second `before_s` of the storage clock or before, in the order of arrival. Stops at
+/// a cost of about `max_cost`.
 pub(super) async fn trim(
     connection: &mut SqliteConnection,
     (kind, cause): (Kind, Cause),
@@ -123,7 +127,7 @@ pub(super) async fn trim(
     deletions: &mut Vec<Deletion>,
 ) -> Result<TrimResult, sqlx::Error> {
     let mut cost = 0;
-    // The number of rows is limited as well, because an arrival whose data is gone costs nothing.
+    // The number of rows is limited, too, because an arrival whose data is deleted already adds nothing to the cost.
     for _ in 0..MAX_ROWS {
         let remaining_cost = max_cost.saturating_sub(cost);
         if remaining_cost == 0 {
@@ -143,7 +147,8 @@ pub(super) async fn trim(
 
 impl Arrival {
     /// Deletes data that only this arrival covers, at a cost of about `max_cost`. When all such data is deleted, the
-    /// arrival is removed. If pinned data remains, the arrival is kept, and its period begins again.
+    /// arrival is removed from the table. If clock samples remain because of a pinned run, the arrival is kept, and its
+    /// retention period begins again.
     async fn delete(
         self,
         connection: &mut SqliteConnection,
@@ -185,13 +190,15 @@ impl Arrival {
             has_pinned_data = has_pinned_data
                 || (part.first <= part.last && clocks::has_samples(connection, self.owner, part).await?);
         }
+        // The rest is due again only after a whole period. Otherwise each step would examine this arrival again while
+        // the run is pinned.
         let statement = if has_pinned_data { POSTPONE } else { REMOVE };
         let statement = sqlx::query(statement).bind(self.kind.number()).bind(self.owner).bind(self.from_s);
         if has_pinned_data { statement.bind(now_s) } else { statement }.execute(connection).await?;
         Ok(DeletedRows { is_complete: true, ..deleted })
     }
 
-    /// Returns the extents of data of the same owner that arrived later and overlaps this arrival.
+    /// Returns the ranges of the owner's data that arrived after this arrival and may overlap it.
     async fn later_extents(self, connection: &mut SqliteConnection) -> Result<Vec<Extent>, sqlx::Error> {
         let rows: Vec<(i64, i64)> = sqlx::query_as(LATER)
             .bind(self.kind.number())

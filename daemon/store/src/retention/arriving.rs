@@ -1,8 +1,8 @@
 //! Conversion of recent arrivals to rows of the table `arrival`.
 //!
 //! In each transaction the writer records which iterations of a run and which samples of a link arrived (the columns
-//! `arriving_*`). After a sixty-fourth of the retention period this record becomes a row of `arrival`, or extends the
-//! newest row. So each kind of data has few rows within its period.
+//! `arriving_*`). After a sixty-fourth of the shortest retention period, this record becomes a row of `arrival`, or
+//! extends the newest row. Therefore each kind of data has few rows within its period.
 
 use sqlx::{FromRow, SqliteConnection};
 
@@ -21,18 +21,18 @@ const RUNS: &str = "SELECT number, pinned, arriving_from_s AS from_s, arriving_f
 const LINKS: &str = "SELECT id, arriving_from_s, arriving_first_ns, arriving_last_ns \
      FROM link INDEXED BY link_arriving WHERE arriving_from_s <= ?1 ORDER BY arriving_from_s LIMIT ?2";
 /// Clears the record of a run: ?1 run.
-const RUN_DONE: &str = "UPDATE run SET arriving_from_s = NULL, arriving_first_number = NULL, arriving_last_number = NULL, \
+const CLEAR_RUN: &str = "UPDATE run SET arriving_from_s = NULL, arriving_first_number = NULL, arriving_last_number = NULL, \
      arriving_first_s = NULL, arriving_last_s = NULL WHERE number = ?1";
 /// Clears the record of a link: ?1 link.
-const LINK_DONE: &str =
+const CLEAR_LINK: &str =
     "UPDATE link SET arriving_from_s = NULL, arriving_first_ns = NULL, arriving_last_ns = NULL WHERE id = ?1";
-/// Extends the newest row of `arrival` if the row began after a given second: ?1 kind, ?2 owner, ?3 now, ?4 and ?5
-/// first and last, ?6 the given second.
+/// Extends the newest row of `arrival` if this row began after a given second: ?1 kind, ?2 owner, ?3 now, ?4 and ?5
+/// first and last number of the range, ?6 the given second.
 const EXTEND: &str = "UPDATE arrival SET to_s = max(to_s, ?3), first = min(first, ?4), last = max(last, ?5) \
      WHERE kind = ?1 AND owner = ?2 AND from_s > ?6 \
        AND from_s = (SELECT max(newest.from_s) FROM arrival AS newest WHERE newest.kind = ?1 AND newest.owner = ?2)";
-/// Inserts a row of `arrival`: ?1 kind, ?2 owner, ?3 from, ?4 now, ?5 and ?6 first and last. A row with this key may
-/// exist, namely the row for all earlier data, whose key begins at 0.
+/// Inserts a row of `arrival`: ?1 kind, ?2 owner, ?3 second at which the arrivals began, ?4 now, ?5 and ?6 first and
+/// last number of the range. A row with this key may exist already: the row for all earlier data has the second 0.
 const INSERT: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) VALUES (?1, ?2, ?3, ?4, ?5, ?6) \
      ON CONFLICT (kind, owner, from_s) DO UPDATE SET to_s = max(to_s, excluded.to_s), \
      first = min(first, excluded.first), last = max(last, excluded.last)";
@@ -42,8 +42,8 @@ pub(super) const STATEMENTS: [(&str, &str); 7] = [
     ("ANY", ANY),
     ("RUNS", RUNS),
     ("LINKS", LINKS),
-    ("RUN_DONE", RUN_DONE),
-    ("LINK_DONE", LINK_DONE),
+    ("CLEAR_RUN", CLEAR_RUN),
+    ("CLEAR_LINK", CLEAR_LINK),
     ("EXTEND", EXTEND),
     ("INSERT", INSERT),
 ];
@@ -60,15 +60,15 @@ struct Run {
 }
 
 /// Returns whether any record of arriving data began at `since_s` or before.
-pub(super) async fn has_arrivals(
+pub(super) async fn has_records(
     connection: &mut SqliteConnection,
     since_s: i64,
 ) -> Result<bool, sqlx::Error> {
     sqlx::query_scalar(ANY).bind(since_s).fetch_one(connection).await
 }
 
-/// Converts the records of arriving data that began at `since_s` or before, of up to `limit` runs and up to `limit`
-/// links. Returns the number of runs and links.
+/// Converts the records of arriving data that began at `since_s` or before: the records of up to `limit` runs and of up
+/// to `limit` links. Returns the number of runs and links.
 pub(super) async fn convert(
     connection: &mut SqliteConnection,
     periods: &Periods,
@@ -91,19 +91,19 @@ pub(super) async fn convert(
                 append(connection, periods, kind, run.number, (run.from_s, now_s), extent).await?;
             }
         }
-        sqlx::query(RUN_DONE).bind(run.number).execute(&mut *connection).await?;
+        sqlx::query(CLEAR_RUN).bind(run.number).execute(&mut *connection).await?;
     }
     let links: Vec<(i64, i64, i64, i64)> =
         sqlx::query_as(LINKS).bind(since_s).bind(limit).fetch_all(&mut *connection).await?;
     for (link, from_s, first, last) in &links {
         let extent = Extent { first: *first, last: *last };
         append(connection, periods, Kind::ClockSamples, *link, (*from_s, now_s), extent).await?;
-        sqlx::query(LINK_DONE).bind(link).execute(&mut *connection).await?;
+        sqlx::query(CLEAR_LINK).bind(link).execute(&mut *connection).await?;
     }
     Ok(runs.len() + links.len())
 }
 
-/// Extends the newest row of a kind and owner, or adds a row.
+/// Extends the newest row of a kind and owner, or adds a row if the newest row began too long ago.
 async fn append(
     connection: &mut SqliteConnection,
     periods: &Periods,

@@ -8,26 +8,28 @@ use crate::column::column;
 use crate::extent::Extent;
 
 /// Cost of deleting a row of the table `rollup`, in rows of the table `node`. A row of `rollup` is several times as
-/// large.
+/// large as a row of `node`.
 const BUCKET_COST: u64 = 3;
 
-/// The oldest bucket: ?1 run, ?2 width, ?3 and ?4 first and last.
+/// The first bucket within a range of time: ?1 run, ?2 width, ?3 and ?4 first and last second of the range.
 const OLDEST: &str =
     "SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4";
-/// The last bucket. Parameters as in `OLDEST`.
+/// The last bucket within a range of time. Parameters as in `OLDEST`.
 const LAST: &str =
     "SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4";
-/// The bucket of the row that follows a number of rows. Parameters as in `OLDEST`, ?5 the number of rows.
+/// The bucket of the row that follows the first rows of the range. Parameters as in `OLDEST`, ?5 the number of these
+/// first rows.
 const AFTER: &str = "SELECT bucket_s FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4 \
      ORDER BY bucket_s LIMIT 1 OFFSET ?5";
-/// ?1 run, ?2 width, ?3 and ?4 first and last.
+/// Deletes the buckets within a range of time. Parameters as in `OLDEST`.
 const DELETE: &str = "DELETE FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4";
 
 #[cfg(test)]
 pub(super) const STATEMENTS: [(&str, &str); 4] =
     [("OLDEST", OLDEST), ("LAST", LAST), ("AFTER", AFTER), ("DELETE", DELETE)];
 
-/// Deletes buckets by ascending start, at a cost of about `max_cost` rows of the table `node`.
+/// Deletes the buckets within a range of time, the first bucket first, at a cost of about `max_cost` rows of the table
+/// `node`.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,

@@ -1,6 +1,7 @@
 //! Deletion of the clock samples of a link, together with the statistics of the link's connections from the same time.
 //!
-//! Samples from the time of a pinned run of the link's edge stay, so that the run's delays can be judged again.
+//! Samples from the time of a pinned run are not deleted if the run's edge is the link's edge. The delays of the run
+//! can therefore be judged again.
 
 use sqlx::SqliteConnection;
 
@@ -8,25 +9,27 @@ use super::DeletedRows;
 use crate::column::column;
 use crate::extent::Extent;
 
-/// Time before and after a pinned run for which samples stay.
+/// Time before and after a pinned run from which samples are not deleted.
 const PINNED_MARGIN_NS: i64 = 3_600_000_000_000;
-/// Cost of deleting a clock sample, in rows of the table `node`. A sample is several times as large.
+/// Cost of deleting a clock sample, in rows of the table `node`. A sample is several times as large as a row of `node`.
 const SAMPLE_COST: u64 = 5;
 
-/// The oldest sample: ?1 link, ?2 and ?3 first and last.
+/// Time of the first sample within a range of time: ?1 link, ?2 and ?3 first and last time of the range.
 const OLDEST: &str = "SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
 /// Starts and ends of the pinned runs of a link's edge: ?1 link.
 const PINNED: &str = "SELECT run.started_ns, coalesce(max(run.ended_ns, run.last_iteration_ns), run.ended_ns, 9223372036854775807) \
      FROM run INDEXED BY run_pinned CROSS JOIN pipeline ON pipeline.id = run.pipeline \
      WHERE run.pinned = 1 AND pipeline.host = (SELECT edge FROM link WHERE id = ?1)";
-/// Time of the sample that follows a number of samples: ?1 link, ?2 and ?3 first and last, ?4 the number of samples.
+/// Time of the sample that follows the first samples of the range. Parameters as in `OLDEST`, ?4 the number of these
+/// first samples.
 const AFTER: &str = "SELECT at_ns FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 \
      ORDER BY at_ns LIMIT 1 OFFSET ?4";
-/// ?1 link, ?2 and ?3 first and last.
+/// Deletes the samples within a range of time. Parameters as in `OLDEST`.
 const DELETE: &str = "DELETE FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
-/// Deletes statistics of connections: ?1 link, ?2 and ?3 first and last.
+/// Deletes the statistics of connections within a range of time. Parameters as in `OLDEST`.
 const CONNECTIONS: &str = "DELETE FROM connection_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
-/// Deletes windows without remaining samples, except for the last window, which may continue: ?1 link, ?2 end.
+/// Deletes the windows that ended at a time or before and have no more samples. The newest window is kept, because it
+/// may continue. ?1 link, ?2 time.
 const WINDOWS: &str = "DELETE FROM clock_window WHERE link = ?1 AND last_ns <= ?2 \
      AND id <> (SELECT max(id) FROM clock_window WHERE link = ?1) \
      AND NOT EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = clock_window.link \
@@ -43,7 +46,8 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
     ("WINDOWS", WINDOWS),
 ];
 
-/// Returns the times around pinned runs of a link's edge.
+/// Returns the times from which samples of a link are not deleted: the times of the pinned runs of the link's edge,
+/// with margins.
 pub(super) async fn pinned_times(
     connection: &mut SqliteConnection,
     link: i64,
@@ -56,7 +60,7 @@ pub(super) async fn pinned_times(
     Ok(runs.into_iter().map(with_margins).collect())
 }
 
-/// Returns whether there are samples between two times, both included.
+/// Returns whether the link has samples within a range of time.
 pub(super) async fn has_samples(
     connection: &mut SqliteConnection,
     link: i64,
@@ -67,7 +71,8 @@ pub(super) async fn has_samples(
     Ok(oldest.is_some())
 }
 
-/// Deletes samples by ascending time, at a cost of about `max_cost` rows of the table `node`.
+/// Deletes the samples within a range of time, the first sample first, at a cost of about `max_cost` rows of the table
+/// `node`.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     link: i64,
@@ -88,7 +93,7 @@ pub(super) async fn delete(
         .bind(column((max_cost / SAMPLE_COST).max(1)))
         .fetch_optional(&mut *connection)
         .await?;
-    // Samples of several windows with the same time are deleted together.
+    // Samples with the same time may belong to different windows. They are deleted together.
     let through = next_time.map_or(times.last, |next_time| (next_time - 1).max(first));
     let deletion = sqlx::query(DELETE).bind(link).bind(first).bind(through);
     let items = deletion.execute(&mut *connection).await?.rows_affected();

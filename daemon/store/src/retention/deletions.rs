@@ -1,4 +1,5 @@
-//! Incidents and log lines about deleted data. There is at most one incident per hour, whose text is updated.
+//! Incidents and log lines about deleted data. Retention creates at most one incident per hour, and updates its text at
+//! each deletion: an incident per transaction would displace all other incidents of the aggregator.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write;
@@ -11,61 +12,61 @@ use crate::incidents;
 use crate::retention_config::RetentionConfig;
 use crate::types::AggregatorIncidentKind;
 
-/// Time on the storage clock for which an incident is updated.
-const GROUP_S: i64 = 3_600;
+/// Time for which an incident is updated, seconds of the storage clock.
+const INCIDENT_PERIOD_S: i64 = 3_600;
 
 /// ?1 incident, ?2 text.
 const UPDATE: &str = "UPDATE incident SET text = ?2 WHERE id = ?1";
 
-/// Limit that made retention delete data.
+/// Reason for which retention deleted data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Cause {
-    /// The data was older than its period.
+    /// The data was older than its retention period.
     Age,
-    /// The database was larger than its limit.
+    /// The database was larger than the size limit.
     Size,
 }
 
-/// Amount of data of a run or link that a transaction deleted.
+/// Amount of data that a transaction deleted from a run or link.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Deletion {
     pub(super) cause: Cause,
     pub(super) kind: Kind,
     /// Number of a run, or id of a link.
     pub(super) owner: i64,
-    /// Number of iterations, rows of statistics, or samples.
+    /// Number of iterations, rows of statistics, or clock samples.
     pub(super) items: u64,
 }
 
-/// The incident of the current hour, and the deletions in it.
+/// The incident of the current hour, with its deletions.
 #[derive(Debug)]
 pub(super) struct Deletions {
     config: RetentionConfig,
-    group: Option<Group>,
+    current: Option<HourlyIncident>,
 }
 
-/// Contents of one incident.
+/// An incident about the deletions of one hour.
 #[derive(Debug)]
-struct Group {
-    /// Id of the incident.
-    incident: i64,
-    /// Start of the group on the storage clock, seconds.
+struct HourlyIncident {
+    /// Id of the incident in the database.
+    id: i64,
+    /// Start of the hour on the storage clock, seconds.
     from_s: i64,
-    counts: BTreeMap<(Cause, Kind), Count>,
-    /// The last text written to the log.
+    deleted: BTreeMap<(Cause, Kind), DeletedData>,
+    /// The text that was last written to the log; `None` if none was written.
     logged_text: Option<String>,
 }
 
 /// Deleted data of one cause and kind.
 #[derive(Debug, Default)]
-struct Count {
+struct DeletedData {
     items: u64,
     owners: HashSet<i64>,
 }
 
 impl Deletions {
     pub(super) const fn new(config: RetentionConfig) -> Self {
-        Self { config, group: None }
+        Self { config, current: None }
     }
 
     /// Records the deletions of this transaction in the incident.
@@ -79,57 +80,59 @@ impl Deletions {
             return Ok(());
         }
         self.finish_if_old(now_s);
-        // Taken out: if a statement fails, the transaction is rolled back and the group must not be used again.
-        let mut group = match self.group.take() {
-            Some(group) => group,
+        // The incident is taken out: if a statement fails, the transaction is rolled back, and the incident must not be
+        // used again.
+        let mut current = match self.current.take() {
+            Some(current) => current,
             None => {
                 let kind = AggregatorIncidentKind::Retention;
-                let incident = incidents::record(connection, kind, now, "").await?;
-                Group { incident, from_s: now_s, counts: BTreeMap::new(), logged_text: None }
+                let id = incidents::record(connection, kind, now, "").await?;
+                HourlyIncident { id, from_s: now_s, deleted: BTreeMap::new(), logged_text: None }
             }
         };
         for Deletion { cause, kind, owner, items } in deletions {
-            let count = group.counts.entry((*cause, *kind)).or_default();
-            count.items += items;
-            count.owners.insert(*owner);
+            let deleted = current.deleted.entry((*cause, *kind)).or_default();
+            deleted.items += items;
+            deleted.owners.insert(*owner);
         }
-        let text = group.description(&self.config);
-        sqlx::query(UPDATE).bind(group.incident).bind(text).execute(connection).await?;
-        self.group = Some(group);
+        let text = current.description(&self.config);
+        sqlx::query(UPDATE).bind(current.id).bind(text).execute(connection).await?;
+        self.current = Some(current);
         Ok(())
     }
 
     /// Forgets the incident, because the transaction was rolled back. Later deletions become another incident.
     pub(super) fn forget(&mut self) {
-        self.group = None;
+        self.current = None;
     }
 
-    /// Logs deletions while no data is to be deleted: the first deletions of an hour at once, and all deletions of the
-    /// hour at its end.
+    /// Logs deletions at a time at which nothing is to be deleted: the first deletions of an hour at once, and all
+    /// deletions of the hour at its end.
     pub(super) fn log_when_idle(&mut self, now_s: i64) {
-        if let Some(group) = &mut self.group
-            && group.logged_text.is_none()
+        if let Some(current) = &mut self.current
+            && current.logged_text.is_none()
         {
-            group.log(&self.config);
+            current.log(&self.config);
         }
         self.finish_if_old(now_s);
     }
 
-    /// Logs the deletions that were not logged yet, because no more deletions follow.
+    /// Ends the current incident, and logs its deletions that were not logged yet.
     pub(super) fn finish(&mut self) {
-        if let Some(mut group) = self.group.take() {
-            group.log(&self.config);
+        if let Some(mut current) = self.current.take() {
+            current.log(&self.config);
         }
     }
 
+    /// Ends the current incident if its hour is over.
     fn finish_if_old(&mut self, now_s: i64) {
-        if self.group.as_ref().is_some_and(|group| now_s - group.from_s >= GROUP_S) {
+        if self.current.as_ref().is_some_and(|current| now_s - current.from_s >= INCIDENT_PERIOD_S) {
             self.finish();
         }
     }
 }
 
-impl Group {
+impl HourlyIncident {
     fn log(&mut self, config: &RetentionConfig) {
         let text = self.description(config);
         // Nothing was deleted since the last line.
@@ -142,7 +145,7 @@ impl Group {
     fn description(&self, config: &RetentionConfig) -> String {
         let mut text = "deleted".to_owned();
         let mut last_cause = None;
-        for ((cause, kind), Count { items, owners }) in &self.counts {
+        for ((cause, kind), DeletedData { items, owners }) in &self.deleted {
             let separator = match last_cause {
                 None => " ",
                 Some(last_cause) if last_cause == cause => ", ",

@@ -1,11 +1,11 @@
-//! Retention: the writer's task deletes old data between its commits. It deletes a little at a time, so that no commit
-//! waits for long, and it does not examine all runs.
+//! Retention: the writer's task deletes old data between its commits. The task deletes a little at a time, so that no
+//! commit waits for long.
 //!
-//! The age of data is the time since its arrival on the storage clock. A wrong wall clock, the aggregator's or a
-//! robot's, therefore deletes no data early. The table `arrival` holds the times of arrival of each run or link and
-//! each kind of data. An index gives the row that is due next, so a step with nothing to do costs a few index lookups,
-//! at most once a second. The table `trimmed` tells readers and a rebuild up to which time data of a run is deleted.
-//! Deletions are recorded as an incident.
+//! The age of data is the time since its arrival, by the storage clock. Therefore neither a wrong wall clock of the
+//! aggregator nor a wrong wall clock of a robot makes data old. For each kind of data of each run or link, the table
+//! `arrival` holds the times of arrival. An index gives the row that is due next, so retention does not examine all
+//! runs: a step with nothing to do costs a few index lookups, at most once a second. The table `trimmed` tells readers
+//! and a rebuild up to which time data of a run is deleted. Deletions are recorded as an incident.
 
 mod arrivals;
 mod arriving;
@@ -27,30 +27,30 @@ use crate::retention_config::{RetentionConfig, period_s};
 use crate::rollups::WIDTHS_S;
 use crate::storage_clock::StorageClock;
 
-/// Approximate cost of the data that a step deletes, in rows of the table `node`. A step takes some tens of
-/// milliseconds.
+/// Approximate maximum cost of the data that one step deletes, in rows of the table `node`. Such a step takes some tens
+/// of milliseconds.
 pub(crate) const MAX_STEP_COST: u32 = 20_000;
 /// Pause after a step with nothing to do.
 const IDLE_PAUSE: Span = Span::from_seconds(1);
-/// Number of parts of a period. Data that arrives within one part is deleted together, so that a kind has few rows in
-/// the table `arrival`.
-const PARTS: i64 = 64;
-/// Length of a part for data that is kept without limit, seconds. The arrivals of such data are needed for the size
-/// limit, and for a period that may be configured later.
+/// Number of parts of a retention period. Data that arrives within one part is deleted together, so that a kind of data
+/// has few rows in the table `arrival`.
+const PARTS_PER_PERIOD: i64 = 64;
+/// Length of a part for data that is kept without limit, seconds. The arrivals of such data are recorded, too: the size
+/// limit may delete the data, and a period may be configured later.
 const UNLIMITED_RESOLUTION_S: i64 = 3_600;
-/// Maximum number of runs and of links whose arrivals one transaction converts.
+/// Maximum number of runs, and of links, whose recent arrivals one transaction converts to rows of the table `arrival`.
 const MAX_CONVERTED: u32 = 64;
 
 /// Result of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
+pub enum StepResult {
     /// Nothing remains to be deleted now.
     Done,
     /// More remains to be deleted.
     More,
 }
 
-/// Kind of data with its own period.
+/// Kind of data that has its own retention period.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Kind {
     /// Iterations with everything that belongs to them.
@@ -82,7 +82,7 @@ impl Kind {
         }
     }
 
-    /// Returns the number of days for which data of the kind is kept; 0 for no limit.
+    /// Returns the retention period of the kind in days; 0 for no limit.
     const fn days(self, config: &RetentionConfig) -> u32 {
         match self {
             Self::Nodes => config.nodes_days,
@@ -106,7 +106,7 @@ impl Kind {
         }
     }
 
-    /// Returns a description of the kind's items.
+    /// Returns the words for the data of the kind in incidents.
     const fn description(self) -> &'static str {
         match self {
             Self::Nodes => "iterations with their trees",
@@ -118,25 +118,25 @@ impl Kind {
         }
     }
 
-    /// Returns a description of the items' owner.
+    /// Returns the word for the owner of the data in incidents.
     const fn owner_description(self) -> &'static str {
         if matches!(self, Self::ClockSamples) { "link" } else { "run" }
     }
 }
 
-/// Period of each kind, seconds of the storage clock.
+/// Retention period of each kind.
 #[derive(Debug)]
 struct Periods(RetentionConfig);
 
 impl Periods {
-    /// Returns the period of a kind; `None` for no limit.
+    /// Returns the period of a kind in seconds of the storage clock; `None` for no limit.
     fn period_s(&self, kind: Kind) -> Option<i64> {
         period_s(kind.days(&self.0))
     }
 
-    /// Returns the length of a part of the period, seconds. Data that arrives within one part is deleted together.
+    /// Returns the length of one of the [`PARTS_PER_PERIOD`] parts of the kind's period, seconds.
     fn resolution_s(&self, kind: Kind) -> i64 {
-        self.period_s(kind).map_or(UNLIMITED_RESOLUTION_S, |period_s| (period_s / PARTS).max(1))
+        self.period_s(kind).map_or(UNLIMITED_RESOLUTION_S, |period_s| (period_s / PARTS_PER_PERIOD).max(1))
     }
 
     fn finest_resolution_s(&self) -> i64 {
@@ -144,14 +144,14 @@ impl Periods {
     }
 }
 
-/// Amount of deleted data of one kind of a run or link.
+/// Amount of data of one kind that was deleted from a run or link.
 #[derive(Clone, Copy, Debug, Default)]
 struct DeletedRows {
     /// Cost of the deleted rows, in rows of the table `node`.
     cost: u64,
-    /// Number of iterations, rows of statistics, or samples.
+    /// Number of iterations, rows of statistics, or clock samples.
     items: u64,
-    /// `true` if all requested data is deleted.
+    /// `true` if all data that was to be deleted is deleted.
     is_complete: bool,
 }
 
@@ -159,7 +159,7 @@ struct DeletedRows {
 #[derive(Debug)]
 pub(crate) struct Retention {
     periods: Periods,
-    /// Time of the last step, if it had nothing to do.
+    /// Time of the last step, if this step had nothing to do.
     idle_since: Option<MonoTime>,
     size: SizeLimit,
     deletions: Deletions,
@@ -175,7 +175,7 @@ impl Retention {
         }
     }
 
-    /// Deletes data in its own transaction, at a cost of at most about `max_cost` rows of the table `node`. No
+    /// Deletes data in a separate transaction, at a cost of at most about `max_cost` rows of the table `node`. No
     /// transaction may be open.
     ///
     /// # Errors
@@ -186,19 +186,19 @@ impl Retention {
         storage_clock: &mut StorageClock,
         now: Stamp,
         max_cost: u32,
-    ) -> Result<Step, sqlx::Error> {
+    ) -> Result<StepResult, sqlx::Error> {
         // After a step with nothing to do, further calls cost nothing for a while.
         if self.idle_since.is_some_and(|idle_since| now.mono - idle_since < IDLE_PAUSE) {
-            return Ok(Step::Done);
+            return Ok(StepResult::Done);
         }
         let now_s = whole_seconds(storage_clock.read(connection, now.mono).await?);
         let Some(work) = self.find_work(connection, now_s, now.mono).await? else {
             self.idle_since = Some(now.mono);
             self.deletions.log_when_idle(now_s);
-            return Ok(Step::Done);
+            return Ok(StepResult::Done);
         };
         self.idle_since = None;
-        let result = self.transaction(connection, storage_clock, work, now, max_cost.into()).await;
+        let result = self.perform_in_transaction(connection, storage_clock, work, now, max_cost.into()).await;
         match &result {
             Ok(()) => storage_clock.record_commit(now.mono),
             Err(_) => {
@@ -207,16 +207,16 @@ impl Retention {
                 raw_transaction::roll_back(connection).await?;
             }
         }
-        result.map(|()| Step::More)
+        result.map(|()| StepResult::More)
     }
 
-    /// Logs the deletions that were not logged yet, because no deletion follows soon.
+    /// Logs the deletions that were not logged yet. To be called before the aggregator stops storing.
     pub(crate) fn finish(&mut self) {
         self.deletions.finish();
     }
 
     /// Performs work in one transaction.
-    async fn transaction(
+    async fn perform_in_transaction(
         &mut self,
         connection: &mut SqliteConnection,
         storage_clock: &StorageClock,
@@ -228,12 +228,12 @@ impl Retention {
         let now_s = whole_seconds(storage_clock.advance(connection, now).await?);
         let mut deletions = Vec::new();
         self.perform(connection, work, (now_s, now), max_cost, &mut deletions).await?;
-        // This is in the same transaction: no data is deleted without a record.
+        // The incident is part of the same transaction, so that no data is deleted without a record.
         self.deletions.record(connection, &deletions, (now_s, now.wall)).await?;
         raw_transaction::commit(connection).await
     }
 
-    /// Finds the next work.
+    /// Returns the next work; `None` if there is nothing to do now.
     async fn find_work(
         &mut self,
         connection: &mut SqliteConnection,
@@ -242,7 +242,7 @@ impl Retention {
     ) -> Result<Option<Work>, sqlx::Error> {
         let since_s = now_s - self.periods.finest_resolution_s();
         // Arrivals are converted first, because only rows of the table `arrival` become due.
-        if arriving::has_arrivals(connection, since_s).await? {
+        if arriving::has_records(connection, since_s).await? {
             return Ok(Some(Work::Arriving { since_s }));
         }
         for kind in Kind::ALL {
@@ -252,7 +252,7 @@ impl Retention {
                 return Ok(Some(Work::Aged { kind, before_s: now_s - period_s }));
             }
         }
-        // The size comes last: deleting data that is due may free enough pages.
+        // The size is checked last, because the deletion of due data may free enough pages.
         Ok(self.size.is_exceeded(connection, now).await?.then_some(Work::TooLarge))
     }
 
@@ -290,12 +290,12 @@ impl Retention {
 /// Work of one transaction.
 #[derive(Debug)]
 enum Work {
-    /// Convert the records of arriving data that began at this second of the storage clock or before to rows of the
-    /// table `arrival`.
+    /// Convert the records of arriving data that began at this second of the storage clock or before. They become rows
+    /// of the table `arrival`.
     Arriving { since_s: i64 },
-    /// Delete data of this kind that had arrived by this second, which is a whole period ago.
+    /// Delete the data of this kind that arrived at this second of the storage clock or before, a whole period ago.
     Aged { kind: Kind, before_s: i64 },
-    /// Delete data because the file uses more than its limit.
+    /// Delete data because the database uses more bytes than the size limit.
     TooLarge,
 }
 

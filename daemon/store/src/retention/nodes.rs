@@ -1,4 +1,4 @@
-//! Deletion of iterations of a run, with everything that belongs to them.
+//! Deletion of a run's iterations with their nodes, transits and anchors.
 
 use sqlx::SqliteConnection;
 
@@ -6,23 +6,24 @@ use super::trimmed::record_trimmed;
 use super::{DeletedRows, Kind};
 use crate::extent::Extent;
 
-/// Number of iterations that are read together.
+/// Maximum number of iterations whose numbers are read at a time.
 const PAGE: i64 = 500;
-/// Estimated cost of an iteration before the first iterations are deleted, in rows of `node`.
+/// Estimated cost of the first iteration, in rows of `node`. For later iterations, the estimate is the cost of the
+/// iterations that were deleted last.
 const FIRST_COST_ESTIMATE: u64 = 32;
-/// Cost of an iteration without its nodes, in rows of `node`: the row is in two indexes and has rows in two more
-/// tables.
+/// Cost of deleting the row of an iteration, in rows of `node`. The row is also in two indexes.
 const ITERATION_COST: u64 = 4;
 
-/// The oldest iterations: ?1 run, ?2 and ?3 first and last number, ?4 limit.
+/// The first iterations of a range of numbers: ?1 run, ?2 and ?3 first and last number, ?4 limit.
 const OLDEST: &str = "SELECT number, started_ns FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 \
      ORDER BY number LIMIT ?4";
-/// Deletion of nodes: ?1 run, ?2 and ?3 first and last iteration. The next three statements have the same parameters.
+/// Deletes the nodes of a range of iterations: ?1 run, ?2 and ?3 number of the first and of the last iteration. The
+/// next three statements have the same parameters.
 const NODE: &str = "DELETE FROM node WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
 const TRANSIT: &str = "DELETE FROM transit WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
 const ANCHOR: &str = "DELETE FROM anchor WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
 const ITERATIONS: &str = "DELETE FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3";
-/// ?1 run, ?2 the last deleted iteration.
+/// Records the last deleted iteration of a run: ?1 run, ?2 number of this iteration.
 const NODES_FROM: &str = "UPDATE run SET nodes_from = max(nodes_from, ?2) WHERE number = ?1";
 
 #[cfg(test)]
@@ -35,7 +36,7 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
     ("NODES_FROM", NODES_FROM),
 ];
 
-/// Deletes iterations in the order of their numbers, at a cost of about `max_cost` rows of the table `node`.
+/// Deletes a range of iterations, the lowest number first, at a cost of about `max_cost` rows of the table `node`.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,

@@ -1,4 +1,4 @@
-//! The limit of the file's size.
+//! The limit of the database's size.
 
 use peernet_clock::{MonoTime, Span, WallTime};
 use sqlx::SqliteConnection;
@@ -8,34 +8,35 @@ use super::arrivals::{self, TrimResult};
 use super::deletions::{Cause, Deletion};
 use crate::column::{column, count};
 
-/// Kinds that may be deleted, in the order of their deletion. Statistics of hours and whole runs stay.
-const ORDER: [Kind; 4] = [Kind::Nodes, Kind::Buckets(1), Kind::Buckets(10), Kind::Buckets(60)];
-/// Pause after a step in which no data was left to delete.
+/// Kinds of data that may be deleted because of the size, in the order of their deletion. Clock samples and statistics
+/// of hours and whole runs are never deleted because of the size.
+const DELETION_ORDER: [Kind; 4] = [Kind::Nodes, Kind::Buckets(1), Kind::Buckets(10), Kind::Buckets(60)];
+/// Pause after a step in which no data was left that may be deleted.
 const PAUSE: Span = Span::from_seconds(60);
 
-/// Bytes in use. Free pages do not count: they are used again before the file grows.
-const USED: &str = "SELECT (page_count - freelist_count) * page_size \
+/// Number of bytes in use. Free pages do not count, because SQLite uses them again before the file grows.
+const USED_BYTES: &str = "SELECT (page_count - freelist_count) * page_size \
      FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
 
-/// The limit of the bytes that the file uses.
+/// The limit of the bytes that the database uses.
 #[derive(Debug)]
 pub(super) struct SizeLimit {
     /// The limit in bytes; 0 for none.
     limit: u64,
-    /// `true` after the log line that data is deleted because of the limit.
+    /// `true` after the log line that data is deleted because of the limit. Each of the two log lines is written once.
     is_reported: bool,
     /// `true` after the log line that no more data may be deleted.
-    is_futility_reported: bool,
-    /// Time at which no data was left to delete.
+    is_end_reported: bool,
+    /// Time at which no data was left that may be deleted.
     nothing_left_at: Option<MonoTime>,
 }
 
 impl SizeLimit {
     pub(super) const fn new(limit: u64) -> Self {
-        Self { limit, is_reported: false, is_futility_reported: false, nothing_left_at: None }
+        Self { limit, is_reported: false, is_end_reported: false, nothing_left_at: None }
     }
 
-    /// Returns whether data has to be deleted.
+    /// Returns whether data has to be deleted now.
     pub(super) async fn is_exceeded(
         &self,
         connection: &mut SqliteConnection,
@@ -45,8 +46,8 @@ impl SizeLimit {
         Ok(self.limit > 0 && !is_paused && used_bytes(connection).await? > self.limit)
     }
 
-    /// Deletes the data that arrived first, at any age, of the kinds that may be deleted and of runs that are not
-    /// pinned. Returns whether more such data may remain.
+    /// Deletes data of the first kind in [`DELETION_ORDER`] that has data in runs that are not pinned. The data that
+    /// arrived first is deleted first, at any age. Returns `false` if no such data remained.
     pub(super) async fn reduce(
         &mut self,
         connection: &mut SqliteConnection,
@@ -54,7 +55,7 @@ impl SizeLimit {
         max_cost: u64,
         deletions: &mut Vec<Deletion>,
     ) -> Result<bool, sqlx::Error> {
-        for kind in ORDER {
+        for kind in DELETION_ORDER {
             let TrimResult { cost, is_complete } =
                 arrivals::trim(connection, (kind, Cause::Size), i64::MAX, now_s, max_cost, deletions).await?;
             if cost > 0 {
@@ -70,7 +71,8 @@ impl SizeLimit {
                 record_early_deletion(connection, now, cost).await?;
                 return Ok(true);
             }
-            // Only arrivals without data were removed. Further arrivals of this kind may have data.
+            // This transaction removed only arrivals whose data was deleted already. Further arrivals of this kind may
+            // have data.
             if !is_complete {
                 return Ok(true);
             }
@@ -80,13 +82,14 @@ impl SizeLimit {
 
     /// Logs that no more data may be deleted, and pauses.
     pub(super) fn give_up(&mut self, now: MonoTime) {
-        if !self.is_futility_reported {
+        if !self.is_end_reported {
             tracing::warn!(
                 limit_bytes = self.limit,
                 "the database is above [aggregator.retention] size_limit_bytes, and no more data may be deleted: \
-                 the remaining data are pinned runs and statistics of hours and whole runs; unpin runs or raise the limit"
+                 the remaining data are pinned runs, clock samples, and statistics of hours and whole runs; unpin runs, \
+                 shorten clock_samples_days, or raise the limit"
             );
-            self.is_futility_reported = true;
+            self.is_end_reported = true;
         }
         self.nothing_left_at = Some(now);
     }
@@ -94,11 +97,11 @@ impl SizeLimit {
 
 /// Returns the bytes that the file uses, without free pages.
 async fn used_bytes(connection: &mut SqliteConnection) -> Result<u64, sqlx::Error> {
-    let bytes: i64 = sqlx::query_scalar(USED).fetch_one(connection).await?;
+    let bytes: i64 = sqlx::query_scalar(USED_BYTES).fetch_one(connection).await?;
     Ok(count(bytes))
 }
 
-/// Records the deletion for `peernetd doctor`.
+/// Records for `peernetd doctor` that data was deleted before the end of its retention period.
 async fn record_early_deletion(
     connection: &mut SqliteConnection,
     now: WallTime,

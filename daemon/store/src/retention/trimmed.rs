@@ -1,11 +1,11 @@
-//! The table `trimmed`: for each run and kind of data, the time before which data is incomplete, because some
-//! was deleted. Readers and a rebuild use it.
+//! The table `trimmed`. For each run and kind of data, the table has the time before which data is incomplete, because
+//! retention deleted some of it. Queries and a rebuild read this table.
 
 use sqlx::SqliteConnection;
 
 use super::Kind;
 
-/// ?1 run, ?2 kind, ?3 second.
+/// Inserts or advances the time of a run and kind: ?1 run, ?2 kind, ?3 second.
 const TRIMMED: &str = "INSERT INTO trimmed (run, kind, before_s) VALUES (?1, ?2, ?3) \
      ON CONFLICT DO UPDATE SET before_s = max(before_s, excluded.before_s)";
 

@@ -6,20 +6,20 @@ use sqlx::SqliteConnection;
 
 use super::packed::PackedSummary;
 use super::table::{self, RollupRow};
-use super::{Addition, Series, WHOLE_RUN, WIDTHS_S, bucket};
+use super::{Addition, SeriesKey, WHOLE_RUN, WIDTHS_S, bucket};
 
-/// Number of buckets of a width that are kept. More than one is kept, because iterations may end in another order than
-/// they started.
-const KEPT_BUCKETS: usize = 2;
+/// Number of buckets of a width that are kept in memory. One bucket is not enough, because iterations may end in
+/// another order than they started.
+const CACHED_BUCKETS: usize = 2;
 /// Approximate memory of a run in addition to its rows, bytes.
 const OVERHEAD: usize = 512;
 
 /// Buckets of one width.
 #[derive(Debug)]
-struct Width {
-    /// All rows of each bucket, sorted by series. A bucket in this map is complete.
-    buckets: BTreeMap<i64, Vec<(Series, PackedSummary)>>,
-    /// Every bucket of the database that starts at this second or later is in `buckets`.
+struct WidthBuckets {
+    /// The rows of each bucket in memory, sorted by series. The map contains either all rows of a bucket or none.
+    buckets: BTreeMap<i64, Vec<(SeriesKey, PackedSummary)>>,
+    /// Every stored bucket that starts at this second or later is in `buckets`, so no rows are read for these buckets.
     complete_from_s: i64,
 }
 
@@ -28,22 +28,22 @@ struct Width {
 pub(super) struct GrowingBuckets {
     run: i64,
     /// In the order of [`WIDTHS_S`], then the whole run.
-    widths: [Width; WIDTHS_S.len() + 1],
+    widths: [WidthBuckets; WIDTHS_S.len() + 1],
     /// Approximate memory of this value.
     bytes: usize,
     /// Number of the transaction that last wrote this run.
-    transaction: u64,
+    last_transaction: u64,
 }
 
 impl GrowingBuckets {
-    /// Reads the newest bucket of each width, but no rows.
+    /// Reads the start of the newest bucket of each width, but no rows.
     pub(super) async fn read(connection: &mut SqliteConnection, run: i64) -> Result<Self, sqlx::Error> {
         let newest = table::newest_buckets(connection, run).await?;
-        let widths = newest.map(|newest| Width {
+        let widths = newest.map(|newest| WidthBuckets {
             buckets: BTreeMap::new(),
             complete_from_s: newest.map_or(i64::MIN, |newest| newest.saturating_add(1)),
         });
-        Ok(Self { run, widths, bytes: OVERHEAD, transaction: 0 })
+        Ok(Self { run, widths, bytes: OVERHEAD, last_transaction: 0 })
     }
 
     pub(super) const fn bytes(&self) -> usize {
@@ -52,10 +52,10 @@ impl GrowingBuckets {
 
     /// Returns the number of the transaction that last wrote this run.
     pub(super) const fn last_transaction(&self) -> u64 {
-        self.transaction
+        self.last_transaction
     }
 
-    /// Adds to the buckets of a width, and appends the changed rows to `rows`.
+    /// Adds values to the buckets of a width, and appends the changed rows to `rows`.
     pub(super) async fn add(
         &mut self,
         connection: &mut SqliteConnection,
@@ -63,7 +63,7 @@ impl GrowingBuckets {
         additions: &[Addition],
         rows: &mut Vec<RollupRow>,
     ) -> Result<(), sqlx::Error> {
-        // The whole run is not among the widths in seconds. It has the last place.
+        // `WHOLE_RUN` is not in `WIDTHS_S`. Its entry is the last one in `widths`.
         let index = WIDTHS_S.iter().position(|other| *other == width_s).unwrap_or(WIDTHS_S.len());
         let width = &mut self.widths[index];
         let mut missing_buckets: Vec<i64> = additions
@@ -97,11 +97,12 @@ impl GrowingBuckets {
         Ok(())
     }
 
-    /// Removes all but the newest buckets of each width.
+    /// Removes all buckets from memory except the newest buckets of each width, and records the transaction that wrote
+    /// this run.
     pub(super) fn shrink(&mut self, transaction: u64) {
-        self.transaction = transaction;
+        self.last_transaction = transaction;
         for width in &mut self.widths {
-            while width.buckets.len() > KEPT_BUCKETS
+            while width.buckets.len() > CACHED_BUCKETS
                 && let Some((bucket_s, _)) = width.buckets.pop_first()
             {
                 width.complete_from_s = width.complete_from_s.max(bucket_s.saturating_add(1));

@@ -1,7 +1,8 @@
 //! Roll-ups: statistics that are updated in the same transaction in which nodes are stored.
 //!
-//! They are moments and sketches in buckets of 1 s, 10 s, 1 min, 1 h and the whole run, by the iteration's start. Their
-//! key is run, width, bucket, name, so that a commit appends rows and a page reads one range of rows.
+//! A roll-up has the moments and the sketch of the values in one bucket. Buckets are 1 s, 10 s, 1 min or 1 h wide, or
+//! cover the whole run; a value belongs to the bucket in which its iteration started. The key of the table is run,
+//! width, bucket, name, quantity, so that a commit appends rows and a page reads one range of rows.
 //!
 //! With a thousand agents the cost per row matters, because each agent changes a bucket of every width and name in each
 //! commit. Four measures keep this cost low: the values of a commit are summed up before rows are changed; no rows are
@@ -27,10 +28,11 @@ use self::table::Upserts;
 
 /// Widths of the buckets in seconds, finest first.
 pub(crate) const WIDTHS_S: [i64; 4] = [1, 10, 60, 3600];
-/// Width that stands for the whole run.
+/// WidthBuckets that stands for the whole run.
 pub(crate) const WHOLE_RUN: i64 = 0;
-/// Maximum memory for growing buckets, bytes. Beyond it, the buckets of the runs that were written least recently are
-/// removed and read again when needed. It is enough for some thousand runs with usual trees.
+/// Maximum memory for growing buckets, bytes. Above this limit, the buckets of the runs that were written least
+/// recently are removed from memory; they are read again when needed. The limit is enough for some thousand runs with
+/// usual trees.
 const MAX_CACHE_BYTES: usize = 96 << 20;
 
 /// Quantity of a node of which statistics are made.
@@ -51,7 +53,7 @@ impl Quantity {
     /// Number of quantities.
     pub(crate) const COUNT: usize = 4;
 
-    /// Returns the quantity with a number of the table `quantity`.
+    /// Returns the quantity that has this number in the table `quantity`.
     pub(crate) const fn from_number(number: i64) -> Option<Self> {
         match number {
             0 => Some(Self::Value),
@@ -62,8 +64,8 @@ impl Quantity {
         }
     }
 
-    /// Returns whether buckets of this width have the quantity.
-    const fn is_kept(self, width_s: i64) -> bool {
+    /// Returns whether the quantity is stored in buckets of this width.
+    const fn is_stored_in(self, width_s: i64) -> bool {
         match self {
             Self::Value | Self::HalfWidth => true,
             // Only medians over whole runs have an interval, and each further row costs time in every commit.
@@ -72,11 +74,11 @@ impl Quantity {
     }
 }
 
-/// Name and quantity whose values have one summary within a bucket.
-type Series = (i64, Quantity);
+/// Id of a name, and quantity. All values with the same key within a bucket have one summary.
+type SeriesKey = (i64, Quantity);
 
 /// Addition to a bucket: series, the bucket's start, values.
-type Addition = (Series, i64, Arc<Summary>);
+type Addition = (SeriesKey, i64, Arc<Summary>);
 
 /// Returns the start of the bucket of a width that contains a second.
 pub(crate) const fn bucket(second_s: i64, width_s: i64) -> i64 {
@@ -87,14 +89,14 @@ pub(crate) const fn bucket(second_s: i64, width_s: i64) -> i64 {
 #[derive(Debug, Default)]
 pub(crate) struct Rollups {
     /// Additions of the current transaction, by run, second and series.
-    pending: HashMap<(i64, i64, Series), Summary>,
+    pending: HashMap<(i64, i64, SeriesKey), Summary>,
     /// Number of delays of the current transaction, by run, name and verdict.
     verdicts: HashMap<(i64, i64, u8), i64>,
     /// Buckets by run, as in the database after the current transaction.
     growing: HashMap<i64, GrowingBuckets>,
-    /// Memory of all of `growing`, bytes.
+    /// Memory of `growing`, bytes.
     bytes: usize,
-    /// Number of transactions, to find the run that was written least recently.
+    /// Number of the current transaction; it shows which run was written least recently.
     transaction: u64,
     upserts: Upserts,
     scope: Scope,
@@ -123,12 +125,12 @@ impl Scope {
 }
 
 impl Rollups {
-    /// Makes roll-ups that write only the buckets of `scope`.
+    /// Creates empty roll-ups that write only the buckets of `scope`.
     pub(crate) fn with_scope(scope: Scope) -> Self {
         Self { scope, ..Self::default() }
     }
 
-    /// Adds values of a name from iterations of a run that began in one second.
+    /// Adds values of a name. All values are from iterations of one run that started in the same second, `second_s`.
     pub(crate) fn merge(
         &mut self,
         run: i64,
@@ -148,7 +150,7 @@ impl Rollups {
         }
     }
 
-    /// Adds `count` delays with this verdict.
+    /// Adds `count` delays of a run and a name that have this verdict.
     pub(crate) fn add_verdicts(&mut self, run: i64, name: i64, verdict: u8, count: u64) {
         *self.verdicts.entry((run, name, verdict)).or_default() += count.cast_signed();
     }
@@ -183,7 +185,7 @@ impl Rollups {
             for width_s in WIDTHS_S.into_iter().chain([WHOLE_RUN]) {
                 additions = merge_into_width(&additions, width_s);
                 let is_covered = |((_, quantity), bucket_s, _): &&Addition| {
-                    quantity.is_kept(width_s) && self.scope.covers(width_s, *bucket_s)
+                    quantity.is_stored_in(width_s) && self.scope.covers(width_s, *bucket_s)
                 };
                 let covered: Vec<Addition> = additions.iter().filter(is_covered).cloned().collect();
                 growing.add(connection, width_s, &covered, &mut rows).await?;
@@ -195,10 +197,10 @@ impl Rollups {
             self.bytes += growing.bytes();
             self.growing.insert(*run, growing);
         }
-        self.upserts.rollups(connection, rows).await?;
+        self.upserts.write_rollups(connection, rows).await?;
         let mut verdicts: Vec<_> = self.verdicts.drain().collect();
         verdicts.sort_unstable();
-        self.upserts.verdicts(connection, &verdicts).await?;
+        self.upserts.write_verdicts(connection, &verdicts).await?;
         self.evict(MAX_CACHE_BYTES);
         Ok(())
     }
@@ -211,8 +213,8 @@ impl Rollups {
         self.bytes = 0;
     }
 
-    /// If the buckets take more than `max_bytes` of memory, removes the runs that were written least recently, until
-    /// the memory is a tenth below the limit.
+    /// If the growing buckets take more than `max_bytes` of memory, removes the runs that were written least recently,
+    /// until the memory is a tenth below `max_bytes`.
     fn evict(&mut self, max_bytes: usize) {
         if self.bytes <= max_bytes {
             return;
@@ -224,7 +226,7 @@ impl Rollups {
             .collect();
         by_age.sort_unstable();
         for (_, run, bytes) in by_age {
-            // Some room is left, so that not every transaction has to sort the runs.
+            // The limit is undercut by a tenth, so that not every transaction has to sort the runs.
             if self.bytes <= max_bytes - max_bytes / 10 {
                 break;
             }
@@ -239,7 +241,7 @@ impl Rollups {
         self.bytes
     }
 
-    /// Removes runs from memory until at most `bytes` remain.
+    /// Removes runs from memory if their buckets take more than `bytes`.
     #[cfg(test)]
     pub(crate) fn shrink_to(&mut self, bytes: usize) {
         self.evict(bytes);

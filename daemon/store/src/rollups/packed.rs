@@ -2,9 +2,9 @@
 
 use peernet_statistics::{Moments, Sketch, Summary};
 
-use super::Series;
+use super::SeriesKey;
 
-/// A summary in its stored form, which is far smaller than [`Summary`].
+/// A summary in its stored form, which takes far less memory than [`Summary`].
 #[derive(Clone, Debug)]
 pub(super) struct PackedSummary {
     pub(super) moments: Moments,
@@ -28,6 +28,6 @@ impl PackedSummary {
 
     /// Returns the approximate memory of the summary in a bucket, bytes.
     pub(super) fn bytes(&self) -> usize {
-        size_of::<(Series, Self)>() + self.sketch.capacity()
+        size_of::<(SeriesKey, Self)>() + self.sketch.capacity()
     }
 }

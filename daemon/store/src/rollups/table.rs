@@ -4,7 +4,7 @@ use peernet_statistics::{Moments, Sketch, Summary};
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
 use super::packed::PackedSummary;
-use super::{Quantity, Series, WHOLE_RUN, WIDTHS_S};
+use super::{Quantity, SeriesKey, WHOLE_RUN, WIDTHS_S};
 use crate::insert::Insert;
 
 /// A row of `rollup`.
@@ -26,12 +26,13 @@ pub(crate) struct RollupRow {
 impl RollupRow {
     pub(super) fn new(
         (run, resolution_s, bucket_s): (i64, i64, i64),
-        (name, quantity): Series,
+        (name, quantity): SeriesKey,
         packed: PackedSummary,
     ) -> Self {
         let Moments { count, mean, m2, min, max } = packed.moments;
-        // An earlier version accepted numbers close to infinity, from which NaN may result. The table rejects NaN, but
-        // later values must not be refused because of it. Such a row has an infinite mean until a rebuild.
+        // An earlier version accepted numbers close to infinity, from which NaN may result. The table rejects NaN, so
+        // NaN is replaced: a bad value must not prevent that later values are stored. Such a row has an infinite mean
+        // until the roll-ups are rebuilt.
         let without_nan = |number: f64| if number.is_nan() { f64::INFINITY } else { number };
         let (mean, m2) = (without_nan(mean), without_nan(m2));
         Self {
@@ -57,7 +58,7 @@ impl RollupRow {
     /// Returns the quantity.
     ///
     /// # Errors
-    /// If the number is in no version's table `quantity`.
+    /// If no quantity has the stored number.
     pub(crate) fn quantity(&self) -> Result<Quantity, sqlx::Error> {
         let unknown = || sqlx::Error::Decode(format!("quantity {} of a roll-up", self.quantity).into());
         Quantity::from_number(self.quantity).ok_or_else(unknown)
@@ -68,7 +69,7 @@ impl RollupRow {
         Moments { count: count.unsigned_abs(), mean, m2, min, max }
     }
 
-    pub(super) fn into_parts(self) -> Result<(i64, Series, PackedSummary), sqlx::Error> {
+    pub(super) fn into_parts(self) -> Result<(i64, SeriesKey, PackedSummary), sqlx::Error> {
         let series = (self.name, self.quantity()?);
         let moments = self.moments();
         Ok((self.bucket_s, series, PackedSummary { moments, sketch: self.sketch }))
@@ -81,7 +82,7 @@ impl RollupRow {
     }
 }
 
-/// Statements that write both tables.
+/// Statements that write the tables `rollup` and `verdict_count`.
 #[derive(Debug)]
 pub(super) struct Upserts {
     rollups: Insert,
@@ -109,7 +110,7 @@ impl Default for Upserts {
 
 impl Upserts {
     /// Writes rows, and replaces existing rows with the same keys.
-    pub(super) async fn rollups(
+    pub(super) async fn write_rollups(
         &self,
         connection: &mut SqliteConnection,
         rows: Vec<RollupRow>,
@@ -132,7 +133,7 @@ impl Upserts {
     }
 
     /// Adds to the counts of verdicts.
-    pub(super) async fn verdicts(
+    pub(super) async fn write_verdicts(
         &self,
         connection: &mut SqliteConnection,
         counts: &[((i64, i64, u8), i64)],
@@ -148,14 +149,14 @@ impl Upserts {
     }
 }
 
-/// Newest bucket of each width: ?1 run.
+/// Start of the newest bucket of each width, and of the whole run: ?1 run.
 const NEWEST: &str = "SELECT (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 1), \
      (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 10), \
      (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60), \
      (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 3600), \
      (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 0)";
 
-/// Returns the newest bucket of each width, and of the whole run.
+/// Returns the start of the newest bucket of each width, and of the whole run.
 pub(super) async fn newest_buckets(
     connection: &mut SqliteConnection,
     run: i64,
@@ -170,7 +171,7 @@ const BUCKETS: &str = "SELECT run, resolution_s, bucket_s, name, quantity, count
      FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s IN (SELECT value FROM json_each(?3)) \
      ORDER BY bucket_s, name, quantity";
 
-/// Returns all rows of some buckets, in the order of the table.
+/// Returns all rows of the buckets with these starts, in the order of the table.
 pub(super) async fn read_buckets(
     connection: &mut SqliteConnection,
     run: i64,

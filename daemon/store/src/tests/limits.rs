@@ -34,7 +34,7 @@ async fn endless_query_is_stopped_while_writer_commits() {
     let endless = sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&pool);
     // The writer finishes while the query runs. The query would never end.
     let (endless, _) = tokio::join!(endless, test_store.store_run(50));
-    let error = endless.map_err(readers.failed("everything")).expect_err("it has no end");
+    let error = endless.map_err(readers.error_for("everything")).expect_err("it has no end");
     assert!(matches!(error, StoreError::TooLong { what: "everything", .. }), "{error}");
     assert!(error.to_string().contains("longer than the 0.1 s of [aggregator] question_limit_ms"), "{error}");
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 50);

@@ -158,15 +158,15 @@ async fn ranks_neighbours_and_experiments_use_their_indexes() {
     let test_store = TestStore::new().await;
     for (statement, index) in [
         (
-            sql::SLOWER,
+            sql::SLOWER_COUNT,
             "USING COVERING INDEX iteration_by_total (run=? AND warm_up=? AND outcome=? AND total>?)",
         ),
         (
-            sql::ONE_SLOWER,
+            sql::NEXT_SLOWER,
             "USING COVERING INDEX iteration_by_total (run=? AND warm_up=? AND outcome=? AND (total,number)>(?,?))",
         ),
         (
-            sql::ONE_FASTER,
+            sql::NEXT_FASTER,
             "USING COVERING INDEX iteration_by_total (run=? AND warm_up=? AND outcome=? AND (total,number)<(?,?))",
         ),
         (sql::RUNS_OF_EXPERIMENT, "USING INDEX run_of_experiment (<expr>=?)"),

@@ -11,7 +11,7 @@ use super::rollups::{assert_same, table};
 use super::{NOW, TestStore};
 use crate::maintenance::{Examination, examine};
 use crate::rebuild::rebuild;
-use crate::retention::{Retention, Step, pin};
+use crate::retention::{Retention, StepResult, pin};
 use crate::retention_config::RetentionConfig;
 use crate::storage_clock::StorageClock;
 use crate::types::{IncidentFilter, IterationFilter};
@@ -54,7 +54,7 @@ pub(super) async fn set_storage_clock(connection: &mut SqliteConnection, at: Wal
 }
 
 /// Makes one step of retention when the storage clock shows `at`. The aggregator's wall clock stands still.
-pub(super) async fn step(retention: &mut Retention, connection: &mut SqliteConnection, at: WallTime) -> Step {
+pub(super) async fn step(retention: &mut Retention, connection: &mut SqliteConnection, at: WallTime) -> StepResult {
     set_storage_clock(connection, at).await;
     // A new `StorageClock` has not advanced in this process, so its reading is the stored one.
     let mono = MonoTime::from_nanos((at - generate::at(0.0)).nanos());
@@ -74,7 +74,7 @@ pub(super) async fn run_until_done(
     // Retention that had nothing to do looks for work again only after a second.
     let now = now + Span::from_seconds(2);
     for steps in 0..10_000 {
-        if step(retention, connection, now).await == Step::Done {
+        if step(retention, connection, now).await == StepResult::Done {
             return steps;
         }
     }
@@ -286,7 +286,7 @@ async fn step_is_bounded_and_idle_step_writes_nothing() {
     let rows = "SELECT (SELECT count(*) FROM node) + (SELECT count(*) FROM rollup)";
     let mut remaining = test_store.count(rows).await;
     let mut steps = 0;
-    while step(&mut retention, &mut connection, day(5.0)).await == Step::More {
+    while step(&mut retention, &mut connection, day(5.0)).await == StepResult::More {
         let now = test_store.count(rows).await;
         assert!(remaining - now <= 400, "{remaining} {now}");
         remaining = now;
@@ -304,7 +304,7 @@ async fn step_is_bounded_and_idle_step_writes_nothing() {
         let mono = MonoTime::from_nanos(0) + Span::from_seconds(seconds);
         let stamp = Stamp { wall: NOW, mono, ..Stamp::default() };
         let done = retention.step(&mut connection, &mut clock, stamp, 300).await.expect("steps");
-        assert_eq!(done, Step::Done);
+        assert_eq!(done, StepResult::Done);
     }
     assert_eq!(version().await, version_before);
 }

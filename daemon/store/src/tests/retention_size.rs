@@ -10,7 +10,7 @@ use super::generate::{self, Numbers, at};
 use super::retention::{
     day, iterations, run_until_done, step, store_arrival, store_two_runs, unlimited_retention,
 };
-use crate::retention::{Retention, Step};
+use crate::retention::{Retention, StepResult};
 use crate::retention_config::RetentionConfig;
 use crate::types::IncidentFilter;
 
@@ -135,7 +135,7 @@ async fn overlapping_runs_are_trimmed_in_turns() {
     // Data that arrives within an hour is deleted together. A bucket is deleted as a whole.
     let tolerance_s = |kind: i64| 2 * 3_600 + 60 + kind;
     let mut states_with_two_partial_runs = 0;
-    while step(&mut retention, &mut connection, at(20.0 * 3_600.0)).await == Step::More {
+    while step(&mut retention, &mut connection, at(20.0 * 3_600.0)).await == StepResult::More {
         for (kind, runs) in trimming_state(&test_store).await {
             let deleted_before_s =
                 runs.iter().map(|(_, deleted_before_s)| *deleted_before_s).max().expect("there are runs");

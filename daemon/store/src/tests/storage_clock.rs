@@ -4,7 +4,7 @@ use peernet_clock::{Span, Stamp};
 use sqlx::Connection;
 
 use super::{NOW, STAMP, TestStore, database, generate, hello, open};
-use crate::retention::Step;
+use crate::retention::StepResult;
 use crate::types::{AggregatorIncidentKind, IncidentFilter};
 use crate::write::{PendingIncidents, Writer};
 use crate::{IncidentRow, RetentionConfig};
@@ -142,7 +142,7 @@ async fn data_is_deleted_after_period_on_storage_clock() {
         for minute in minutes {
             // The wall clock runs a thousand times too fast, which must not make data older.
             let stamp = Stamp { wall: NOW + Span::from_seconds(60_000 * minute), ..stamp_after(60 * minute) };
-            while test_store.writer.retain(stamp).await.expect("steps") == Step::More {}
+            while test_store.writer.retain(stamp).await.expect("steps") == StepResult::More {}
             test_store.writer.store_clock_readings(stamp, &mut pending).await.expect("stores");
         }
     };

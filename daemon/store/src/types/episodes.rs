@@ -7,7 +7,7 @@ use peernet_clock::WallTime;
 /// deleted, or that never reached the store, have no times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Episodes {
-    /// Start of the first iteration, if it is still stored.
+    /// Start of the run's first iteration, if this iteration is still stored.
     pub first: Option<WallTime>,
     /// Number of started episodes: 1 for a run that is not divided into episodes, 0 without iterations.
     pub count: u64,
@@ -16,24 +16,24 @@ pub struct Episodes {
     pub steps: Option<u64>,
     /// Starts of all episodes except the first. Empty if there are more than [`Episodes::MAX_BORDERS`].
     pub borders: Vec<WallTime>,
-    /// Periods of warm-up, at the start of the run and of each episode in `borders`: the start of the first iteration,
-    /// and that of the next iteration that is not warm-up, or of the last iteration. Periods whose beginning or end is
-    /// not stored are left out.
+    /// Periods of warm-up at the start of the run and of each episode in `borders`. A period begins with the first
+    /// iteration of the episode. It ends with the start of the next iteration that is not warm-up or, if there is none,
+    /// with the start of the last iteration. Periods whose beginning or end is not stored are left out.
     pub warm_up: Vec<(WallTime, WallTime)>,
-    /// Starts of failed iterations, including the warm-up. If there are more than [`Episodes::MAX_FAILED`], the
-    /// run is divided into this number of parts, and the list has the first such start of each part.
+    /// Starts of failed iterations, including the warm-up. If there are more than [`Episodes::MAX_FAILED`] failed
+    /// iterations, the run is divided into this number of parts, and the list has the first failed iteration of each
+    /// part.
     pub failed_starts: Vec<WallTime>,
-    /// Number of stored failed iterations. At most one more than [`Episodes::MAX_COUNTED`], which means "more than
-    /// that".
+    /// Number of stored failed iterations. One more than [`Episodes::MAX_COUNTED`] means "more than `MAX_COUNTED`".
     pub failed_count: u64,
 }
 
 impl Episodes {
     /// Maximum number of borders that are read, because a chart shows no more.
     pub const MAX_BORDERS: u32 = MAX_EPISODE_BORDERS;
-    /// Maximum number of failed iterations in a chart. More could not be distinguished.
+    /// Maximum number of failed iterations that a chart marks. A reader could not distinguish more marks.
     pub const MAX_FAILED: usize = 300;
-    /// Limit of the count of failed iterations, which bounds the time of the query in a run in which every iteration
-    /// failed.
+    /// Number up to which failed iterations are counted. It limits the time of the query for a run in which every
+    /// iteration failed.
     pub const MAX_COUNTED: u64 = 10_000;
 }

@@ -1,4 +1,4 @@
-//! Experiments, and the values of runs over time that are needed to compare and judge runs.
+//! Experiments, and values of runs over time, from which runs are compared and judged.
 
 use peernet_analysis::run_selection::{Candidate, Repeat, RunState};
 use peernet_clock::{Span, WallTime};
@@ -15,7 +15,7 @@ pub struct ExperimentSummary {
     pub id: String,
     /// Name in the experiment's file.
     pub name: String,
-    /// Number of runs that started.
+    /// Number of runs that have started.
     pub runs: u64,
     /// Number of runs that have not ended.
     pub open: u64,
@@ -51,9 +51,9 @@ pub struct StageBuckets {
     pub stage: Name,
     /// Unit of the values.
     pub unit: String,
-    /// Buckets that have samples, oldest first.
+    /// Summaries of the buckets that have values, oldest first.
     pub buckets: Vec<Summary>,
-    /// Start of each bucket.
+    /// Start of each bucket in `buckets`.
     pub bucket_starts: Vec<WallTime>,
     /// Width of a bucket.
     pub bucket_width: Span,
@@ -64,17 +64,17 @@ pub struct StageBuckets {
 pub struct StageMeans {
     /// The node's name.
     pub stage: Name,
-    /// Buckets that have samples, oldest first.
+    /// Buckets that have values, oldest first.
     pub buckets: Vec<MeanBucket>,
 }
 
-/// Summary of one bucket without its sketch.
+/// Number and mean of the values in one bucket.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeanBucket {
     /// Start of the bucket, on the edge's wall clock; a multiple of the bucket's width.
     pub at: WallTime,
-    /// Number of samples.
+    /// Number of values.
     pub count: u64,
-    /// Mean of the samples.
+    /// Mean of the values.
     pub mean: f64,
 }

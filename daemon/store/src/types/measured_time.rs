@@ -1,4 +1,4 @@
-//! Times in which a run measured, and what it measured within a time.
+//! The time in which a run measured, and the values that it measured within a period.
 
 use peernet_clock::WallTime;
 use peernet_statistics::Summary;
@@ -11,13 +11,13 @@ pub struct MeasuredTime {
     pub first: WallTime,
     /// Start of the last of these iterations.
     pub last: WallTime,
-    /// Resolution of both times and of [`Store::measured_within`](crate::Store::measured_within), seconds; 0 if single
-    /// iterations are stored. Retention deletes single iterations first, and then the buckets of seconds. The run
-    /// measured at least from `first` to `last`.
+    /// Resolution of both times and of [`Store::measured_within`](crate::Store::measured_within), seconds. It is 0
+    /// while all iterations of the run are stored. Otherwise `first` is rounded up and `last` is rounded down, so the
+    /// run measured at least from `first` to `last`.
     pub resolution_s: u32,
 }
 
-/// Iterations of a run that started within a time: only successful iterations after the warm-up.
+/// Iterations of a run that started within a period; only successful iterations after the warm-up.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MeasuredWithin {
     /// Number of the iterations.

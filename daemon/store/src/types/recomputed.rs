@@ -6,8 +6,8 @@ use serde::Serialize;
 
 use crate::quantity_statistics::QuantityStatistics;
 
-/// The one-way delays of a run: as they were judged during the run, and as they are judged from all exchanges,
-/// including exchanges after the delays. The recorded stamps stay unchanged.
+/// The one-way delays of a run, as the agent judged them during the run, and as the store judges them from all
+/// exchanges, including exchanges after the delays. The stored stamps stay unchanged.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RecomputedDelays {
     /// The number of the run.
@@ -16,10 +16,10 @@ pub struct RecomputedDelays {
     pub samples: u64,
     /// Clocks by whose stamps delays were judged again; empty if all delays keep their first judgement.
     ///
-    /// Delays of runs that were recorded before free-running clocks were stamped are judged by wall clocks, whose steps
-    /// and slews affect these delays.
+    /// Earlier versions stamped only wall clocks. The delays of their runs are judged by wall clocks, whose steps and
+    /// slews affect these delays.
     pub clocks: Vec<RelatedClocks>,
-    /// `upload` and `download`.
+    /// The delays of `upload` and of `download`; a direction without delays is absent.
     pub stages: Vec<RecomputedStage>,
 }
 

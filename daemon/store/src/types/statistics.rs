@@ -10,7 +10,7 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::Summary;
 use serde::Serialize;
 
-use crate::quantity_statistics::{DelayAccuracy, QuantityStatistics, rank};
+use crate::quantity_statistics::{DelayAccuracy, QuantityStatistics, table_order};
 
 /// Statistics of one node name over whole runs; successful iterations only, without the warm-up.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -23,8 +23,8 @@ pub struct StageStatistics {
     pub is_stage: bool,
     /// Statistics of the values.
     pub statistics: QuantityStatistics,
-    /// Share of the nodes with this name in the mean of `total`, 0 to 1; `None` if they measure no duration. An unknown
-    /// delay counts as the mean of the known delays. The share of a child is also part of its parent's share.
+    /// Share of the nodes with this name in the mean of `total`, 0 to 1; `None` if the nodes measure no duration. An
+    /// unknown delay counts as the mean of the known delays. The share of a child is also part of its parent's share.
     pub share: Option<f64>,
     /// Accuracy of one-way delays; `None` for other names.
     pub bound: Option<DelayAccuracy>,
@@ -38,12 +38,13 @@ pub struct RunStatistics {
     /// Accuracy of the one-way delays: `upload`, `download`. A direction is present even if none of its delays has a
     /// value; `stages` then lacks the name.
     pub bounds: Vec<DelayAccuracy>,
-    /// The mergeable sums from which `stages` and `bounds` were made.
+    /// The mergeable statistics from which `stages` and `bounds` were made.
     pub mergeable: Arc<MergeableStatistics>,
 }
 
 impl RunStatistics {
-    /// Combines several runs as if they were one: counts, means and deviations are exact, quantiles within 1 %.
+    /// Returns the statistics of several runs together, as if they were one run: counts, means and deviations are
+    /// exact, quantiles within 1 %.
     pub fn merged(runs: &[Self]) -> Self {
         if let [only] = runs {
             return only.clone();
@@ -53,7 +54,7 @@ impl RunStatistics {
         Self::from(sum)
     }
 
-    /// Returns the sums of bytes sent and of their delays.
+    /// Returns how many bytes were sent, and how long they took.
     pub fn transfers(&self) -> Transfers {
         Transfers::from_statistics(|name| {
             let stage = self.stages.iter().find(|stage| stage.stage == *name)?;
@@ -68,8 +69,8 @@ impl From<MergeableStatistics> for RunStatistics {
     }
 }
 
-/// Mergeable statistics of runs: counts, values, widths of intervals. Merged statistics are the same as if all values
-/// had been added to one.
+/// Statistics of runs that can be merged: values, widths and ends of intervals, verdicts. Merged statistics are the
+/// same as if all values had been added to one `MergeableStatistics`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MergeableStatistics {
     values: HashMap<Name, NameSummary>,
@@ -114,7 +115,8 @@ impl MergeableStatistics {
         self.ends.get(name)
     }
 
-    /// Adds values of a node name. If nodes with this name have several kinds of measure, their values are merged.
+    /// Adds values of a node name. If nodes with this name have several kinds of measure, the values of all kinds are
+    /// merged.
     pub fn add(&mut self, name: Name, unit: &str, values: &Summary) {
         self.values.entry(name).or_insert_with(|| NameSummary::with_unit(unit)).summary.merge(values);
     }
@@ -173,7 +175,7 @@ impl MergeableStatistics {
             })
         });
         let mut stages: Vec<StageStatistics> = stages.collect();
-        stages.sort_by(|a, b| rank(&a.stage).cmp(&rank(&b.stage)));
+        stages.sort_by(|a, b| table_order(&a.stage).cmp(&table_order(&b.stage)));
         stages
     }
 
@@ -181,7 +183,7 @@ impl MergeableStatistics {
         let without_verdicts = self.half_widths.keys().filter(|name| !self.verdicts.contains_key(*name));
         let mut bounds: Vec<DelayAccuracy> =
             self.verdicts.keys().chain(without_verdicts).filter_map(|name| self.bound(name)).collect();
-        bounds.sort_by(|a, b| rank(&a.stage).cmp(&rank(&b.stage)));
+        bounds.sort_by(|a, b| table_order(&a.stage).cmp(&table_order(&b.stage)));
         bounds
     }
 
@@ -218,35 +220,39 @@ mod tests {
     }
 
     #[test]
-    fn merged_runs_equal_one_run_of_all_samples() {
+    fn merged_runs_equal_one_run_of_all_values() {
         let all: Vec<f64> = (0..400).map(|n| 0.01 + f64::from(n % 13) * 1e-3).collect();
-        let part = |values: &[f64], verdict| run(values.iter().copied(), verdict);
-        let parts = [part(&all[..150], Verdict::Stale), part(&all[150..], Verdict::Ok)];
-        let (whole, parts) = (part(&all, Verdict::Ok), RunStatistics::merged(&parts));
-        let names: Vec<&Name> = parts.stages.iter().map(|stage| &stage.stage).collect();
+        let run_of = |values: &[f64], verdict| run(values.iter().copied(), verdict);
+        let runs = [run_of(&all[..150], Verdict::Stale), run_of(&all[150..], Verdict::Ok)];
+        let (one_run, merged_runs) = (run_of(&all, Verdict::Ok), RunStatistics::merged(&runs));
+        let names: Vec<&Name> = merged_runs.stages.iter().map(|stage| &stage.stage).collect();
         assert_eq!(names, [&stage::UPLOAD, &stage::TOTAL]);
-        let (single, merged) = (whole.stages[1].statistics, parts.stages[1].statistics);
+        let (single, merged) = (one_run.stages[1].statistics, merged_runs.stages[1].statistics);
         assert!((single.mean - merged.mean).abs() < 1e-12);
-        assert!((single.std.expect("many") - merged.std.expect("many")).abs() < 1e-12);
+        assert!((single.std.expect("many values") - merged.std.expect("many values")).abs() < 1e-12);
         assert_eq!(
             (single.count, single.min, single.p50, single.p95, single.p99, single.max),
             (merged.count, merged.min, merged.p50, merged.p95, merged.p99, merged.max)
         );
-        assert!(single.p99.is_some(), "four hundred are enough");
+        assert!(single.p99.is_some(), "400 values are enough for p99");
         let share = 400.0 * 0.002 / all.iter().sum::<f64>();
-        assert!((parts.stages[0].share.expect("a duration") - share).abs() < 1e-9);
-        let bound = parts.stages[0].bound.clone().expect("a delay");
-        assert_eq!(bound.verdicts, [(Verdict::Ok, 250), (Verdict::Stale, 150)], "in the order of all");
+        assert!((merged_runs.stages[0].share.expect("a duration") - share).abs() < 1e-9);
+        let bound = merged_runs.stages[0].bound.clone().expect("a delay");
+        assert_eq!(
+            bound.verdicts,
+            [(Verdict::Ok, 250), (Verdict::Stale, 150)],
+            "in the order of Verdict::ALL"
+        );
         assert_eq!(bound.half_width.map(|width| width.count), Some(400));
-        assert_eq!(parts.bounds, [bound]);
+        assert_eq!(merged_runs.bounds, [bound]);
     }
 
     #[test]
-    fn quantiles_need_enough_samples_over_all_runs() {
+    fn merged_runs_have_quantile_if_values_suffice_together() {
         let short = run((0..40).map(|_| 0.01), Verdict::Ok);
         let total_of = |runs: &[RunStatistics]| RunStatistics::merged(runs).stages[1].statistics;
         assert_eq!(total_of(std::slice::from_ref(&short)).p95, None);
-        assert!(total_of(&[short.clone(), short]).p95.is_some(), "eighty together");
+        assert!(total_of(&[short.clone(), short]).p95.is_some(), "the two runs have 80 values together");
         assert_eq!(RunStatistics::merged(&[]), RunStatistics::default());
     }
 }

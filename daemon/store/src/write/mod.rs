@@ -44,7 +44,7 @@ pub(crate) use self::work::Refusal;
 pub use self::work::{Introduction, RunName, UnstorableBatch, Work};
 use super::foreign_log::assign_id;
 use super::limits::BUSY_TIMEOUT;
-use super::retention::{self, Retention, Step};
+use super::retention::{self, Retention, StepResult};
 use crate::database_error::DatabaseError;
 use crate::error::StoreError;
 pub use crate::incidents::PendingIncidents;
@@ -107,7 +107,7 @@ impl Writer {
     ) -> Result<Self, sqlx::Error> {
         let streams = Streams::load(&mut connection).await?;
         let names = Names::load(&mut connection).await?;
-        let last_wall = crate::storage_clock::last_wall(&mut connection).await?;
+        let last_wall = crate::storage_clock::wall_at_last_commit(&mut connection).await?;
         Ok(Self {
             file: DatabaseFile::open(path)?,
             connection,
@@ -181,7 +181,7 @@ impl Writer {
     /// When the database is damaged or cannot be written.
     pub async fn pin(&mut self, run: i64, pinned: bool, integrity: &Integrity) -> Result<bool, StoreError> {
         // Nothing is written to a damaged database.
-        if let Some(damage) = integrity.refusal() {
+        if let Some(damage) = integrity.damage_description() {
             return Err(StoreError::Damaged { what: "the pin of a run", damage });
         }
         let result = retention::pin(&mut self.connection, run, pinned).await;
@@ -190,7 +190,7 @@ impl Writer {
     }
 
     /// Makes one step of retention, which deletes a small amount of old data. Returns whether more old data remains.
-    pub async fn retain(&mut self, now: Stamp) -> Result<Step, DatabaseError> {
+    pub async fn retain(&mut self, now: Stamp) -> Result<StepResult, DatabaseError> {
         let Self { connection, storage_clock, .. } = self;
         let result = self.retention.step(connection, storage_clock, now, retention::MAX_STEP_COST).await;
         self.roll_back_on_error(result).await.map_err(DatabaseError::new)
@@ -205,7 +205,7 @@ impl Writer {
         incidents: &mut PendingIncidents,
     ) -> Result<(), DatabaseError> {
         if let Some(last_wall) = self.last_wall.take() {
-            incidents.compare(now, last_wall);
+            incidents.compare_with_last_commit(now, last_wall);
         }
         incidents.check_step(now);
         if incidents.is_empty() && !self.storage_clock.is_due(now.mono) {

@@ -15,8 +15,8 @@ use crate::api::schema::{HostClock, time};
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct HostList {
     pub hosts: Vec<Host>,
-    /// Injected clock faults by the name of the host, in words. A host that reports to another aggregator is included if its edges report
-    /// its fault.
+    /// Injected clock faults by the name of the host, in words. A host that reports to another aggregator is included
+    /// if its edges report its fault.
     pub clock_faults: BTreeMap<String, String>,
     /// Hosts whose connections were refused in the last ten minutes, newest first.
     pub refused: Vec<RefusedHost>,
@@ -69,7 +69,8 @@ pub(crate) struct Host {
 pub(crate) struct Description {
     /// Version of the agent.
     pub version: String,
-    /// The kernel's boot id. Hosts with equal `boot_id` and `clock` may read one clock; `same_clock` of a link is true if that is proven.
+    /// The kernel's boot id. Hosts with equal `boot_id` and `clock` may read one clock; `same_clock` of a link is true
+    /// if that is proven.
     pub boot_id: String,
     /// Name of the clock.
     pub clock: String,
@@ -88,10 +89,11 @@ pub(crate) struct Description {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 #[schema(as = Now)]
 pub(crate) struct HostNow {
-    /// Wall clock of the host minus that of the aggregator, seconds, by the host's last update. It includes the time that the update
-    /// took on the network, so it is only a rough value.
+    /// Wall clock of the host minus that of the aggregator, seconds, by the host's last update. It includes the time
+    /// that the update took on the network, so it is only a rough value.
     pub clock_ahead_s: f64,
-    /// Lag of storage behind measurement, seconds: age of the oldest event that is not stored, by the host's clock; null when none waits.
+    /// Lag of storage behind measurement, seconds: age of the oldest event that is not stored, by the host's clock;
+    /// null when none waits.
     pub behind_s: Option<f64>,
     /// Progress of storing a backlog; null while the lag does not fall, or is below five seconds.
     pub catching_up: Option<CatchingUp>,
@@ -107,12 +109,14 @@ pub(crate) struct HostNow {
     pub agent_memory_bytes: Option<u64>,
     /// Number of models that the agent has loaded.
     pub loaded_models: Option<u32>,
-    /// Sum of the growth of the agent's resident memory while each of these models was loaded; memory of a GPU does not count.
+    /// Sum of the growth of the agent's resident memory while each of these models was loaded; memory of a GPU does not
+    /// count.
     pub model_memory_bytes: Option<u64>,
     pub events: EventAccount,
 }
 
-/// Counts of an agent's events since its spool was created, as the agent reports them; produced = acknowledged + waiting + dropped.
+/// Counts of an agent's events since its spool was created, as the agent reports them; produced = acknowledged +
+/// waiting + dropped.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct EventAccount {
     /// Number of events produced; each reported gap counts as an event.
@@ -302,7 +306,7 @@ impl From<&HostRow> for Host {
             description: Description::from(&row.description),
             now: None,
             clock: None,
-            missing_events: row.stored.missing_here(),
+            missing_events: row.stored.missing_everywhere(),
             stored: Stored::new(row.stored, RejectedBatches::default()),
         }
     }

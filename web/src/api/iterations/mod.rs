@@ -75,7 +75,7 @@ async fn list(
             next: None,
         }));
     }
-    let after = query.after.unwrap_or(0).max(run.summary.nodes_from);
+    let after = query.after.unwrap_or(0).max(run.summary.last_deleted_iteration);
     let filter = IterationFilter { after, limit, failed_only: query.unsuccessful };
     let rows = app.store().iterations(number, &filter).await?;
     // Whether more rows follow a full page is not known: the next page may be empty.

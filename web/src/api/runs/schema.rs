@@ -28,7 +28,8 @@ pub(crate) struct Run {
     pub placement: Placement,
     /// Start of the run, on the edge's wall clock.
     pub started: String,
-    /// Time of the end. Null while the run has not ended, and if no end was reported because the agent was killed or is disconnected.
+    /// Time of the end. Null while the run has not ended, and if no end was reported because the agent was killed or is
+    /// disconnected.
     pub ended: Option<String>,
     /// Reason of the end: `finished`, `stopped`, or an error.
     pub reason: Option<String>,
@@ -38,19 +39,21 @@ pub(crate) struct Run {
     pub counts: Counts,
     /// Number of warm-up iterations.
     pub warm_up: u64,
-    /// Number of starts of an open loop that were skipped because the pipeline was too far behind its schedule, without warm-up. It does
-    /// not depend on the outcome of the following iterations.
+    /// Number of starts of an open loop that were skipped because the pipeline was too far behind its schedule, without
+    /// warm-up. It does not depend on the outcome of the following iterations.
     pub skipped_starts: u64,
     /// Deadline of an iteration, seconds; null without a deadline.
     pub deadline_s: Option<f64>,
-    /// Share of iterations that took longer than the deadline or failed, 0 to 1, without warm-up; null without a deadline, and
-    /// before the first iteration.
+    /// Share of iterations that took longer than the deadline or failed, 0 to 1, without warm-up; null without a
+    /// deadline, and before the first iteration.
     pub miss_rate: Option<f64>,
-    /// Number of answers that were not acted on, because the answer to a newer sample had been acted on or the episode had ended.
+    /// Number of answers that were not acted on, because the answer to a newer sample had been acted on or the episode
+    /// had ended.
     pub superseded: u64,
     /// Share of the episodes that were a success, 0 to 1, without the warm-up; null if the actuator reports no success.
     pub success_rate: Option<f64>,
-    /// Mean return of the episodes. The return is the sum of the rewards of an episode; null if the actuator reports no rewards.
+    /// Mean return of the episodes. The return is the sum of the rewards of an episode; null if the actuator reports no
+    /// rewards.
     pub episode_return: Option<f64>,
     /// Statistics of `total`, seconds; successful iterations only.
     pub total: Option<QuantityStatistics>,
@@ -59,8 +62,8 @@ pub(crate) struct Run {
     pub has_clock_fault: bool,
     /// `true` if the run is pinned: retention deletes nothing of it.
     pub pinned: bool,
-    /// Number of the last iteration deleted because of its age or to free space; 0 if none was deleted. The statistics of deleted
-    /// iterations remain.
+    /// Number of the last iteration deleted because of its age or to free space; 0 if none was deleted. The statistics
+    /// of deleted iterations remain.
     pub deleted_through: u64,
     /// Position in an experiment; null if the run belongs to none.
     pub experiment: Option<ExperimentPosition>,
@@ -112,7 +115,7 @@ impl From<&store::RunSummary> for Run {
             total: run.total,
             has_clock_fault: run.has_clock_fault,
             pinned: run.pinned,
-            deleted_through: run.nodes_from,
+            deleted_through: run.last_deleted_iteration,
             experiment: run.experiment.as_ref().map(ExperimentPosition::from),
         }
     }

@@ -53,8 +53,8 @@ impl<'a> VaryingLengths<'a> {
         comparison.configurations.iter().filter_map(Self::of).collect()
     }
 
-    /// Returns the unit of lengths: its name, and the factor from the measured value to this unit. Also returns the unit of the slope: its
-    /// name, and the measured length for which the slope is given.
+    /// Returns the unit of lengths: its name, and the factor from the measured value to this unit. Also returns the
+    /// unit of the slope: its name, and the measured length for which the slope is given.
     fn unit(&self, longest: f64) -> (String, f64, &'static str, f64) {
         if is_tokens(self.length_name) {
             (self.length_name.replace(['-', '_'], " "), 1.0, "token", 1.0)
@@ -152,8 +152,8 @@ pub(crate) struct Lengths {
     pub has_cells: bool,
 }
 
-/// Returns `A; B: the server sent no …`: the configurations with language models whose servers reported no numbers of tokens. `None` if there
-/// are none.
+/// Returns `A; B: the server sent no …`: the configurations with language models whose servers reported no numbers of
+/// tokens. `None` if there are none.
 fn without_usage(comparison: &Comparison) -> Option<String> {
     let lacking = |one: &&Configuration| {
         lacks_usage(one.stages.iter().map(|statistics: &StageStatistics| statistics.stage.as_str()))
@@ -273,7 +273,8 @@ fn amount_sentence(varying_configuration: &VaryingLengths<'_>, sample: &Answers)
     } else {
         String::new()
     };
-    let is_deleted = varying_configuration.configuration.runs.iter().any(|run| run.nodes_from > 0);
+    let is_deleted =
+        varying_configuration.configuration.runs.iter().any(|run| run.last_deleted_iteration > 0);
     match (sample.is_whole, is_deleted) {
         _ if points == 0 => format!("No iteration is stored any more; histograms of all {}.", count(all)),
         (true, false) if without_length > 0 => format!(

@@ -30,7 +30,7 @@ pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
         total: Some(samples::figures(0.016, 300)),
         has_clock_fault: false,
         pinned: false,
-        nodes_from: 0,
+        last_deleted_iteration: 0,
         experiment: None,
     }
 }
@@ -123,8 +123,9 @@ pub(crate) fn total_in_buckets(mean: f64, buckets: usize) -> Vec<StageMeans> {
     vec![StageMeans { stage: stage::TOTAL, buckets }]
 }
 
-/// Returns a minute of each run, with one point per second except for a gap. The minute has four episodes. The first episode and one second
-/// of the third are warm-up. Three iterations of the run with the smallest number have no answer.
+/// Returns a minute of each run, with one point per second except for a gap. The minute has four episodes. The first
+/// episode and one second of the third are warm-up. Three iterations of the run with the smallest number have no
+/// answer.
 pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
     let first = comparison.runs().map(|run| run.number).min();
     let moment = |seconds: i64| samples::NOW + Span::from_seconds(seconds);

@@ -263,7 +263,7 @@ async fn salvage(
     progress: &mut impl FnMut(&str),
 ) -> Result<(Vec<SalvagedTable>, i64), RepairError> {
     // The new file is at most about as large as the old file, and both files exist at the same time.
-    let needed = u64::from(old.file.pages) * old.file.page_bytes as u64;
+    let needed = u64::from(old.file.page_count) * old.file.page_bytes as u64;
     let folder = new.parent().unwrap_or(new).to_owned();
     let free = free_bytes(&folder).map_err(|source| file_error(&folder, source))?;
     if free < needed {

@@ -79,7 +79,7 @@ impl Iterator for Walk<'_> {
             let step = level.step;
             level.step += 1;
             if !level.page.kind.is_interior() {
-                if step >= level.page.cells {
+                if step >= level.page.cell_count {
                     continue;
                 }
                 let item = level.page.cell(step).map_or(Item::Unreadable, |cell| self.row(&cell));
@@ -96,7 +96,7 @@ impl Iterator for Walk<'_> {
                 }
                 continue;
             }
-            let child = match index.cmp(&level.page.cells) {
+            let child = match index.cmp(&level.page.cell_count) {
                 std::cmp::Ordering::Less => level.page.cell(index).and_then(|cell| cell.child),
                 std::cmp::Ordering::Equal => level.page.right_child,
                 std::cmp::Ordering::Greater => continue,

@@ -1,4 +1,4 @@
-//! Assumptions behind the bounds of one-way delays, by the windows of links.
+//! Assumptions behind the bounds of one-way delays, as the clock windows of links store them.
 
 use peernet_clock::{RelatedClocks, Span, WallTime};
 use sqlx::FromRow;
@@ -9,9 +9,9 @@ use crate::read::{sql, value_of_number};
 use crate::readers::Readers;
 use crate::types::{DelayAssumptions, LinkKey};
 
-/// Tolerance around the times of a window's samples. A sample is stamped with the end of its second, so a message may
-/// be older than the window's first sample. The delays of a message are judged when its answer arrives, which may be
-/// after the last sample.
+/// Tolerance before the first and after the last sample of a window. The time of a sample is the end of its second, so
+/// a message may be older than the window's first sample. The delays of a message are judged when the answer arrives,
+/// which may be after the window's last sample.
 const TOLERANCE: Span = Span::from_seconds(60);
 
 /// A window of a link with its assumptions.
@@ -41,12 +41,12 @@ impl Window {
     }
 }
 
-/// Assumptions in the windows of an edge over the network of a run, within a range of time.
+/// The windows of a run's edge over the run's network within a period, with their assumptions.
 #[derive(Debug)]
 pub(in crate::read) struct WindowAssumptions(Vec<Window>);
 
 impl WindowAssumptions {
-    /// Reads the windows of a run's edge that have samples between two times of its wall clock.
+    /// Reads the windows of a run's edge that have samples from `from` to `to`, by the edge's wall clock.
     pub(in crate::read) async fn read(
         readers: &Readers,
         run: i64,
@@ -56,7 +56,7 @@ impl WindowAssumptions {
             .bind(run)
             .fetch_optional(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
+            .map_err(readers.error_for(WHAT))?;
         let Some((edge, network)) = edge_and_network else { return Ok(Self(Vec::new())) };
         let windows = sqlx::query_as(sql::ASSUMED_WINDOWS)
             .bind(edge)
@@ -65,15 +65,15 @@ impl WindowAssumptions {
             .bind((to + TOLERANCE).unix_nanos())
             .fetch_all(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
+            .map_err(readers.error_for(WHAT))?;
         Ok(Self(windows))
     }
 
     /// Returns the assumptions for a message between the edge and a cloud. `at` is the time on the edge's wall clock
-    /// when the edge sent or received the message. Returns `None` if no window has samples around that time.
+    /// when the edge sent or received the message. Returns `None` if no window has samples around this time.
     ///
-    /// If the edge's clock was set back, several windows may contain that time. The window that arrived last is used
-    /// then.
+    /// If the edge's clock was set back, several windows may contain the time. In this case, the window that arrived
+    /// last is used.
     pub(in crate::read) fn at(
         &self,
         cloud: i64,
@@ -105,12 +105,12 @@ pub(crate) async fn link_assumptions(
         .bind(network.as_str())
         .fetch_optional(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let Some(link) = link else { return Ok(None) };
     let newest: Option<Window> = sqlx::query_as(sql::NEWEST_ASSUMED_WINDOW)
         .bind(link)
         .fetch_optional(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     newest.as_ref().map(Window::assumptions).transpose()
 }

@@ -30,6 +30,7 @@ const WHAT: &str = "clock samples";
 /// Maximum number of points in one answer.
 const MAX_POINTS: u32 = 10_000;
 
+/// A link as stored, with the times of its first and last clock samples.
 #[derive(FromRow)]
 struct StoredLink {
     edge: String,
@@ -41,7 +42,7 @@ struct StoredLink {
     last_ns: Option<i64>,
 }
 
-/// One stored second. In JSON it is an array in the order of the fields.
+/// One clock sample, which describes one second. In JSON, it is an array in the order of the fields.
 #[derive(FromRow, Deserialize)]
 struct Row {
     at_ns: i64,
@@ -82,10 +83,10 @@ struct Row {
 pub(crate) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError> {
     const WHAT: &str = "links";
     let rows: Vec<StoredLink> =
-        sqlx::query_as(sql::LINKS).fetch_all(&readers.pool()).await.map_err(readers.failed(WHAT))?;
+        sqlx::query_as(sql::LINKS).fetch_all(&readers.pool()).await.map_err(readers.error_for(WHAT))?;
     let mut links = Vec::with_capacity(rows.len());
     for row in rows {
-        // A link whose samples are all deleted has no range of times.
+        // All samples of this link are deleted, so the link has no range of times.
         let (Some(first), Some(last)) = (row.first_ns, row.last_ns) else { continue };
         links.push(LinkRow {
             edge: parse(WHAT, &row.edge)?,
@@ -113,36 +114,36 @@ pub(crate) async fn series(
         .bind(network.as_str())
         .fetch_optional(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let Some(link) = link else { return Ok(empty_series) };
-    // The width follows from the stored times and not from the requested ones, which may be far apart.
+    // The width is computed from the times of the stored samples. The requested times may be much further apart.
     let extent: (Option<i64>, Option<i64>) = sqlx::query_as(sql::CLOCK_EXTENT)
         .bind(link)
         .bind(from.unix_nanos())
         .bind(to.unix_nanos())
         .fetch_one(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     let (Some(first), Some(last)) = extent else { return Ok(empty_series) };
     let width = width(first, last, max_points.clamp(1, MAX_POINTS));
     let repeats = RepeatedTimes::read(readers, link, (first, last)).await?;
     let mut points = Points { width, repeats, points: Vec::new(), bucket: None };
     let pool = readers.pool();
-    // A bucket of one second is a row, so no ranges are needed.
+    // Each bucket of one second is one row, so the query needs no ranges.
     if width == 1 {
         let rows = sqlx::query_as::<_, Row>(sql::CLOCK_SAMPLES).bind(link).bind(first).bind(last);
         let mut rows = rows.fetch(&pool);
-        while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
+        while let Some(row) = rows.try_next().await.map_err(readers.error_for(WHAT))? {
             points.add(&row)?;
         }
     } else {
         let ranges = bucket_ranges(first, last, width)?;
-        let buckets = sqlx::query_scalar::<_, String>(sql::CLOCK_PARTS).bind(link).bind(ranges);
+        let buckets = sqlx::query_scalar::<_, String>(sql::CLOCK_BUCKETS).bind(link).bind(ranges);
         let mut buckets = buckets.fetch(&pool);
-        while let Some(bucket) = buckets.try_next().await.map_err(readers.failed(WHAT))? {
+        while let Some(bucket) = buckets.try_next().await.map_err(readers.error_for(WHAT))? {
             let mut rows: Vec<Row> =
                 serde_json::from_str(&bucket).map_err(|error| corrupt_data(WHAT, error))?;
-            // Restores the order of the table, which SQLite does not guarantee within an aggregate.
+            // SQLite does not guarantee the order of the rows within an aggregate function.
             rows.sort_by_key(|row| (row.at_ns, row.window));
             rows.iter().try_for_each(|row| points.add(row))?;
         }
@@ -163,18 +164,20 @@ fn bucket_ranges(first: i64, last: i64, width: u32) -> Result<String, StoreError
     serde_json::to_string(&ranges).map_err(|error| corrupt_data(WHAT, error))
 }
 
-/// Points under construction.
+/// Collects clock samples into points.
 struct Points {
     width: u32,
     repeats: RepeatedTimes,
     points: Vec<ClockPoint>,
+    /// The bucket of the newest clock sample, which becomes the next point.
     bucket: Option<Bucket>,
 }
 
 impl Points {
-    /// Adds the next second.
+    /// Adds the next clock sample.
     fn add(&mut self, row: &Row) -> Result<(), StoreError> {
-        // After the wall clock was set back, the same times occur again.
+        // If the edge's wall clock was set back, two windows have samples of the same times. Only the later window is
+        // used.
         if self.repeats.is_superseded(row.window, row.at_ns) {
             return Ok(());
         }
@@ -185,6 +188,7 @@ impl Points {
         self.bucket.get_or_insert_with(|| Bucket::new(number)).add(row)
     }
 
+    /// Converts the current bucket to a point.
     fn finish(&mut self) {
         let point = self.bucket.take().and_then(|bucket| bucket.point(self.width));
         self.points.extend(point);
@@ -196,8 +200,8 @@ impl Points {
     }
 }
 
-/// Returns the smallest width with at most `max_points` buckets. Beyond the last of [`BUCKET_WIDTHS_S`], each width is
-/// twice the previous width.
+/// Returns the smallest width with which the range has at most `max_points` buckets. The possible widths are
+/// [`BUCKET_WIDTHS_S`]; after the last of these widths, each width is twice the previous width.
 fn width(first: i64, last: i64, max_points: u32) -> u32 {
     let [.., day] = BUCKET_WIDTHS_S;
     let wider_widths = successors(day.checked_mul(2), |width| width.checked_mul(2));
@@ -209,7 +213,8 @@ fn width(first: i64, last: i64, max_points: u32) -> u32 {
     widths.find(fits).or_else(|| wider_widths.last()).unwrap_or(day)
 }
 
-/// Returns the number of the bucket that contains a second, counted from 1970. `at_ns` is the end of the second.
+/// Returns the number of the bucket that contains a clock sample, counted from 1970. `at_ns` is the end of the second
+/// that the sample describes.
 fn bucket_number_of(at_ns: i64, width: u32) -> i64 {
     bucket_number(wall(at_ns), width)
 }
@@ -272,7 +277,7 @@ impl Row {
             return Ok(None);
         };
         let source = value_of_number(WHAT, DelaySource::ALL, source)?;
-        // The column is NULL if the only source has the interval of the offset.
+        // The column is NULL if there is only one source. The interval of this source is the interval of the offset.
         let sources = match &self.offset_sources {
             Some(json) => sources(json)?,
             None => vec![(source, bounds)],
@@ -291,7 +296,7 @@ impl Row {
     }
 }
 
-/// Returns the interval of each source alone, from the column `offset_sources`.
+/// Parses the column `offset_sources`: the interval that each source alone gives.
 pub(super) fn sources(json: &str) -> Result<Vec<(DelaySource, Interval)>, StoreError> {
     let rows: Vec<(String, i64, i64)> =
         serde_json::from_str(json).map_err(|error| corrupt_data(WHAT, error))?;
@@ -308,7 +313,7 @@ fn interval(lo: Option<i64>, hi: Option<i64>) -> Option<Interval> {
     lo.zip(hi).map(|(lo, hi)| Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) })
 }
 
-/// Median delay, its lower and its upper bound, nanoseconds; and the data rate, bits per second.
+/// Median delay, lower bound and upper bound of this delay, nanoseconds, and data rate, bits per second.
 type Median = (Option<i64>, Option<i64>, Option<i64>, Option<f64>);
 
 fn delays(

@@ -1,4 +1,4 @@
-//! Seconds that an edge's clock showed more than once, because it was set back.
+//! Times that an edge's clock showed more than once, because the clock was set back.
 
 use std::collections::HashMap;
 
@@ -17,11 +17,11 @@ struct Window {
     last_ns: i64,
 }
 
-/// Windows that contain times that an earlier window contains, too. Only the later window is used for these times,
-/// because the samples of the earlier window were taken before the clock was set back.
+/// Windows whose times overlap with the times of an earlier window. Samples of the earlier window were taken before the
+/// clock was set back. For the common times, only the samples of the later window are used.
 #[derive(Debug, Default)]
 pub(super) struct RepeatedTimes {
-    /// Position of each window in the order of arrival.
+    /// Position of each window in the order of arrival, by the window's number.
     positions: HashMap<i64, usize>,
     /// Position, first and last time of each window that begins before an earlier window ends.
     overlapping: Vec<(usize, i64, i64)>,
@@ -39,7 +39,7 @@ impl RepeatedTimes {
             .bind(to)
             .fetch_all(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
+            .map_err(readers.error_for(WHAT))?;
         let mut repeats = Self::default();
         let mut end = i64::MIN;
         for (position, Window { window, first_ns, last_ns }) in windows.into_iter().enumerate() {

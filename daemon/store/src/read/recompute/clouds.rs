@@ -1,7 +1,7 @@
-//! Relations between the clocks of a run's edge and of each cloud, from stored samples.
+//! Relations between the clocks of a run's edge and the clocks of each of its clouds, from stored samples.
 //!
-//! A window relates one pair of clocks. Times of free-running clocks and times of wall clocks are therefore looked up
-//! separately.
+//! A window relates one pair of clocks. Therefore there are separate lists of windows for times of free-running clocks
+//! and for times of wall clocks.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -10,22 +10,21 @@ use sqlx::FromRow;
 
 use super::super::{sql, value_of_number};
 use super::rolling::{EXCHANGE_RANGE, RollingWindow};
-use super::windows::{Extent, Timeline};
+use super::windows::{Timeline, WindowExtent};
 use crate::column::count;
 use crate::error::StoreError;
 use crate::readers::Readers;
 
 /// Name of the requested data in errors.
 const WHAT: &str = "clock samples";
-/// Upper limit of an iteration's duration.
+/// Time after the start of the last iteration in which delays of this iteration may occur.
 const MAX_ITERATION: Span = Span::from_seconds(600);
 /// Maximum number of windows of one link within a run; later windows are ignored.
 const MAX_WINDOWS: u32 = 10_000;
-/// Maximum number of clouds of one run in memory, and of relations of one cloud. When it is reached, all are discarded
-/// and read again when needed.
+/// Maximum number of clouds of one run in memory, and of relations of one cloud in memory. When the maximum is reached,
+/// all of them are discarded; they are read again when needed.
 const MAX_CACHED: usize = 16;
-/// Tolerance when the difference between the edge's wall clock and its raw clock is compared with this difference in a
-/// window's samples. The wall clock may be slewed between two samples.
+/// Tolerance of the comparison in [`Window::matches_clocks`]: the edge's wall clock may be slewed between two samples.
 const MAX_SLEW: Span = Span::from_seconds(1);
 
 /// A time of the edge, as a transit's stamp states it.
@@ -44,21 +43,22 @@ pub(super) struct EdgeTime {
 struct Window {
     clocks: u8,
     window: i64,
-    // Readings of the edge's related clock.
+    // These four times are readings of the edge's related clock.
     first_ns: i64,
     last_ns: i64,
     sent_ns: i64,
     returned_ns: i64,
-    /// Range of the difference between the edge's wall clock and its raw clock; `None` if the window relates wall
-    /// clocks.
+    /// Smallest and largest difference between the edge's wall clock and its raw clock in the window's samples; `None`
+    /// if the window relates wall clocks.
     ahead_min_ns: Option<i64>,
     ahead_max_ns: Option<i64>,
     samples: i64,
 }
 
 impl Window {
-    /// Returns whether the difference of the edge's two clocks is the same as in the window. After a restart of the
-    /// machine the raw clock may show the same times again, but with another difference.
+    /// Returns whether the difference between the edge's wall clock and its raw clock at this time is the same as in
+    /// the window's samples. After a restart of the machine, the raw clock may show the same times again, but with
+    /// another difference.
     fn matches_clocks(&self, time: EdgeTime) -> bool {
         let ahead = time.wall.unix_nanos().saturating_sub(time.at.nanos());
         let tolerance = MAX_SLEW.nanos();
@@ -67,13 +67,13 @@ impl Window {
     }
 }
 
-/// The clouds of a run, by their rows in the table `host`.
+/// The clouds of a run. A cloud is identified by its id in the table `host`.
 pub(super) struct Clouds<'a> {
     readers: &'a Readers,
     edge: i64,
     network: &'a str,
     first_and_last_start: (WallTime, WallTime),
-    /// Clouds that were read, by their rows; `None` for a host without a link to the edge.
+    /// Clouds that were read, by their ids; `None` for a host without a link to the edge.
     cache: HashMap<i64, Option<Cloud>>,
     /// Link, window and number of samples of the windows that were used.
     used_windows: BTreeSet<(i64, i64, i64)>,
@@ -84,7 +84,7 @@ struct Cloud {
     link: i64,
     /// Windows by the clocks that they relate.
     windows: HashMap<RelatedClocks, Windows>,
-    /// Relations, by the related clocks and the window.
+    /// Windows whose relations are in memory, by the related clocks and the number of the window.
     rolling: HashMap<(RelatedClocks, i64), RollingWindow>,
 }
 
@@ -97,9 +97,9 @@ struct Windows {
 impl Windows {
     fn new(windows: Vec<Window>) -> Self {
         let at = RawTime::from_nanos;
-        let extents: Vec<Extent> = windows
+        let extents: Vec<WindowExtent> = windows
             .iter()
-            .map(|window| Extent {
+            .map(|window| WindowExtent {
                 first: at(window.first_ns),
                 last: at(window.last_ns),
                 sent: at(window.sent_ns),
@@ -109,15 +109,15 @@ impl Windows {
         Self { timeline: Timeline::new(&extents), windows }
     }
 
-    /// Returns the window of a time, or `None` if it is uncertain to which window the time belongs.
+    /// Returns the window to which a time belongs, or `None` if the window is uncertain.
     fn at(&self, time: EdgeTime) -> Option<&Window> {
         self.windows.get(self.timeline.window(time.at)?).filter(|window| window.matches_clocks(time))
     }
 }
 
 impl<'a> Clouds<'a> {
-    /// Creates an empty cache for a run of an edge over a network; the times are the starts of the run's first and last
-    /// iterations.
+    /// Prepares the clouds of a run of an edge over a network; nothing is read yet. The times are the starts of the
+    /// run's first and last iterations.
     pub(super) fn new(
         readers: &'a Readers,
         (edge, network): (i64, &'a str),
@@ -133,8 +133,8 @@ impl<'a> Clouds<'a> {
         }
     }
 
-    /// Returns the relation of the edge's and a cloud's clocks at a time of the edge's clock, or `None` if no sample
-    /// covers that time.
+    /// Returns the relation between the edge's clock and a cloud's clock at a time of the edge's clock, or `None` if no
+    /// sample covers this time.
     pub(super) async fn relation(
         &mut self,
         cloud: i64,
@@ -159,22 +159,23 @@ impl<'a> Clouds<'a> {
         cloud.rolling.entry(key).or_insert_with(new_window).at(self.readers, time.at).await
     }
 
-    /// Returns the number of stored samples in the windows that were used, including samples shortly before and after
-    /// the run.
+    /// Returns the number of stored samples in the windows that were used. Samples shortly before and after the run are
+    /// included.
     pub(super) fn samples(&self) -> u64 {
         self.used_windows.iter().map(|(.., samples)| count(*samples)).sum()
     }
 
-    /// Reads the link over the run's network, and its windows. The relation belongs to the pair of hosts: while the run
-    /// used the link, the link's samples also contain exchanges over other networks.
+    /// Reads the link over the run's network, and the windows of this link. Other networks need no look-up: a clock
+    /// relation belongs to a pair of hosts, so the link's samples also contain exchanges of these hosts over other
+    /// networks.
     async fn read_cloud(&self, cloud: i64) -> Result<Option<Cloud>, StoreError> {
-        let link: Option<i64> = sqlx::query_scalar(sql::LINK_OF)
+        let link: Option<i64> = sqlx::query_scalar(sql::LINK_BY_IDS)
             .bind(self.edge)
             .bind(cloud)
             .bind(self.network)
             .fetch_optional(&self.readers.pool())
             .await
-            .map_err(self.readers.failed(WHAT))?;
+            .map_err(self.readers.error_for(WHAT))?;
         let Some(link) = link else { return Ok(None) };
         let (first, last) = self.first_and_last_start;
         let windows: Vec<Window> = sqlx::query_as(sql::CLOCK_WINDOWS)
@@ -184,7 +185,7 @@ impl<'a> Clouds<'a> {
             .bind(MAX_WINDOWS)
             .fetch_all(&self.readers.pool())
             .await
-            .map_err(self.readers.failed(WHAT))?;
+            .map_err(self.readers.error_for(WHAT))?;
         let mut by_clocks: HashMap<RelatedClocks, Vec<Window>> = HashMap::new();
         for window in windows {
             by_clocks

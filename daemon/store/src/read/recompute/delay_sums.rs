@@ -1,4 +1,4 @@
-//! Sums of delays and of their accuracy.
+//! Statistics of judged delays and of their accuracy.
 
 use peernet_clock::{OneWayDelay, Verdict};
 use peernet_statistics::Summary;
@@ -6,7 +6,7 @@ use peernet_statistics::Summary;
 use crate::quantity_statistics::QuantityStatistics;
 use crate::types::Judgement;
 
-/// Sums over the delays of one direction.
+/// Statistics of the delays of one direction, to which delays are added.
 #[derive(Debug, Default)]
 pub(super) struct DelaySums {
     delay: Summary,

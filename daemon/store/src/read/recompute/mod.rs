@@ -1,8 +1,8 @@
-//! Judges a run's one-way delays again, including the exchanges after the delays.
+//! Judges a run's one-way delays again, from all exchanges, including exchanges after the delays.
 //!
 //! The stored stamps and judgements do not change. The new bounds are the intersection of the earlier bounds and of the
-//! bounds from the stored exchanges, so no interval gets wider. A delay keeps its judgement if both ends read one
-//! clock, if it was near a step, or if there are no samples of its time.
+//! bounds from the stored exchanges, so no interval gets wider. A delay keeps its judgement if both hosts read the same
+//! clock, if a clock was stepped near the delay, or if no clock samples of its time are stored.
 
 mod clouds;
 mod delay_sums;
@@ -22,7 +22,7 @@ use crate::types::{RecomputedDelays, RecomputedStage};
 
 /// Name of the requested data in errors.
 const WHAT: &str = "a run's delays";
-/// Number of delays of one read.
+/// Number of delays that are read at a time.
 const PAGE: u32 = 2_000;
 
 /// A stored delay.
@@ -47,9 +47,9 @@ struct Row {
 /// Width in seconds of the buckets by which a run's times are looked up.
 const MINUTE_S: i64 = 60;
 
-/// The edge and the network of a run, and the range of its times.
+/// The properties of a run from which its delays are judged again: edge, network, model, and the range of its times.
 #[derive(FromRow)]
-struct Extent {
+struct RunContext {
     host: i64,
     network: String,
     model: String,
@@ -59,9 +59,9 @@ struct Extent {
     last_s: Option<i64>,
 }
 
-impl Extent {
-    /// Returns the starts of the earliest and of the latest iteration on the edge's wall clock. They are exact to the
-    /// minute if the clock was set back in between.
+impl RunContext {
+    /// Returns the starts of the earliest and of the latest iteration on the edge's wall clock. If the clock was set
+    /// back during the run, both times are exact to the minute only.
     fn times(&self) -> (WallTime, WallTime) {
         let nanos = |seconds: i64| seconds.saturating_mul(1_000_000_000);
         let (first, last) = (self.first_ns.unwrap_or(0), self.last_ns.unwrap_or(0));
@@ -82,7 +82,7 @@ pub(crate) struct RejudgedDelay {
     pub(crate) direction: Direction,
     pub(crate) before: Option<OneWayDelay>,
     pub(crate) after: Option<OneWayDelay>,
-    /// The clocks by whose stamps the delay was judged again; `None` if it keeps its judgement.
+    /// The clocks by whose stamps the delay was judged again; `None` if the delay keeps its judgement.
     pub(crate) clocks: Option<RelatedClocks>,
 }
 
@@ -118,21 +118,22 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
     Ok(Some(RecomputedDelays { number: run, samples, clocks: clocks.collect(), stages }))
 }
 
-/// Judges the delays on which a run's statistics are based, and calls `each` with every delay in the order of
-/// iterations and nodes. Returns the number of samples that were used, or `None` for an unknown run.
+/// Judges again the delays that a run's statistics include, and calls `each` with every delay in the order of
+/// iterations and nodes. Returns the number of clock samples that were used, or `None` for an unknown run.
 pub(crate) async fn rejudge_delays(
     readers: &Readers,
     run: i64,
     mut each: impl FnMut(RejudgedDelay),
 ) -> Result<Option<u64>, StoreError> {
-    let extent: Option<Extent> = sqlx::query_as(sql::RUN_EXTENT)
+    let run_context: Option<RunContext> = sqlx::query_as(sql::RUN_EXTENT)
         .bind(run)
         .fetch_optional(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
-    let Some(extent) = extent else { return Ok(None) };
-    let mut clouds = Clouds::new(readers, (extent.host, &extent.network), extent.times());
-    let is_observed = extent.model == Slug::observed().as_str();
+        .map_err(readers.error_for(WHAT))?;
+    let Some(run_context) = run_context else { return Ok(None) };
+    let mut clouds = Clouds::new(readers, (run_context.host, &run_context.network), run_context.times());
+    // The pipeline of an observed system has a fixed model name.
+    let is_observed = run_context.model == Slug::observed().as_str();
     // Iteration and node of the last delay that was read.
     let mut last_delay = (i64::MIN, i64::MIN);
     loop {
@@ -143,8 +144,8 @@ pub(crate) async fn rejudge_delays(
             .bind(PAGE)
             .fetch_all(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
-        // Pages keep the memory bounded, and no read transaction lasts long.
+            .map_err(readers.error_for(WHAT))?;
+        // Delays are read in pages, so that memory is limited and no read transaction lasts long.
         let Some(last) = rows.last() else { return Ok(Some(clouds.samples())) };
         last_delay = (last.iteration, last.node);
         for row in &rows {
@@ -155,7 +156,8 @@ pub(crate) async fn rejudge_delays(
     }
 }
 
-/// Judges a delay again. Both stamps of an observed system come from receivers, so their difference may be negative.
+/// Judges a delay again. In an observed system, both stamps are times at which a topic's message was received, so their
+/// difference may be negative.
 async fn rejudge(
     clouds: &mut Clouds<'_>,
     row: &Row,
@@ -166,7 +168,8 @@ async fn rejudge(
     let (Some(cloud), Some(received)) = (row.cloud, row.received_ns.map(WallTime::from_unix_nanos)) else {
         return Ok(unchanged);
     };
-    // A stepped delay keeps its verdict: no sample shows that its own exchange was refused.
+    // A delay with the verdict `Stepped` keeps this verdict: clock samples do not show that the exchange of this delay
+    // was refused.
     if before.is_some_and(|delay| delay.source == DelaySource::SameClock || delay.verdict == Verdict::Stepped)
     {
         return Ok(unchanged);
@@ -191,15 +194,15 @@ fn combine(earlier: Option<OneWayDelay>, new: OneWayDelay) -> OneWayDelay {
     let usable_bounds = |delay: OneWayDelay| delay.bounds.filter(|_| delay.verdict != Verdict::Inconsistent);
     let (earlier_bounds, new_bounds) = match (usable_bounds(earlier), usable_bounds(new)) {
         (Some(earlier_bounds), Some(new_bounds)) => (earlier_bounds, new_bounds),
-        // The new judgement has no bounds, so the earlier judgement is better.
+        // The stored exchanges give no bounds, so the earlier judgement is better.
         (Some(_), None) if new.verdict == Verdict::Unsynchronised => return earlier,
         _ => return new,
     };
-    // Both contain the true delay, so they overlap unless an assumption is violated.
+    // Both intervals contain the true delay, so they overlap unless an assumption is violated.
     let Some(bounds) = earlier_bounds.intersection(new_bounds) else {
         return OneWayDelay { value: None, bounds: None, verdict: Verdict::Inconsistent, ..new };
     };
-    // The estimate must lie within the narrower bounds.
+    // The estimate must lie within the new bounds, which may be narrower than the bounds it was made with.
     let value = new.value.or(earlier.value).map(|value| value.clamp(bounds.lo, bounds.hi));
     let is_wide = value.is_none_or(|value| bounds.is_wide_for(value));
     let verdict = match (earlier.verdict, new.verdict) {
@@ -211,9 +214,9 @@ fn combine(earlier: Option<OneWayDelay>, new: OneWayDelay) -> OneWayDelay {
 }
 
 impl Row {
-    /// Returns the stamps by which the delay is judged, and their clocks. They are stamps of the free-running clocks if
-    /// both ends have such stamps, and otherwise stamps of the wall clocks. A cloud that cannot read a free-running
-    /// clock reports stamps of its wall clock in the columns of the raw stamps.
+    /// Returns the stamps by which the delay is judged, and the clocks of these stamps. If both hosts recorded raw
+    /// stamps, the delay is judged by the raw stamps, and otherwise by the stamps of the wall clocks. A cloud that
+    /// cannot read a free-running clock reports stamps of its wall clock as raw stamps.
     fn stamps(&self, direction: Direction, sent: WallTime, received: WallTime) -> (RelatedClocks, RawStamps) {
         let wall_stamps =
             RawStamps { sent: RawTime::from_wall(sent), received: RawTime::from_wall(received) };

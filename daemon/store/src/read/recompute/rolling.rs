@@ -1,4 +1,4 @@
-//! A relation that learns stored exchanges in the order of time.
+//! A clock relation that learns the stored exchanges in the order of time.
 
 use std::collections::VecDeque;
 
@@ -15,19 +15,19 @@ use crate::readers::Readers;
 
 /// Name of the requested data in errors.
 const WHAT: &str = "clock samples";
-/// Time before and after a delay within which exchanges are used. The agent itself uses exchanges of the same time
-/// before a delay, unless configured otherwise.
+/// Time before and after a delay from which exchanges are used. By default, the agent uses exchanges of the last ten
+/// seconds before a delay, too.
 pub(super) const EXCHANGE_RANGE: Span = Span::from_seconds(10);
-/// Longest time by which a delay may be earlier than the delay that was judged before it. An iteration may take as long
-/// as that.
+/// Longest time by which a delay may be earlier than the previous delay in the order of iterations. It covers
+/// iterations that take up to a minute.
 const MAX_DISORDER: Span = Span::from_seconds(60);
-/// Number of samples of one read.
+/// Number of clock samples that are read at a time.
 const PAGE: u32 = 1_000;
 
-/// A stored second.
+/// A stored clock sample.
 #[derive(FromRow)]
 struct Row {
-    /// End of the second, by the edge's related clock.
+    /// End of the sample's second, by the edge's related clock.
     time_ns: i64,
     max_drift_ppm: f64,
     max_drift_change_ppm_per_s: Option<f64>,
@@ -50,12 +50,13 @@ struct Row {
 /// Interval of the offset that follows from the claims of both hosts' time daemons.
 type Claim = Option<(DelaySource, Interval)>;
 
-/// The exchanges of one window around the current time.
+/// The relation of one window, from the exchanges around a time that advances.
 pub(super) struct RollingWindow {
-    /// The link and its window.
+    /// The link and the number of its window.
     key: (i64, i64),
     clocks: RelatedClocks,
-    /// Created with the drift limit of the first sample. All samples of a window have the same limit.
+    /// The relation; `None` before the first sample. The first sample gives the drift limit, because all samples of a
+    /// window have the same limit.
     relation: Option<Relation>,
     /// Rows that were read but not learnt yet.
     unlearnt_rows: VecDeque<Row>,
@@ -63,14 +64,16 @@ pub(super) struct RollingWindow {
     read_until_ns: i64,
     /// `true` if all rows were read.
     is_complete: bool,
-    /// Claims that are not set yet, with the ends of their seconds.
+    /// Claims of the samples whose seconds end at the current time or later, with the ends of these seconds. The
+    /// relation uses the first of them.
     claims: VecDeque<(RawTime, Claim)>,
-    /// The claim that is set.
+    /// The claim that the relation uses.
     current_claim: Claim,
 }
 
 impl RollingWindow {
-    /// Creates a window for times around and after `at`. Times may be earlier than `at` by at most `MAX_DISORDER`.
+    /// Creates the relation of a window for times from `at` on. A later call may ask for a time that is earlier than
+    /// `at` by at most `MAX_DISORDER`.
     pub(super) fn new(key: (i64, i64), clocks: RelatedClocks, at: RawTime) -> Self {
         Self {
             key,
@@ -84,7 +87,8 @@ impl RollingWindow {
         }
     }
 
-    /// Returns the relation at a time. Successive times have to be nearly in order.
+    /// Returns the relation at a time. A time may be earlier than the time of the previous call by at most
+    /// `MAX_DISORDER`.
     pub(super) async fn at(
         &mut self,
         readers: &Readers,
@@ -108,7 +112,8 @@ impl RollingWindow {
             let claim_with = |error: fn(Interval) -> Interval| {
                 claim.map(|(source, offset)| ClockClaim { source, error: error(offset) })
             };
-            // The stored claim is about the offset: it is set as if the edge's clock were exact.
+            // A sample has one claim about the offset, but the relation takes a claim about each clock. The edge's
+            // clock is declared exact, and the cloud's clock gets the whole interval.
             relation.set_claims(claim_with(|_| Interval::exactly(Span::ZERO)), claim_with(|offset| offset));
         }
         Ok(self.relation.as_ref())
@@ -125,7 +130,7 @@ impl RollingWindow {
             .bind(PAGE)
             .fetch_all(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
+            .map_err(readers.error_for(WHAT))?;
         self.is_complete = rows.len() < PAGE as usize;
         self.read_until_ns = rows.last().map_or(self.read_until_ns, |row| row.time_ns);
         self.unlearnt_rows.extend(rows);
@@ -141,12 +146,12 @@ impl RollingWindow {
                 max_drift_change_ppm_per_s: row.max_drift_change_ppm_per_s.unwrap_or(f64::INFINITY),
                 window: EXCHANGE_RANGE,
                 retention: EXCHANGE_RANGE + EXCHANGE_RANGE + MAX_DISORDER,
-                // The sources of a stored offset contain only claims that were used.
+                // The sources of a stored offset contain a claim only if the agent trusted it.
                 trust_time_daemons: true,
                 ..RelationSettings::default()
             };
-            // A delay between hosts that proved that they read one clock is stored as such and not judged again, so the
-            // settings for this proof do not matter.
+            // The settings for the proof that both hosts read the same clock do not matter: delays of such hosts are
+            // stored with the source `same-clock` and are not judged again.
             Relation::new(settings)
         });
         let mut exchanges = [row.upper(), row.lower()];

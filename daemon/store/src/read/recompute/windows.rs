@@ -2,21 +2,22 @@
 
 use peernet_clock::{RawTime, Span};
 
-/// Time for which the first window is extended before its start, and the last window after its end. The bounds of an
-/// exchange hold for some seconds around the exchange if there is no sign of a step.
-const REACH: Span = Span::from_seconds(10);
-/// Length of the period before a sample's time that the sample describes.
-const SECOND: Span = Span::from_seconds(1);
-/// Time after a window's last sample for which the window is still possible. The second of a step has a sample only of
-/// the later window, and that sample may be late.
+/// Time by which the first window is extended before its start, and the last window after its end. The bounds of an
+/// exchange hold for some seconds around the exchange if nothing indicates a step.
+const EXTENSION: Span = Span::from_seconds(10);
+/// Length of the period that a sample describes; the period ends at the sample's time.
+const SAMPLE_PERIOD: Span = Span::from_seconds(1);
+/// Time after a window's last sample in which the window is still possible. During the second in which a clock is
+/// stepped, the window has exchanges but no sample: the sample of this second belongs to the next window, and it may be
+/// late.
 const MAX_UNSAMPLED: Span = Span::from_seconds(2);
-/// Upper limit of an exchange's duration. Stamps that are further from the window's samples are invalid and are
-/// clamped.
+/// Upper limit of an exchange's duration. A stamp that is further away from the window's samples is invalid and is
+/// clamped to this distance.
 const MAX_EXCHANGE: Span = Span::from_seconds(60);
 
 /// Range of the stored exchanges of one window, by the edge's clock that stamped them.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Extent {
+pub(super) struct WindowExtent {
     /// End of the first second with an exchange.
     pub(super) first: RawTime,
     /// End of the last second with an exchange.
@@ -27,24 +28,24 @@ pub(super) struct Extent {
     pub(super) returned: RawTime,
 }
 
-/// The time of a clock of the edge, divided into intervals. Each interval has the window that is possible in it, if
-/// exactly one window is possible.
+/// The time of a clock of the edge, divided into intervals. If exactly one window is possible during an interval, the
+/// interval has this window.
 ///
-/// A window is certain from its first exchange to its last exchange. It is possible for the whole seconds of its
-/// samples. Two windows may be possible at one time: free-running clocks count from the start of the machine, so a time
-/// may occur after two starts; and the edge's wall clock may have been set back. Such a time belongs to neither window.
-/// A time in the gap between two windows, in which a step happened, belongs to neither window either.
+/// A window is certain from its first exchange to its last exchange. A window is possible during the whole seconds of
+/// its samples. Two windows may be possible at the same time: free-running clocks count from the start of the machine,
+/// so the same time may occur after two starts; and the edge's wall clock may have been set back. Such a time belongs
+/// to no window. A time between two windows, where a clock was stepped, belongs to no window, either.
 #[derive(Debug, Default)]
 pub(super) struct Timeline {
-    /// Start of each interval, with the window if exactly one is possible.
+    /// Start of each interval, with the index of its window if exactly one window is possible.
     intervals: Vec<(RawTime, Option<usize>)>,
-    /// Range in which each window is certain.
+    /// Range of times in which each window is certain.
     certain_ranges: Vec<(RawTime, RawTime)>,
 }
 
 impl Timeline {
-    /// Creates the timeline of windows, which may be in any order. A window is identified by its index.
-    pub(super) fn new(windows: &[Extent]) -> Self {
+    /// Creates the timeline of windows in any order. A window is identified by its index in `windows`.
+    pub(super) fn new(windows: &[WindowExtent]) -> Self {
         let mut certain_ranges: Vec<(RawTime, RawTime)> = windows
             .iter()
             .map(|window| {
@@ -58,15 +59,15 @@ impl Timeline {
             .iter()
             .zip(&certain_ranges)
             .map(|(window, (sent, returned))| {
-                ((window.first - SECOND).min(*sent), (window.last + MAX_UNSAMPLED).max(*returned))
+                ((window.first - SAMPLE_PERIOD).min(*sent), (window.last + MAX_UNSAMPLED).max(*returned))
             })
             .collect();
         for ranges in [&mut certain_ranges, &mut possible_ranges] {
             if let Some(first) = ranges.iter_mut().min_by_key(|(start, _)| *start) {
-                first.0 = first.0 - REACH;
+                first.0 = first.0 - EXTENSION;
             }
             if let Some(last) = ranges.iter_mut().max_by_key(|(_, end)| *end) {
-                last.1 = last.1 + REACH;
+                last.1 = last.1 + EXTENSION;
             }
         }
         let mut changes: Vec<(RawTime, bool, usize)> = Vec::with_capacity(2 * possible_ranges.len());
@@ -75,8 +76,8 @@ impl Timeline {
             changes.push((end + Span::from_nanos(1), false, window));
         }
         changes.sort_unstable();
-        // Only the number of open windows and the sum of their indexes are kept. If one window is open, the sum is its
-        // index.
+        // A set of open windows is not needed: if one window is open, the sum of the indexes of open windows is the
+        // index of this window.
         let (mut open_windows, mut index_sum) = (0_usize, 0_usize);
         let mut intervals = Vec::with_capacity(changes.len());
         for (at, opens, window) in changes {
@@ -90,8 +91,8 @@ impl Timeline {
         Self { intervals, certain_ranges }
     }
 
-    /// Returns the index of the window of a time, or `None` if no window is certain at that time, or another one is
-    /// possible.
+    /// Returns the index of the window to which a time belongs. `None` if no window is certain at this time, or if more
+    /// than one window is possible.
     pub(super) fn window(&self, at: RawTime) -> Option<usize> {
         let next_interval = self.intervals.partition_point(|(start, _)| *start <= at);
         let window = self.intervals.get(next_interval.checked_sub(1)?)?.1?;
@@ -110,8 +111,8 @@ mod tests {
         RawTime::from_nanos(0) + Span::from_seconds(seconds)
     }
 
-    fn window(first: i64, last: i64) -> Extent {
-        Extent { first: raw(first), last: raw(last), sent: raw(first), returned: raw(last) }
+    fn window(first: i64, last: i64) -> WindowExtent {
+        WindowExtent { first: raw(first), last: raw(last), sent: raw(first), returned: raw(last) }
     }
 
     fn windows(timeline: &Timeline, times: &[i64]) -> Vec<Option<usize>> {
@@ -119,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn window_extends_little_beyond_its_exchanges() {
+    fn single_window_extends_ten_seconds_beyond_its_exchanges() {
         let timeline = Timeline::new(&[window(100, 200)]);
         assert_eq!(
             windows(&timeline, &[89, 90, 100, 150, 200, 210, 211]),
@@ -145,27 +146,27 @@ mod tests {
     }
 
     #[test]
-    fn extreme_stamps_do_not_move_windows() {
-        let wild = Extent {
+    fn invalid_stamps_of_window_change_no_other_window() {
+        let invalid = WindowExtent {
             first: raw(300),
             last: raw(301),
             sent: RawTime::from_nanos(i64::MIN),
             returned: RawTime::from_nanos(i64::MAX),
         };
-        let timeline = Timeline::new(&[window(100, 200), wild]);
+        let timeline = Timeline::new(&[window(100, 200), invalid]);
         assert_eq!(windows(&timeline, &[150, 239, 372]), [Some(0), None, None]);
     }
 
     proptest! {
         #[test]
-        fn any_stamps_name_at_most_one_window(
+        fn any_stamps_give_valid_window_or_none(
             stamps in prop::collection::vec((any::<i64>(), any::<i64>(), any::<i64>(), any::<i64>()), 0..8), at: i64,
         ) {
             let at_nanos = RawTime::from_nanos;
-            let extents: Vec<Extent> = stamps
+            let extents: Vec<WindowExtent> = stamps
                 .into_iter()
                 .flat_map(|(first, last, sent, returned)| [(first, last, sent, returned), (i64::MIN, i64::MAX, last, sent)])
-                .map(|(first, last, sent, returned)| Extent {
+                .map(|(first, last, sent, returned)| WindowExtent {
                     first: at_nanos(first.min(last)),
                     last: at_nanos(first.max(last)),
                     sent: at_nanos(sent),

@@ -1,4 +1,4 @@
-//! Means over the time of a run. The database adds up the values; no sketch is read.
+//! Means over the time of a run. SQLite adds up the values, and no sketch is read.
 
 use peernet_logger::Name;
 
@@ -9,7 +9,7 @@ use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::{MeanBucket, StageMeans};
 
-/// Row of the statement: name, point, number of samples and their sum.
+/// A row of `SUMS_OVER_TIME`: id of the name, index of the point, number of values, sum of the values.
 type Row = (i64, i64, i64, f64);
 
 pub(crate) async fn stage_means(
@@ -27,9 +27,9 @@ pub(crate) async fn stage_means(
         .bind(width_s)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
-    // For each stage: point, number of samples and their sum. A name with several kinds of measure has several rows in
-    // one point.
+        .map_err(readers.error_for(WHAT))?;
+    // For each stage, the list has an entry for each point: index of the point, number of values, sum of the values. A
+    // name with several kinds of measure has several rows for one point.
     let mut sums: Vec<Vec<(i64, u64, f64)>> = vec![Vec::new(); stages.len()];
     for (name, point, count, sum) in rows {
         let Some(points) = name_ids.indexes.get(&name).and_then(|index| sums.get_mut(*index)) else {

@@ -1,5 +1,5 @@
-//! Statistics of any number of whole runs in two statements. A statement for each run would cost more than reading the
-//! run's rows.
+//! Statistics of any number of whole runs in two statements. A separate statement for each run would cost more than
+//! the rows of the run.
 
 use std::collections::HashMap;
 
@@ -20,7 +20,7 @@ pub(crate) async fn statistics(readers: &Readers, runs: &[i64]) -> Result<Vec<Ru
     let mut by_run = HashMap::<i64, MergeableStatistics>::new();
     let pool = readers.pool();
     let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS).bind(&run_list).fetch(&pool);
-    while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
+    while let Some(row) = rows.try_next().await.map_err(readers.error_for(WHAT))? {
         let summary = row.summary()?;
         let (statistics, name) = (by_run.entry(row.run).or_default(), Name::from(row.text));
         match Quantity::from_number(row.quantity) {
@@ -31,13 +31,14 @@ pub(crate) async fn statistics(readers: &Readers, runs: &[i64]) -> Result<Vec<Ru
             None => return Err(corrupt_data(WHAT, format_args!("quantity {}", row.quantity))),
         }
     }
-    // Returns the connection to the pool, so that the next query does not need a second one.
+    // This returns the connection to the pool, so that the next query can use it. With few connections, queries that
+    // hold one connection while they wait for another could block each other.
     drop(rows);
     let verdicts: Vec<(i64, String, i64, i64)> = sqlx::query_as(sql::VERDICTS)
         .bind(&run_list)
         .fetch_all(&readers.pool())
         .await
-        .map_err(readers.failed(WHAT))?;
+        .map_err(readers.error_for(WHAT))?;
     for (run, name, number, delays) in verdicts {
         let verdict = usize::try_from(number).ok().and_then(|number| Verdict::ALL.get(number).copied());
         let verdict = verdict.ok_or_else(|| corrupt_data(WHAT, format_args!("verdict {number}")))?;

@@ -34,29 +34,29 @@ pub(crate) async fn series(
     Ok(Series { bucket_s, stages, gaps })
 }
 
-/// State of one stored width.
+/// The buckets of one width that are stored for a run.
 #[derive(Clone, Copy, Debug)]
-struct Width {
+struct StoredWidth {
     width_s: i64,
-    /// First and last bucket.
+    /// Starts of the first and of the last stored bucket; `None` without a bucket.
     extent: Option<(i64, i64)>,
     /// `true` if no bucket of this width was deleted.
     is_complete: bool,
 }
 
-/// Stored widths of a run.
-pub(in crate::read) struct StoredWidths([Width; WIDTHS_S.len()]);
+/// The widths of buckets that are stored for a run.
+pub(in crate::read) struct StoredWidths([StoredWidth; WIDTHS_S.len()]);
 
 impl StoredWidths {
     pub(in crate::read) async fn read(readers: &Readers, run: i64) -> Result<Self, StoreError> {
-        // One statement for all widths: a page of a hundred runs reads them hundreds of times.
-        let extents: Vec<(i64, Option<i64>, Option<i64>, bool)> = sqlx::query_as(sql::EXTENTS)
+        // One statement reads all widths, because a page of a hundred runs calls this function hundreds of times.
+        let extents: Vec<(i64, Option<i64>, Option<i64>, bool)> = sqlx::query_as(sql::WIDTH_EXTENTS)
             .bind(run)
             .bind(serde_json::to_string(&WIDTHS_S).map_err(|error| corrupt_data(WHAT, error))?)
             .fetch_all(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
-        let mut widths = WIDTHS_S.map(|width_s| Width { width_s, extent: None, is_complete: true });
+            .map_err(readers.error_for(WHAT))?;
+        let mut widths = WIDTHS_S.map(|width_s| StoredWidth { width_s, extent: None, is_complete: true });
         for (width_s, first, last, is_trimmed) in extents {
             if let Some(width) = widths.iter_mut().find(|width| width.width_s == width_s) {
                 (width.extent, width.is_complete) = (first.zip(last), !is_trimmed);
@@ -65,38 +65,39 @@ impl StoredWidths {
         Ok(Self(widths))
     }
 
-    /// Returns the finest width of which no bucket was deleted, with its first and last bucket; `None` without a
-    /// bucket.
+    /// Returns the finest width of which no bucket was deleted, with the starts of its first and its last bucket.
+    /// `None` if no such width has a bucket.
     pub(in crate::read) fn finest_complete(&self) -> Option<(i64, (i64, i64))> {
         self.0.iter().filter(|width| width.is_complete).find_map(|width| Some((width.width_s, width.extent?)))
     }
 
-    /// Chooses the smallest width of a point with which the whole run has at most `max_points` points. The points are
-    /// made from the coarsest stored width that divides the width of a point. Returns the width of a point and the
-    /// stored width.
+    /// Chooses the width of a chart's points and the stored width of the buckets from which the points are made.
+    /// Returns both widths.
     ///
-    /// A stored width of which buckets were deleted is skipped, so that all points of a line are made from one width.
-    /// Buckets of an hour are the exception: the remaining buckets are used even if some buckets were deleted.
+    /// The width of a point is the smallest width with which the whole run has at most `max_points` points. The stored
+    /// width is the coarsest stored width that divides the width of a point. A stored width of which buckets were
+    /// deleted is skipped, so that all points of a line are made from one width. Buckets of an hour are the exception:
+    /// the remaining buckets are used even if some buckets were deleted.
     pub(super) fn choose(&self, max_points: usize) -> (i64, i64) {
         let complete_extent = self.0.iter().filter(|width| width.is_complete).find_map(|width| width.extent);
         let remaining_extent = || {
             let extents = self.0.iter().filter_map(|width| width.extent);
             extents.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
         };
-        // The number of points depends on the duration of the whole run. A width with deleted buckets covers only a
-        // part of it.
+        // The number of points depends on the duration of the whole run. The buckets of a width with deleted buckets
+        // cover only a part of this duration.
         let (from, to) = complete_extent.or_else(remaining_extent).unwrap_or((0, 0));
         let max_points = i64::try_from(max_points.max(1)).unwrap_or(i64::MAX);
         let hour = WIDTHS_S[WIDTHS_S.len() - 1];
         for width_s in BUCKET_WIDTHS_S.map(i64::from) {
             let fits = to.div_euclid(width_s) - from.div_euclid(width_s) < max_points;
             let stored = self.0.iter().rfind(|stored| width_s % stored.width_s == 0);
-            let is_usable = |stored: &&Width| stored.is_complete || stored.width_s == hour;
+            let is_usable = |stored: &&StoredWidth| stored.is_complete || stored.width_s == hour;
             if let Some(stored) = stored.filter(|stored| fits && is_usable(stored)) {
                 return (width_s, stored.width_s);
             }
         }
-        // The range is longer than any run: a clock was wrong.
+        // No run takes as long as this range: a clock was wrong. The width is a whole number of days.
         (((to - from) / max_points / DAY_S + 2) * DAY_S, hour)
     }
 }
@@ -139,7 +140,7 @@ pub(crate) async fn stage_buckets(
     Ok(stage_buckets.filter(|stage| !stage.buckets.is_empty()).collect())
 }
 
-/// Returns a series builder for each stage, in the order of `stages`.
+/// Reads the buckets of each stage. Returns one builder per stage, in the order of `stages`.
 async fn series_builders(
     readers: &Readers,
     run: i64,
@@ -160,7 +161,7 @@ async fn series_builders(
         .bind(stored_width_s)
         .bind(name_ids.ids()?)
         .fetch(&pool);
-    while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
+    while let Some(row) = rows.try_next().await.map_err(readers.error_for(WHAT))? {
         let builder = name_ids.indexes.get(&row.name).and_then(|index| builders.get_mut(*index));
         if let Some(builder) = builder {
             builder.add(&row)?;
@@ -169,11 +170,12 @@ async fn series_builders(
     Ok(builders)
 }
 
-/// Ids and units of names in the database.
+/// Ids and units of some names in the database.
 pub(in crate::read) struct NameIds {
-    /// Index in the given list, by id. A name with several kinds of measure has several ids, whose values are merged.
+    /// For each id, the index of its name in the list that was passed to [`NameIds::read`]. A name with several kinds
+    /// of measure has several ids; the values of these ids are merged.
     pub(super) indexes: HashMap<i64, usize>,
-    /// Units in the order of the given list.
+    /// Unit of each name, in the order of that list.
     units: Vec<String>,
 }
 
@@ -184,7 +186,7 @@ impl NameIds {
             .bind(serde_json::to_string(&texts).map_err(|error| corrupt_data(WHAT, error))?)
             .fetch_all(&readers.pool())
             .await
-            .map_err(readers.failed(WHAT))?;
+            .map_err(readers.error_for(WHAT))?;
         let mut name_ids = Self { indexes: HashMap::new(), units: vec![String::new(); stages.len()] };
         for (id, text, unit) in names {
             if let Some(index) = texts.iter().position(|requested| *requested == text) {
@@ -195,7 +197,7 @@ impl NameIds {
         Ok(name_ids)
     }
 
-    /// Returns the ids as a JSON array, the form in which statements take a list.
+    /// Returns the ids as a JSON array, because statements take lists as JSON.
     pub(in crate::read) fn ids(&self) -> Result<String, StoreError> {
         let ids: Vec<i64> = self.indexes.keys().copied().collect();
         serde_json::to_string(&ids).map_err(|error| corrupt_data(WHAT, error))
@@ -207,7 +209,7 @@ fn bucket_start(second: i64) -> WallTime {
     wall(second.saturating_mul(1_000_000_000))
 }
 
-/// Converts a bucket to a point; `None` if the bucket has no samples.
+/// Converts a bucket to a point; `None` if the bucket has no values.
 fn point((start, summary): &(i64, Summary)) -> Option<SeriesPoint> {
     QuantityStatistics::from_summary(summary).map(|statistics| SeriesPoint {
         at: bucket_start(*start),
@@ -218,12 +220,12 @@ fn point((start, summary): &(i64, Summary)) -> Option<SeriesPoint> {
     })
 }
 
-/// Buckets of one name, made from rows by ascending time.
+/// Collects the buckets of one name from rows, which have to be added in the order of time.
 struct SeriesBuilder {
     stage: Name,
     unit: String,
     width_s: i64,
-    /// Start and contents of each bucket; the last bucket may grow.
+    /// Start and summary of each bucket; further rows may be merged into the last bucket.
     buckets: Vec<(i64, Summary)>,
 }
 
@@ -232,7 +234,7 @@ impl SeriesBuilder {
         let summary = row.summary().map_err(|error| corrupt_data(WHAT, error))?;
         let start = bucket(row.bucket_s, self.width_s);
         match self.buckets.last_mut() {
-            // Rows are ordered by time, so only the last bucket can grow.
+            // The rows are in the order of time, so a row belongs to the last bucket or to a new one.
             Some((last_start, total)) if *last_start == start => total.merge(&summary),
             _ => self.buckets.push((start, summary)),
         }
@@ -246,9 +248,10 @@ mod tests {
 
     const WEEK_S: i64 = 7 * DAY_S;
 
-    /// Returns the widths of a run that began at the start of an hour. Buckets of the widths in `deleted` were deleted.
+    /// Returns the stored widths of a run that began at the start of an hour and took `length_s` seconds. Some buckets
+    /// of the widths in `deleted` were deleted.
     fn stored(length_s: i64, deleted: &[i64]) -> StoredWidths {
-        StoredWidths(WIDTHS_S.map(|width_s| Width {
+        StoredWidths(WIDTHS_S.map(|width_s| StoredWidth {
             width_s,
             extent: Some((0, bucket(length_s - 1, width_s))),
             is_complete: !deleted.contains(&width_s),
@@ -270,20 +273,20 @@ mod tests {
         ] {
             assert_eq!(stored(length_s, &[]).choose(points), choice, "{length_s} s in {points} points");
         }
-        // This also holds for the longest possible time, after an error of a clock.
+        // The rule also holds for the longest possible range, which results from an error of a clock.
         let (width_s, stored_width_s) = stored(i64::MAX / 1_000_000_000, &[]).choose(240);
         assert!(i64::MAX / 1_000_000_000 / width_s < 240 && width_s % stored_width_s == 0);
     }
 
     #[test]
-    fn incomplete_resolutions_are_skipped() {
+    fn width_with_deleted_buckets_is_skipped() {
         assert_eq!(stored(100, &[1]).choose(240), (10, 10));
         assert_eq!(stored(100, &[1, 10]).choose(240), (60, 60));
         assert_eq!(stored(7_200, &[1, 10, 60]).choose(240), (3_600, 3_600));
-        // Hours are deleted last: the remaining hours are shown.
+        // Buckets of an hour are used even if some were deleted.
         assert_eq!(stored(WEEK_S, &[1, 10, 60, 3_600]).choose(240), (3_600, 3_600));
         assert_eq!(
-            StoredWidths(stored(0, &[]).0.map(|width| Width { extent: None, ..width })).choose(240),
+            StoredWidths(stored(0, &[]).0.map(|width| StoredWidth { extent: None, ..width })).choose(240),
             (1, 1)
         );
     }

@@ -1,4 +1,4 @@
-//! Tests of the input of a run's judgement.
+//! Tests of the values from which a run's trust findings are computed.
 
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{LATENESS, Outcome, Row, RowRef, Rows};
@@ -42,7 +42,7 @@ fn summary(reason: &str) -> RunSummary {
         total: None,
         has_clock_fault: false,
         pinned: false,
-        nodes_from: 0,
+        last_deleted_iteration: 0,
         experiment: None,
     }
 }
@@ -61,10 +61,10 @@ fn times(run: &RunDetail) -> StartTimes {
 }
 
 fn report(run: &RunDetail, stages: Vec<StageStatistics>) -> Report {
-    Report::new(&collect(run, times(run), &RunStatistics { stages, ..RunStatistics::default() }, &[]))
+    Report::new(&collect_input(run, times(run), &RunStatistics { stages, ..RunStatistics::default() }, &[]))
 }
 
-/// A run of 300 iterations in 59 s.
+/// Returns a run of 300 iterations in 59 s, with a configuration and the reason of its end.
 fn detail(configuration: &str, reason: &str) -> RunDetail {
     RunDetail { configuration: configuration.to_owned(), ..summary(reason).into() }
 }
@@ -94,8 +94,10 @@ fn run_that_ended_before_its_limit_is_reported() {
         end_finding(&detail(with_duration, "stopped")),
         finding(Grade::Doubtful, "The run was interrupted after 59.0 of 80.0\u{202f}s.")
     );
-    for whole in [&configuration(300), "name = \"line\"\n", "# cannot be written down: why\n", "= not TOML"] {
-        assert_eq!(end_finding(&detail(whole, "stopped")), None, "{whole}");
+    for without_finding in
+        [&configuration(300), "name = \"line\"\n", "# cannot be written down: why\n", "= not TOML"]
+    {
+        assert_eq!(end_finding(&detail(without_finding, "stopped")), None, "{without_finding}");
     }
 }
 
@@ -109,7 +111,7 @@ fn answers_without_score_are_reported() {
     };
     let text = score_finding(ok - 12).expect("a finding").text;
     assert!(text.contains("12"), "{text}");
-    assert!(score_finding(ok).is_none(), "all were scored");
+    assert!(score_finding(ok).is_none(), "all answers have a score");
 }
 
 #[test]
@@ -130,7 +132,7 @@ fn drawn_latencies_and_overrun_are_collected() {
     run.facts.push(("Replayed".to_owned(), "inference is drawn from x".to_owned()));
     let stages = vec![node("drawn-latency", 300, 0.01), node("overrun", 300, 0.002)];
     let statistics = RunStatistics { stages, ..RunStatistics::default() };
-    let input = collect(&run, StartTimes::default(), &statistics, &[]);
+    let input = collect_input(&run, StartTimes::default(), &statistics, &[]);
     assert_eq!((input.replayed.as_deref(), input.overrun), (Some("inference is drawn from x"), Some(0.002)));
     assert_eq!(input.drawn, Some(0.01));
 }
@@ -148,7 +150,7 @@ fn labels_outside_models_classes_are_reported() {
 }
 
 #[test]
-fn skipped_starts_are_reported_with_ordered_rate() {
+fn skipped_starts_are_reported_with_configured_rate() {
     let mut run = detail("name = \"line\"\n\n[load]\nmode = \"rate\"\nhz = 40\n", "finished");
     let mut skip_finding = |skipped_starts| {
         run.summary.skipped_starts = skipped_starts;
@@ -163,7 +165,7 @@ fn skipped_starts_are_reported_with_ordered_rate() {
 }
 
 #[test]
-fn missing_events_count_in_rate_as_in_results() {
+fn missing_events_count_in_rate_as_in_result_files() {
     let rows: Rows = (1..=300).map(row).collect();
     let record =
         |unseen| RunRecord { counts: Counts { unseen, ..Counts::default() }, ..RunRecord::default() };
@@ -180,7 +182,7 @@ fn missing_events_count_in_rate_as_in_results() {
                 gaps: 1,
             });
         }
-        let stored = collect(&run, times(&run), &RunStatistics::default(), &[]).starts;
+        let stored = collect_input(&run, times(&run), &RunStatistics::default(), &[]).starts;
         let of_files = TrustInput::from_run(&record(missing), &rows).starts;
         assert_eq!(stored.actual_hz(), of_files.actual_hz());
         assert_eq!(of_files.actual_hz(), Some((299 + missing) as f64 / 299.0));
@@ -188,7 +190,7 @@ fn missing_events_count_in_rate_as_in_results() {
 }
 
 #[test]
-fn unknown_number_of_missing_events_is_not_reported() {
+fn run_with_missing_events_is_not_reported_as_ended_early() {
     let mut run = detail("[limit]\niterations = 400\n", "stopped");
     let gap = |count| GapRow {
         from: NOW,
@@ -198,17 +200,20 @@ fn unknown_number_of_missing_events_is_not_reported() {
         gaps: 1,
     };
     run.gaps = vec![gap(100)];
-    assert_eq!(end_finding(&run), None, "measured, though not stored");
+    assert_eq!(
+        end_finding(&run),
+        None,
+        "the 100 missing events were measured: 300 + 100 iterations reach the limit"
+    );
     run.gaps = vec![gap(0)];
-    assert_eq!(end_finding(&run), None, "an unknown number");
+    assert_eq!(end_finding(&run), None, "the number of missing events is unknown");
     run.gaps.clear();
     run.summary.ended = None;
     let open = "The run has not ended: the findings cover the iterations so far.";
     assert_eq!(end_finding(&run), Some((Grade::Unknown, open.to_owned())));
 }
 
-/// Returns the row of an iteration of a run in an open loop: its delays are known unless its number is a multiple of
-/// five.
+/// Returns the row of an iteration of a run in an open loop. The delays of every fifth iteration are unknown.
 fn row(iteration: u64) -> Row {
     let milliseconds = |value: f64| value / 1e3;
     let noise = (iteration % 7) as f64 / 10.0;
@@ -255,10 +260,10 @@ fn row(iteration: u64) -> Row {
 }
 
 #[test]
-fn rows_and_roll_ups_give_same_findings() {
+fn rows_of_files_and_roll_ups_give_same_trust_input() {
     let rows: Rows = (1..=300).map(row).collect();
     let input = TrustInput::from_rows(&rows, &[]);
-    // The same values as the aggregator stores them.
+    // These are the same values in the form in which the store has them.
     let of_values = |name: &str, values: &mut dyn Iterator<Item = f64>| {
         let mut summary = Summary::default();
         values.for_each(|value| summary.record(value));
@@ -291,7 +296,7 @@ fn rows_and_roll_ups_give_same_findings() {
         bounds: bounds.to_vec(),
         ..RunStatistics::default()
     };
-    let stored = collect(&detail("", "finished"), StartTimes::default(), &statistics, &[]);
+    let stored = collect_input(&detail("", "finished"), StartTimes::default(), &statistics, &[]);
     let near = |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a - b).abs() < 1e-9);
     assert!(
         near(input.split.unexplained(), stored.split.unexplained()),

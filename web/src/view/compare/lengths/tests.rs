@@ -105,7 +105,7 @@ fn sentence_has_numbers_of_drawn_and_all_iterations() {
         amount(&one, &points[..200], false),
         some_text("200 of 800 iterations, evenly spread; histograms of all.")
     );
-    one.runs[0].nodes_from = 300;
+    one.runs[0].last_deleted_iteration = 300;
     assert_eq!(
         amount(&one, &points[..200], false),
         some_text("200 of 800 iterations, evenly spread over what is still stored; histograms of all.")
