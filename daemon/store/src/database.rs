@@ -17,15 +17,16 @@ use crate::error::OpenError;
 /// value means KiB.
 const CACHE: &str = "-65536";
 
-/// Number of pages in the write-ahead log (WAL) at which SQLite checkpoints them into the file: about 64 MiB.
+/// Number of pages in the write-ahead log (WAL) at which SQLite copies the pages into the file (checkpoint): about 64
+/// MiB.
 ///
 /// A commit of 100,000 nodes from a thousand agents changes some thousand pages; the next commit changes most of them
 /// again. With SQLite's default of 1,000 pages every commit would checkpoint, sync the file once more, and take a third
 /// to three quarters longer (measured in 1,000 interleaved repeats on a busy machine).
 const CHECKPOINT_PAGES: &str = "16000";
 
-/// Size in bytes to which SQLite truncates the write-ahead log's file when it begins to write the log from its start
-/// again. A long read may have made the file grow beyond this size. This is the usual size: the log's header, and
+/// Size in bytes to which SQLite truncates the write-ahead log's file when SQLite begins to write the log from its
+/// start again. A long read may have made the file grow beyond this size. This is the usual size: the log's header, and
 /// 16,000 pages with their frames' headers.
 const TRUNCATED_WAL_BYTES: &str = "65920032";
 
@@ -49,7 +50,7 @@ pub(crate) fn write_options(path: &Path) -> SqliteConnectOptions {
         .disable_statement_logging()
 }
 
-/// Opens the file for writing, creates it if it is missing, and brings its schema up to date.
+/// Opens the file for writing, creates the file if it is missing, and brings its schema up to date.
 pub(crate) async fn open(path: &Path) -> Result<SqliteConnection, OpenError> {
     connect_and_migrate(path, write_options(path)).await
 }

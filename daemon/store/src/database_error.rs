@@ -13,7 +13,7 @@ pub(crate) fn is_damage(error: &sqlx::Error) -> bool {
     matches!(primary_code(error), Some(CORRUPT | NOT_A_DATABASE))
 }
 
-/// Returns whether an error means that a part of a database is damaged, so the rest may be salvaged.
+/// Returns whether an error means that a part of a database is damaged. Rows in other parts may then be salvaged.
 pub(crate) fn is_partial_damage(error: &sqlx::Error) -> bool {
     primary_code(error) == Some(CORRUPT)
 }
@@ -48,7 +48,7 @@ impl DatabaseError {
         self.statement().is_some_and(is_damage)
     }
 
-    /// Returns what to do about a [transient](Self::is_transient) error.
+    /// Returns a sentence part for people: what to do about a [transient](Self::is_transient) error.
     pub(crate) fn remedy(&self) -> &'static str {
         /// Primary result code.
         const FULL: i32 = 13;

@@ -50,7 +50,8 @@ pub(crate) fn assign_new_id(file: &File) -> io::Result<()> {
 }
 
 fn random_id() -> i32 {
-    // Not 0, which means that a file has no id.
+    // The id is not 0, which means that a file has no id. The id is not negative, so that the signed `user_version` and
+    // the unsigned number in the header are equal.
     ((Uuid::new_v4().as_u128() & 0x7fff_ffff) as i32).max(1)
 }
 

@@ -6,7 +6,8 @@ use sqlx::SqliteConnection;
 use super::wall_clock::WallClockWatch;
 use crate::types::AggregatorIncidentKind;
 
-/// Maximum number of stored incidents of the aggregator: at one per hour they cover more than a year.
+/// Maximum number of stored incidents of the aggregator. With one incident per hour, this number covers more than a
+/// year.
 const MAX_STORED: i64 = 10_000;
 /// Number of incidents that may wait while the database cannot be written. Later incidents are dropped, because the
 /// first incidents are the closest to the cause.

@@ -29,7 +29,8 @@ impl Insert {
 
     /// Inserts all rows; `bind` adds one row's values in the order of the columns.
     ///
-    /// SQLite works on a separate thread: while it executes a statement, the values of the next statement are bound.
+    /// SQLite works on a separate thread: while SQLite executes a statement, the values of the next statement are
+    /// bound.
     pub(crate) fn run<'a, R: 'a>(
         &'a self,
         connection: &'a mut SqliteConnection,

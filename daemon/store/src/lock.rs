@@ -1,4 +1,5 @@
-//! Exclusive lock of a database. While it is held, a second aggregator or a command that rewrites the file is refused.
+//! Exclusive lock of a database. While a process holds the lock, a second aggregator or a command that rewrites the
+//! file is refused.
 
 use std::fs::{File, Metadata, TryLockError};
 use std::io;
@@ -42,7 +43,7 @@ pub struct DatabaseLock {
 }
 
 impl DatabaseLock {
-    /// Locks the database and creates it if it is missing. Its folder must exist.
+    /// Locks the database; creates the file if it is missing. The folder of the file must exist.
     ///
     /// # Errors
     /// When another process holds the lock, or the file cannot be opened for writing.

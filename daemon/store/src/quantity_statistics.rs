@@ -9,7 +9,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 /// Statistics of one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
-// The REST API sends this type as it is: these comments are its documentation. There an absent number is null.
+// The REST API sends this type as it is: these comments are its documentation. In the API, an absent number is null.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 #[expect(missing_docs, reason = "the names of the other fields say what they are")]
 // The REST API keeps the former name of this type.
@@ -30,7 +30,7 @@ pub struct QuantityStatistics {
 }
 
 impl QuantityStatistics {
-    /// Returns the statistics of a summary; `None` if it has no values.
+    /// Returns the statistics of a summary; `None` if the summary has no values.
     pub fn from_summary(summary: &Summary) -> Option<Self> {
         let moments = &summary.moments;
         Some(Self {

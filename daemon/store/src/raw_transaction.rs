@@ -20,7 +20,7 @@ pub(crate) async fn commit(connection: &mut SqliteConnection) -> Result<(), sqlx
 
 /// Rolls back a transaction if there is one.
 pub(crate) async fn roll_back(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
-    /// SQLITE_ERROR: no transaction is open. It did not begin, or SQLite rolled it back by itself.
+    /// SQLITE_ERROR: no transaction is open. The transaction did not begin, or SQLite rolled it back by itself.
     const NO_TRANSACTION: &str = "1";
     match sqlx::query("ROLLBACK").execute(connection).await {
         Err(error)

@@ -102,7 +102,7 @@ impl Readers {
             error => {
                 let source = DatabaseError::new(error);
                 integrity.record_if_damage(&source);
-                match integrity.damage_description().filter(|_| source.is_damage()) {
+                match integrity.damage_message().filter(|_| source.is_damage()) {
                     Some(damage) => StoreError::Damaged { what, damage },
                     None => StoreError::Database { what, source },
                 }

@@ -1,7 +1,7 @@
-//! The storage clock: it counts the time during which an aggregator ran and stored into a database.
+//! The storage clock counts the time during which an aggregator ran and stored into a database.
 //!
-//! Its reading is stored in the database. It advances with the monotonic clock alone, so that a wrong wall clock cannot
-//! make data appear old.
+//! The reading of the storage clock is stored in the database. The storage clock advances only with the monotonic
+//! clock, so that a wrong wall clock cannot make data appear old.
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use sqlx::SqliteConnection;

@@ -65,7 +65,8 @@ pub struct RunSummary {
     pub placement: Placement,
     /// Start of the run on the edge's wall clock.
     pub started: WallTime,
-    /// End of the run on the edge's wall clock; `None` while it is running, or when its end never reached the store.
+    /// End of the run on the edge's wall clock; `None` while the run is running, or if its end never reached the
+    /// store.
     pub ended: Option<WallTime>,
     /// Reason of the run's end.
     pub reason: Option<EndReason>,
@@ -102,7 +103,8 @@ pub struct RunDetail {
     /// The run as it appears in a list.
     #[serde(flatten)]
     pub summary: RunSummary,
-    /// Sensor, transforms, load and so on, as pairs for people, in the order of the configuration.
+    /// The run's facts: sensor, transforms, load and so on, as pairs of name and text, in the order of the
+    /// configuration.
     pub facts: Vec<(String, String)>,
     /// The pipeline's table of the configuration file.
     pub configuration: String,
@@ -243,8 +245,8 @@ pub struct IterationRow {
     /// `total` divided by the run's median of `total`.
     pub factor: Option<f64>,
     /// Causes of the slow iteration, the largest excess first: stages, `lateness`, `unattributed`, or
-    /// [`BOTH_DIRECTIONS`](peernet_analysis::slowness::BOTH_DIRECTIONS). Empty if it took less than 1.05 times the
-    /// run's median.
+    /// [`BOTH_DIRECTIONS`](peernet_analysis::slowness::BOTH_DIRECTIONS). Empty if the iteration took less than 1.05
+    /// times the run's median.
     pub causes: Vec<Cause>,
     /// Seconds per stage, in the order of the stages; several nodes of one stage are added up.
     pub stages: Vec<(Name, f64)>,
@@ -263,7 +265,7 @@ pub struct IterationRow {
 pub struct DelayRow {
     /// `upload` or `download`.
     pub stage: Name,
-    /// The estimate; `None` when it is not known.
+    /// The estimate; `None` if the delay is unknown.
     pub value: Option<f64>,
     /// Bounds that contain the true delay; `None` when no bounds are known.
     pub bounds: Option<(f64, f64)>,

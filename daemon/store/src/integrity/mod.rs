@@ -31,7 +31,7 @@ pub(crate) use self::task::{IntegrityCheck, find_damage_with_sqlite};
 
 use self::pages::PageFile;
 
-/// Record of the damage of one database, shared by everything that reads or writes it.
+/// Record of the damage of one database, shared by all code that reads or writes the database.
 ///
 /// The record is also written to a file beside the database, `<database>-damaged`: the damaged page may be read rarely,
 /// and after a restart it may take long to find the damage again. An aggregator that finds this file stores nothing
@@ -98,7 +98,7 @@ impl Integrity {
 
     /// Returns a sentence for people: which database is damaged, what is damaged, and what to do. `None` while there is
     /// no damage.
-    pub fn damage_description(&self) -> Option<String> {
+    pub fn damage_message(&self) -> Option<String> {
         let damage = self.damage.borrow();
         let database = self.database.display();
         damage.as_ref().map(|Damage { description, is_repairable }| {

@@ -85,7 +85,7 @@ async fn confirm_earlier_damage(integrity: &Integrity, stop: &CancellationToken)
             Ok(Some(finding)) => {
                 tracing::error!(
                     "{}; this check found: {finding}",
-                    integrity.damage_description().unwrap_or_default()
+                    integrity.damage_message().unwrap_or_default()
                 );
                 return;
             }

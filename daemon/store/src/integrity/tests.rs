@@ -219,10 +219,10 @@ async fn first_damage_survives_restart() {
     integrity.load_record().expect("no damage is recorded");
     integrity.record_damage("page 7 is malformed");
     integrity.record_damage("page 8 is malformed");
-    let description = integrity.damage_description().expect("damage is recorded");
+    let message = integrity.damage_message().expect("damage is recorded");
     assert!(
-        description.contains("page 7") && description.contains("peernetd doctor --repair --database"),
-        "{description}"
+        message.contains("page 7") && message.contains("peernetd doctor --repair --database"),
+        "{message}"
     );
     let later = Integrity::new(&path);
     later.load_record().expect("reads");
@@ -241,9 +241,7 @@ async fn repair_is_recommended_only_if_it_can_help() {
     let integrity = Integrity::new(&path);
     integrity.attach_file(&file);
     integrity.record_damage("page 7 is malformed");
-    assert!(
-        integrity.damage_description().is_some_and(|description| description.contains("doctor --repair"))
-    );
+    assert!(integrity.damage_message().is_some_and(|message| message.contains("doctor --repair")));
 
     overwrite(&path, 0, &noise(1, 4096));
     // Both orders occur: damage is recorded before the file is attached (after a restart), and after it is attached.
@@ -252,8 +250,8 @@ async fn repair_is_recommended_only_if_it_can_help() {
     other.attach_file(&file);
     other.record_damage("page 1 is malformed");
     for integrity in [integrity, other] {
-        let description = integrity.damage_description().expect("damage is recorded");
-        assert!(description.contains("newest backup") && !description.contains("--repair"), "{description}");
+        let message = integrity.damage_message().expect("damage is recorded");
+        assert!(message.contains("newest backup") && !message.contains("--repair"), "{message}");
     }
 }
 

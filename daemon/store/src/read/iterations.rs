@@ -57,7 +57,7 @@ struct Delay {
     value: Option<f64>,
     lo: Option<f64>,
     hi: Option<f64>,
-    /// The receiver's stamp minus the sender's stamp, as the agent reported it with its judgement.
+    /// The receiver's stamp minus the sender's stamp, as the agent reported it together with the judgement.
     #[sqlx(rename = "raw_ns")]
     wall_difference_ns: i64,
     source: u8,

@@ -57,7 +57,7 @@ pub(super) struct StoredDelay {
 }
 
 impl StoredDelay {
-    /// Returns the delay; `None` if it was never judged.
+    /// Returns the delay; `None` if the delay was never judged.
     pub(super) fn into_delay(self, what: &'static str) -> Result<Option<OneWayDelay>, StoreError> {
         let (Some(raw), Some(source), Some(verdict)) = (self.raw_ns, self.source, self.verdict) else {
             return Ok(None);

@@ -269,6 +269,8 @@ statements! {
     LINK = "SELECT link.id FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
             WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND link.network = ?3";
     /// The times of the first and the last clock sample within a period: ?1 link, ?2 from, ?3 to.
+    // There are two subqueries, because SQLite looks up one end of a key per query; one query with min() and max()
+    // would read all samples of the period.
     CLOCK_EXTENT = "SELECT (SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3), \
                     (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3)";
     /// The clock samples within a period: ?1 link, ?2 from, ?3 to.

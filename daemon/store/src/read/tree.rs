@@ -128,7 +128,7 @@ fn take_while<'a, T>(rows: &mut &'a [T], predicate: impl Fn(&T) -> bool) -> &'a 
     taken
 }
 
-/// Makes a tree from its rows. The edge's anchor is not stored: it is the start of the iteration.
+/// Makes a tree from its rows. The edge's anchor is not stored, because this anchor is the start of the iteration.
 fn tree(
     tree_hosts: &TreeHosts,
     started: WallTime,

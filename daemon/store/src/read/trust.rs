@@ -85,7 +85,7 @@ async fn two_modes(
 }
 
 /// Reads the time series of the total latency and, if the total changed notably during the run, the time series of all
-/// stages. For a run of a day, the stages have tens of thousands of rows, so they are not always read.
+/// stages. The stages are read only in this case, because for a run of a day they have tens of thousands of rows.
 ///
 /// A run that only reads a sensor has no total. For such a run, the function reads the time series of sensing.
 async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBuckets>, StoreError> {

@@ -13,7 +13,8 @@ use crate::types::RunSummary;
 const WHAT: &str = "whole iterations";
 /// Maximum number of iterations whose trees are in memory at a time. A tree may be large.
 const MAX_ITERATIONS: u32 = 200;
-/// Number of iterations whose shapes one statement compares.
+/// Number of iterations whose shapes one statement compares. The statement reads all nodes of these iterations and must
+/// not exceed the time limit of a statement.
 const ITERATIONS_PER_COMPARISON: u32 = 5_000;
 
 pub(crate) async fn full_iterations(

@@ -86,7 +86,7 @@ pub(super) async fn convert(
                 }
                 _ => numbers,
             };
-            // The periods of a pinned run begin when it is unpinned.
+            // The retention periods of a pinned run begin when the run is unpinned.
             if !run.pinned {
                 append(connection, periods, kind, run.number, (run.from_s, now_s), extent).await?;
             }

@@ -15,6 +15,8 @@ const BUCKET_COST: u64 = 3;
 const OLDEST: &str =
     "SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4";
 /// The last bucket within a range of time. Parameters as in `OLDEST`.
+// This is a separate statement: SQLite looks up one end of a key per statement, and a statement with both min() and
+// max() would read all rows of the range.
 const LAST: &str =
     "SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4";
 /// The bucket of the row that follows the first rows of the range. Parameters as in `OLDEST`, ?5 the number of these

@@ -53,7 +53,7 @@ pub enum StepResult {
 /// Kind of data that has its own retention period.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Kind {
-    /// Iterations with everything that belongs to them.
+    /// Iterations with their nodes, transits and anchors.
     Nodes,
     /// Roll-ups of this width, seconds.
     Buckets(i64),
@@ -273,8 +273,8 @@ impl Retention {
                 arrivals::trim(connection, (kind, Cause::Age), before_s, now_s, max_cost, deletions).await?;
             }
             Work::TooLarge => {
-                // When no older iterations remain, data that is still arriving is converted, so that it can be deleted,
-                // too.
+                // If the table `arrival` has no iterations, the records of arriving data are converted, so that this
+                // data can be deleted, too.
                 if !arrivals::has_due(connection, Kind::Nodes, i64::MAX).await? {
                     arriving::convert(connection, &self.periods, i64::MAX, now_s, MAX_CONVERTED).await?;
                 }

@@ -61,6 +61,7 @@ pub(super) async fn delete(
             if deleted.cost >= max_cost {
                 return Ok(deleted);
             }
+            // At least one iteration is deleted, so that every step makes progress.
             let affordable = usize::try_from((max_cost - deleted.cost) / cost_per_iteration)
                 .unwrap_or(usize::MAX)
                 .clamp(1, remaining.len());

@@ -150,6 +150,7 @@ impl Upserts {
 }
 
 /// Start of the newest bucket of each width, and of the whole run: ?1 run.
+// Each subquery looks up one end of the key. A query with GROUP BY would read all roll-ups of the run.
 const NEWEST: &str = "SELECT (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 1), \
      (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 10), \
      (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60), \

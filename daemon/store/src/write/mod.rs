@@ -181,7 +181,7 @@ impl Writer {
     /// When the database is damaged or cannot be written.
     pub async fn pin(&mut self, run: i64, pinned: bool, integrity: &Integrity) -> Result<bool, StoreError> {
         // Nothing is written to a damaged database.
-        if let Some(damage) = integrity.damage_description() {
+        if let Some(damage) = integrity.damage_message() {
             return Err(StoreError::Damaged { what: "the pin of a run", damage });
         }
         let result = retention::pin(&mut self.connection, run, pinned).await;

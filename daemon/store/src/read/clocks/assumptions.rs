@@ -88,6 +88,7 @@ impl WindowAssumptions {
             }
         };
         let windows = || self.0.iter().rev();
+        // A window that contains the time is preferred to a window that is only near it.
         let window =
             windows().find(contains_time(Span::ZERO)).or_else(|| windows().find(contains_time(TOLERANCE)));
         window.map(Window::assumptions).transpose()

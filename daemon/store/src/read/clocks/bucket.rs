@@ -26,7 +26,7 @@ impl Bucket {
         self.sum.add_with(&row.point_without_offset()?, width, || row.offset())
     }
 
-    /// Returns the bucket as a point; `None` if it is empty.
+    /// Returns the bucket as a point; `None` if the bucket is empty.
     pub(super) fn point(self, width: u32) -> Option<ClockPoint> {
         let end = self.number.saturating_add(1).saturating_mul(i64::from(width) * 1_000_000_000);
         let point = self.sum.into_point()?;

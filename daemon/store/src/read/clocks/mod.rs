@@ -238,7 +238,7 @@ impl Row {
 
     fn clocks(&self) -> Result<RelatedClocks, StoreError> {
         self.clocks
-            // Samples of agents before 0.3.0 have no number; they relate wall clocks.
+            // Agents before 0.3.0 sent no number, because they related only wall clocks.
             .map_or(Ok(RelatedClocks::Wall), |number| value_of_number(WHAT, RelatedClocks::ALL, number))
     }
 

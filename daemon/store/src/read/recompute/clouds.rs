@@ -82,7 +82,7 @@ pub(super) struct Clouds<'a> {
 /// A cloud with a link.
 struct Cloud {
     link: i64,
-    /// Windows by the clocks that they relate.
+    /// For each pair of related clocks, the windows that relate this pair.
     windows: HashMap<RelatedClocks, Windows>,
     /// Windows whose relations are in memory, by the related clocks and the number of the window.
     rolling: HashMap<(RelatedClocks, i64), RollingWindow>,

@@ -202,7 +202,8 @@ fn combine(earlier: Option<OneWayDelay>, new: OneWayDelay) -> OneWayDelay {
     let Some(bounds) = earlier_bounds.intersection(new_bounds) else {
         return OneWayDelay { value: None, bounds: None, verdict: Verdict::Inconsistent, ..new };
     };
-    // The estimate must lie within the new bounds, which may be narrower than the bounds it was made with.
+    // The estimate must lie within the new bounds, which may be narrower than the bounds with which the estimate was
+    // made.
     let value = new.value.or(earlier.value).map(|value| value.clamp(bounds.lo, bounds.hi));
     let is_wide = value.is_none_or(|value| bounds.is_wide_for(value));
     let verdict = match (earlier.verdict, new.verdict) {
@@ -232,7 +233,7 @@ impl Row {
         (if has_cloud_wall_stamp { RelatedClocks::RawToWall } else { RelatedClocks::Raw }, raw_stamps)
     }
 
-    /// Returns the delay as stored, or `None` if it was never judged.
+    /// Returns the delay as stored, or `None` if the delay was never judged.
     fn delay(&self) -> Result<Option<OneWayDelay>, StoreError> {
         let Self { raw_ns, source, verdict, value, .. } = *self;
         StoredDelay { raw_ns, source, verdict, value, bounds: self.lo.zip(self.hi) }.into_delay(WHAT)

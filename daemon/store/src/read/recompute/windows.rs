@@ -15,7 +15,7 @@ const MAX_UNSAMPLED: Span = Span::from_seconds(2);
 /// clamped to this distance.
 const MAX_EXCHANGE: Span = Span::from_seconds(60);
 
-/// Range of the stored exchanges of one window, by the edge's clock that stamped them.
+/// Times of the first and the last stored exchange of one window, by the edge's clock that stamped the exchanges.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct WindowExtent {
     /// End of the first second with an exchange.

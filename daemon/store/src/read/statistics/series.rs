@@ -98,6 +98,7 @@ impl StoredWidths {
             }
         }
         // No run takes as long as this range: a clock was wrong. The width is a whole number of days.
+        // One of the two added days rounds up; the other is for a range that does not begin at a multiple of the width.
         (((to - from) / max_points / DAY_S + 2) * DAY_S, hour)
     }
 }
