@@ -141,7 +141,8 @@ impl OpenDatabase {
         let host_secrets = read_host_secrets(&mut connection).await.map_err(cannot_open)?;
         let hosts = read_host_counts(&mut connection, MAX_HOSTS).await.map_err(cannot_open)?;
         let writer = Writer::new(path.to_owned(), connection, retention).await.map_err(cannot_open)?;
-        // The locked file could have been replaced before SQLite opened it.
+        // Another file may have replaced the locked file before SQLite opened the path. SQLite would then write to a
+        // file without a lock.
         if !lock.is_lock_of(path).map_err(|error| cannot_open(error.into()))? {
             let moved = CommitError::Moved(path.to_owned()).to_string();
             return Err(cannot_open(std::io::Error::other(moved).into()));

@@ -101,6 +101,7 @@ impl Readers {
             }
             error => {
                 let source = DatabaseError::new(error);
+                // Queries read pages that the writer may not read for a long time, so damage is recorded here, too.
                 integrity.record_if_damage(&source);
                 match integrity.damage_message().filter(|_| source.is_damage()) {
                     Some(damage) => StoreError::Damaged { what, damage },

@@ -22,6 +22,7 @@ const OUTCOMES: [&str; 4] = ["ok", "failed", "lost", "timeout"];
 /// Largest rank that an iteration gets. Iterations that are faster than this many iterations have no rank.
 const MAX_RANK: i64 = 1_000;
 
+/// A row of the table `iteration`.
 #[derive(FromRow)]
 pub(super) struct Row {
     pub(super) number: i64,

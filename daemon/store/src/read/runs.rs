@@ -186,7 +186,7 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
     Ok(Some(RunDetail {
         summary: summary(&row, totals.get(&number), lateness.get(&number), actuator)?,
         facts: facts(&row)?,
-        conditions: row.conditions.as_deref().map(json).transpose()?.unwrap_or_default(),
+        conditions: row.conditions.as_deref().map(parse_json).transpose()?.unwrap_or_default(),
         // Earlier versions stored the arguments of programs, which may contain secrets.
         configuration: hide_arguments(&row.configuration),
         version: row.version,
@@ -219,12 +219,12 @@ pub(crate) async fn gaps(readers: &Readers, run: i64) -> Result<Vec<GapRow>, Sto
 }
 
 fn facts(row: &RunRow) -> Result<Vec<(String, String)>, StoreError> {
-    let mut facts: Vec<(String, String)> = json(&row.facts)?;
+    let mut facts: Vec<(String, String)> = parse_json(&row.facts)?;
     hide_arguments_in_facts(&mut facts);
     Ok(facts)
 }
 
-fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
+fn parse_json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
     serde_json::from_str(text).map_err(|error| corrupt_data(WHAT, error))
 }
 
@@ -234,6 +234,7 @@ fn summary(
     lateness: Option<&NameSummary>,
     actuator: ActuatorResults,
 ) -> Result<RunSummary, StoreError> {
+    // The column `placement` has the name of the kind.
     let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
         .into_iter()
         .find(|kind| kind.name() == row.placement)
@@ -275,6 +276,6 @@ fn summary(
         has_clock_fault: facts(row)?.iter().any(|(fact, _)| FaultyHost::from_fact_name(fact).is_some()),
         pinned: row.pinned,
         last_deleted_iteration: count(row.nodes_from),
-        experiment: row.experiment.as_deref().map(json).transpose()?,
+        experiment: row.experiment.as_deref().map(parse_json).transpose()?,
     })
 }

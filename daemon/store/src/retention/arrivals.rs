@@ -89,10 +89,11 @@ pub(super) async fn has_due(
     kind: Kind,
     before_s: i64,
 ) -> Result<bool, sqlx::Error> {
-    Ok(next(connection, kind, before_s).await?.is_some())
+    Ok(next_due(connection, kind, before_s).await?.is_some())
 }
 
-async fn next(
+/// Returns the arrival of this kind that is due first, if it is due at `before_s`.
+async fn next_due(
     connection: &mut SqliteConnection,
     kind: Kind,
     before_s: i64,
@@ -133,7 +134,7 @@ pub(super) async fn trim(
         if remaining_cost == 0 {
             break;
         }
-        let Some(arrival) = next(connection, kind, before_s).await? else {
+        let Some(arrival) = next_due(connection, kind, before_s).await? else {
             return Ok(TrimResult { cost, is_complete: true });
         };
         let deleted = arrival.delete(connection, now_s, remaining_cost).await?;

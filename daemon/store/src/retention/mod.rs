@@ -30,7 +30,7 @@ use crate::storage_clock::StorageClock;
 /// Approximate maximum cost of the data that one step deletes, in rows of the table `node`. Such a step takes some tens
 /// of milliseconds.
 pub(crate) const MAX_STEP_COST: u32 = 20_000;
-/// Pause after a step with nothing to do.
+/// Pause after a step with nothing to do. A due row is therefore deleted at most this time late.
 const IDLE_PAUSE: Span = Span::from_seconds(1);
 /// Number of parts of a retention period. Data that arrives within one part is deleted together, so that a kind of data
 /// has few rows in the table `arrival`.

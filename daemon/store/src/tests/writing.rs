@@ -482,5 +482,5 @@ async fn database_of_newer_version_is_refused() {
         .await
         .expect("inserts");
     let error = super::database::open(&test_store.path).await.expect_err("refuses");
-    assert!(error.to_string().contains("newer version (its schema 9000"), "{error}");
+    assert!(error.to_string().contains("newer version (its schema is 9000"), "{error}");
 }

@@ -92,7 +92,7 @@ fn aggregator_clock_jumps_delete_nothing() {
     // The aggregator starts with a clock that is behind its last stored time, and then with a clock that is far ahead.
     false_time.show(-MONTH - MONTH);
     let (aggregator, api) = start();
-    messages.push(wait_for_jump_message(&api, "less than when it last stored something", 1));
+    messages.push(wait_for_jump_message(&api, "less than when the aggregator last stored something", 1));
     assert_eq!(aggregator.stop().code(), 0);
     false_time.show(MONTH);
     let (aggregator, api) = start();
