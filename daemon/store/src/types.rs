@@ -236,7 +236,7 @@ pub struct IterationRow {
     pub warm_up: bool,
     /// `ok`, `failed`, `lost` or `timeout`.
     pub outcome: String,
-    /// Reason for which the iteration failed.
+    /// Reason for which the iteration failed; `None` if it succeeded.
     pub reason: Option<String>,
     /// Start of the iteration on the edge's wall clock.
     pub started: WallTime,
@@ -271,12 +271,12 @@ pub struct DelayRow {
     pub bounds: Option<(f64, f64)>,
     /// The receiver's stamp minus the sender's stamp, both on wall clocks; may be negative.
     pub raw: f64,
-    /// Source of the correction.
+    /// Source of the estimate and the bounds.
     pub source: DelaySource,
-    /// Trust in the estimate.
+    /// How far the estimate can be trusted.
     pub verdict: Verdict,
     /// Assumptions behind the bounds; `None` if no clock sample of the time of the delay is stored, or if sender and
-    /// receiver read one clock.
+    /// receiver read the same clock.
     pub assumptions: Option<DelayAssumptions>,
 }
 

@@ -57,6 +57,7 @@ pub(crate) async fn incidents(
                 id: row.id,
                 at: wall(row.at_ns),
                 kind: row.kind,
+                // A host that never introduced itself has no name.
                 host_name: match row.host {
                     Some(_) => Some(parse(WHAT, row.host_name.as_deref().unwrap_or(UNKNOWN))?),
                     None => None,

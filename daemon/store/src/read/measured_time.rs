@@ -97,6 +97,7 @@ async fn add_iterations(
     if from_ns >= to_ns {
         return Ok(());
     }
+    // Iterations are numbered in the order of their starts, so the iterations of a period have consecutive numbers.
     let first_number = async |time_ns: i64| {
         let number: Option<i64> = sqlx::query_scalar(sql::FIRST_NUMBER_SINCE)
             .bind(run)

@@ -11,6 +11,7 @@ use crate::extent::Extent;
 use crate::rollups::bucket;
 
 /// Whether any record of arriving data began at this second of the storage clock or before: ?1 second.
+// The indexes contain only runs and links with such a record. With `INDEXED BY`, SQLite cannot choose to read all runs.
 const ANY: &str = "SELECT EXISTS (SELECT 1 FROM run INDEXED BY run_arriving WHERE arriving_from_s <= ?1) \
      OR EXISTS (SELECT 1 FROM link INDEXED BY link_arriving WHERE arriving_from_s <= ?1)";
 /// Runs whose record of arriving data began at this second or before: ?1 second, ?2 limit.

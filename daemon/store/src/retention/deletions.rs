@@ -61,6 +61,7 @@ struct HourlyIncident {
 #[derive(Debug, Default)]
 struct DeletedData {
     items: u64,
+    // A set, because several transactions of the hour may delete data of the same owner.
     owners: HashSet<i64>,
 }
 

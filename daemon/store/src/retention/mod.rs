@@ -62,8 +62,10 @@ pub(crate) enum Kind {
 }
 
 impl Kind {
+    /// The kinds of data that belong to runs.
     const OF_RUNS: [Self; WIDTHS_S.len() + 1] =
         [Self::Nodes, Self::Buckets(1), Self::Buckets(10), Self::Buckets(60), Self::Buckets(3600)];
+    /// All kinds, in the order in which due data is deleted.
     const ALL: [Self; WIDTHS_S.len() + 2] = [
         Self::Nodes,
         Self::Buckets(1),

@@ -78,6 +78,7 @@ impl Quantity {
 type SeriesKey = (i64, Quantity);
 
 /// Addition to a bucket: series, the bucket's start, values.
+// The summary is shared: often one summary is the only addition to its bucket in several widths.
 type Addition = (SeriesKey, i64, Arc<Summary>);
 
 /// Returns the start of the bucket of a width that contains a second.

@@ -39,6 +39,7 @@ pub struct RunStatistics {
     /// value; `stages` then lacks the name.
     pub bounds: Vec<DelayAccuracy>,
     /// The mergeable statistics from which `stages` and `bounds` were made.
+    // Shared, because `RunStatistics` is cloned, and sketches are large.
     pub mergeable: Arc<MergeableStatistics>,
 }
 

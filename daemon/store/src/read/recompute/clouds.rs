@@ -75,7 +75,8 @@ pub(super) struct Clouds<'a> {
     first_and_last_start: (WallTime, WallTime),
     /// Clouds that were read, by their ids; `None` for a host without a link to the edge.
     cache: HashMap<i64, Option<Cloud>>,
-    /// Link, window and number of samples of the windows that were used.
+    /// Link, window and number of samples of the windows that were used. Each window is counted once, however many
+    /// delays use it.
     used_windows: BTreeSet<(i64, i64, i64)>,
 }
 

@@ -143,8 +143,10 @@ impl RollingWindow {
             let settings = RelationSettings {
                 clocks: self.clocks,
                 max_drift_ppm: row.max_drift_ppm,
+                // Agents that reported no limit assumed none.
                 max_drift_change_ppm_per_s: row.max_drift_change_ppm_per_s.unwrap_or(f64::INFINITY),
                 window: EXCHANGE_RANGE,
+                // The relation has exchanges from after the current time, and may still be asked for earlier times.
                 retention: EXCHANGE_RANGE + EXCHANGE_RANGE + MAX_DISORDER,
                 // The sources of a stored offset contain a claim only if the agent trusted it.
                 trust_time_daemons: true,
@@ -161,6 +163,7 @@ impl RollingWindow {
             relation.learn(&ExchangeObservation {
                 exchange,
                 cloud_elapsed: None,
+                // A new window begins when a clock is interrupted, so all exchanges of a window are from one epoch.
                 edge_epoch: 1,
                 cloud_epoch: Some(1),
             });

@@ -37,7 +37,8 @@ pub(super) struct WindowExtent {
 /// to no window. A time between two windows, where a clock was stepped, belongs to no window, either.
 #[derive(Debug, Default)]
 pub(super) struct Timeline {
-    /// Start of each interval, with the index of its window if exactly one window is possible.
+    /// Start of each interval, with the index of its window if exactly one window is possible. If several windows begin
+    /// or end at the same time, the last entry with this time is valid.
     intervals: Vec<(RawTime, Option<usize>)>,
     /// Range of times in which each window is certain.
     certain_ranges: Vec<(RawTime, RawTime)>,
@@ -72,6 +73,7 @@ impl Timeline {
         }
         let mut changes: Vec<(RawTime, bool, usize)> = Vec::with_capacity(2 * possible_ranges.len());
         for (window, (start, end)) in possible_ranges.into_iter().enumerate() {
+            // A range includes its end, so the window is no longer possible one nanosecond after the end.
             changes.push((start, true, window));
             changes.push((end + Span::from_nanos(1), false, window));
         }

@@ -46,5 +46,6 @@ pub(crate) async fn statistics(readers: &Readers, runs: &[i64]) -> Result<Vec<Ru
     }
     let by_run: HashMap<i64, RunStatistics> =
         by_run.into_iter().map(|(run, statistics)| (run, RunStatistics::from(statistics))).collect();
+    // The statistics are cloned and not moved, because a run may be requested twice.
     Ok(runs.iter().map(|run| by_run.get(run).cloned().unwrap_or_default()).collect())
 }
