@@ -109,7 +109,7 @@ impl StoredRun<'_> {
             at: zone.moment(row.started),
             // The warm-up is named, because statistics and counts exclude its iterations.
             outcome: {
-                let words = Outcome::from_name(&row.outcome).map(Outcome::words);
+                let words = Outcome::from_name(&row.outcome).map(Outcome::display_name);
                 let words = words.map_or_else(|| row.outcome.clone(), str::to_owned);
                 if row.warm_up { format!("{words}, warm-up") } else { words }
             },

@@ -370,7 +370,7 @@ async fn commit(
 
 /// Returns an error if damage of the file is known.
 fn ensure_undamaged(integrity: &Integrity) -> Result<(), CommitError> {
-    integrity.refusal().map_or(Ok(()), |refusal| Err(CommitError::Damaged(refusal)))
+    integrity.damage_message().map_or(Ok(()), |refusal| Err(CommitError::Damaged(refusal)))
 }
 
 /// Executes a request to the writer.

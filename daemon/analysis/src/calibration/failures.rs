@@ -42,7 +42,7 @@ impl Failures {
 
     /// Returns the number, the outcome in words, and the reason: `4 failed (most often: too large)`.
     fn description(&self) -> String {
-        let outcome = Outcome::from_name(self.outcome).map_or(self.outcome, Outcome::words);
+        let outcome = Outcome::from_name(self.outcome).map_or(self.outcome, Outcome::display_name);
         let reason = match &self.commonest_reason {
             None => String::new(),
             Some(reason) if self.count == 1 => format!(" ({reason})"),

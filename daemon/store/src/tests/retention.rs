@@ -54,7 +54,11 @@ pub(super) async fn set_storage_clock(connection: &mut SqliteConnection, at: Wal
 }
 
 /// Makes one step of retention when the storage clock shows `at`. The aggregator's wall clock stands still.
-pub(super) async fn step(retention: &mut Retention, connection: &mut SqliteConnection, at: WallTime) -> StepResult {
+pub(super) async fn step(
+    retention: &mut Retention,
+    connection: &mut SqliteConnection,
+    at: WallTime,
+) -> StepResult {
     set_storage_clock(connection, at).await;
     // A new `StorageClock` has not advanced in this process, so its reading is the stored one.
     let mono = MonoTime::from_nanos((at - generate::at(0.0)).nanos());
