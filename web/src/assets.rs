@@ -97,6 +97,16 @@ pub(crate) fn base_path() -> String {
     format!("/static/{}", ASSETS.version)
 }
 
+/// Returns whether an `Accept-Encoding` names gzip with a weight other than zero (RFC 9110, section 12.5.3).
+fn accepts_gzip(header: &str) -> bool {
+    header.split(',').any(|coding| {
+        let mut parts = coding.split(';').map(str::trim);
+        let is_gzip = parts.next().is_some_and(|name| name.eq_ignore_ascii_case("gzip"));
+        let weight = parts.find_map(|part| part.strip_prefix("q=").or_else(|| part.strip_prefix("Q=")));
+        is_gzip && weight.is_none_or(|weight| weight.parse::<f32>().is_ok_and(|weight| weight > 0.0))
+    })
+}
+
 /// `GET /static/{version}/{name}`.
 pub(crate) async fn serve(
     Path((version, name)): Path<(String, String)>,
@@ -108,7 +118,7 @@ pub(crate) async fn serve(
         // A page that was loaded before an update of this program requests the old address of the asset.
         return Ok(Redirect::temporary(&format!("{}/{name}", base_path())).into_response());
     }
-    let accepts = |value: &HeaderValue| value.to_str().is_ok_and(|text| text.contains("gzip"));
+    let accepts = |value: &HeaderValue| value.to_str().is_ok_and(accepts_gzip);
     let gzipped = asset.gzipped.as_ref().filter(|_| headers.get_all(ACCEPT_ENCODING).iter().any(accepts));
     let headers_of_asset = [
         (CONTENT_TYPE, asset.content_type),
@@ -122,4 +132,19 @@ pub(crate) async fn serve(
         Some(bytes) => (headers_of_asset, [(CONTENT_ENCODING, "gzip")], bytes.clone()).into_response(),
         None => (headers_of_asset, asset.plain.clone()).into_response(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gzip_is_accepted_unless_its_weight_is_zero() {
+        for header in ["gzip", "br, gzip", "GZIP;q=0.5, *", "deflate;q=0, gzip ; q=1"] {
+            assert!(accepts_gzip(header), "{header}");
+        }
+        for header in ["", "br", "gzip;q=0", "gzip; q=0.000", "x-gzipped", "gzip;q=nan"] {
+            assert!(!accepts_gzip(header), "{header}");
+        }
+    }
 }

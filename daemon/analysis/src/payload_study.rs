@@ -79,7 +79,7 @@ pub fn group_by_link<'a, T>(
 /// Returns the name of an edge without the number of its user; `None` if the name has no number.
 fn name_without_number(edge: &str) -> Option<String> {
     let (name, number) = edge.rsplit_once('-')?;
-    number.bytes().all(|byte| byte.is_ascii_digit()).then(|| name.to_owned())
+    (!number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit())).then(|| name.to_owned())
 }
 
 /// Messages of one direction of a link, by size.

@@ -133,8 +133,8 @@ fn agent(description: &HostDescription) -> Pairs {
     ]
 }
 
-/// Returns the number of detected clock steps as text. Sleeps and excessive drifts count as steps.
-fn step_count(clock: &HostClock) -> String {
+/// Returns the number of detected interruptions of the clock as text: steps, suspensions and excessive drifts.
+fn interruption_count(clock: &HostClock) -> String {
     match clock.epoch {
         0 => "none since the agent started".to_owned(),
         1 => "1 since the agent started".to_owned(),
@@ -206,7 +206,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             ("Relation to the aggregator's clock", relation),
             ("Synchronised by", describe_synchronisation(&host.clock)),
             ("Reported error bound", reported_error_bounds(&host.clock)),
-            ("Steps noticed", step_count(&host.clock)),
+            ("Clock interruptions", interruption_count(&host.clock)),
             (
                 "Clock fault",
                 host.clock.faults.as_ref().map_or_else(|| "none".to_owned(), ToString::to_string),

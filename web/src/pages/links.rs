@@ -40,6 +40,8 @@ struct Links {
     truncation_note: Option<String>,
     /// Links that are stored but not in the live state.
     past_links: Vec<PastLine>,
+    /// Sentence shown if the list of past links is truncated.
+    past_truncation_note: Option<String>,
 }
 
 /// `GET /links`.
@@ -58,6 +60,7 @@ pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, Web
 
 fn links(app: &AppState, snapshot: &LiveState, stored: &[LinkRow]) -> Links {
     let mut past_links = PastLine::all(stored, snapshot, app.zone);
+    let past_truncation_note = list_limits::truncation_note(list_limits::MAX_IN_LIST, past_links.len());
     past_links.truncate(list_limits::MAX_IN_LIST);
     Links {
         shell: Shell::new(app, snapshot, "/links", "Links").live(TOPIC),
@@ -65,5 +68,6 @@ fn links(app: &AppState, snapshot: &LiveState, stored: &[LinkRow]) -> Links {
         lines: LinkLine::first(list_limits::MAX_IN_LIST, snapshot, app.zone),
         truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, snapshot.links.len()),
         past_links,
+        past_truncation_note,
     }
 }

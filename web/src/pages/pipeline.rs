@@ -115,14 +115,16 @@ async fn show(
 /// Renders the changed parts of the page.
 pub(super) fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
-    let (Some(host), Some(name), Some(seconds)) = (parts.next(), parts.next(), parts.next()) else {
+    let (Some(host), Some(name), Some(seconds)) =
+        (parts.next(), parts.next(), parts.next().and_then(|seconds| seconds.parse().ok()))
+    else {
         return Err(WebError::BadRequest(
             "query parameter topics: the topic of a pipeline has the form pipeline/HOST/PIPELINE/SECONDS"
                 .to_owned(),
         ));
     };
     let pipeline = find(snapshot, host, name)?;
-    let page = pipeline_page(app, snapshot, pipeline, seconds.parse().unwrap_or(10), &[], &[])?;
+    let page = pipeline_page(app, snapshot, pipeline, seconds, &[], &[])?;
     let parts = vec![
         ("title", page.as_title().render()?),
         ("figures", page.as_figures().render()?),

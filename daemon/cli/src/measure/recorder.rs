@@ -135,8 +135,6 @@ pub(super) struct RecordedRun {
     pub(super) edge_clock: Option<String>,
     /// Description of what synchronises the cloud's clock.
     pub(super) cloud_clock: Option<String>,
-    /// Error because of which some rows are not in the file.
-    pub(super) unwritten: Option<String>,
 }
 
 impl<'a> RunRecorder<'a> {
@@ -167,9 +165,9 @@ impl<'a> RunRecorder<'a> {
 
     /// Writes the rows to the file as far as the disk has space, and returns everything that was recorded.
     pub(super) fn finish(self) -> RecordedRun {
-        let mut recorded = self.recorded;
-        recorded.unwritten = self.writer.finish().err().map(|error| error.to_string());
-        recorded
+        // `ResultFolder::finish` writes rows that do not fit here to another folder, and reports it if that fails, too.
+        let _ = self.writer.finish();
+        self.recorded
     }
 
     fn record_start(&mut self, run: RunDescription) {

@@ -90,5 +90,6 @@ async fn database_of_each_migration_is_readable() {
         let expected = expected.get_or_insert_with(|| content.clone());
         let differs = |(content, expected): &(&str, &str)| content != expected;
         assert_eq!(content.lines().zip(expected.lines()).find(differs), None, "migration {version}");
+        assert_eq!(content.lines().count(), expected.lines().count(), "lines of migration {version}");
     }
 }

@@ -324,14 +324,16 @@ impl Writer {
                         );
                         return Ok(committed);
                     }
-                    Err(Refusal::Database(error)) => return Err(DatabaseError::new(error).into()),
+                    Err(Refusal::Database(error)) => {
+                        return Err(self.file.commit_error(DatabaseError::new(error)));
+                    }
                     Err(Refusal::Batch(other_reason)) => reason = other_reason,
                 }
             }
         }
         match self.attempt(part, now, Some(&reason)).await {
             Ok(committed) => Ok(committed),
-            Err(Refusal::Database(error)) => Err(DatabaseError::new(error).into()),
+            Err(Refusal::Database(error)) => Err(self.file.commit_error(DatabaseError::new(error))),
             // The batch could not be quarantined either. The refusal is returned as an error of the database, so that
             // the batch is not lost but tried again.
             Err(Refusal::Batch(reason)) => Err(DatabaseError::new(sqlx::Error::Protocol(reason)).into()),

@@ -86,7 +86,13 @@ impl Staging {
                     (head, None)
                 }
                 // Only batches are quarantined. Other work that the database refuses is dropped.
-                (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(_)) => continue,
+                (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(reason)) => {
+                    tracing::error!(
+                        reason,
+                        "a message of a host that the database refuses was dropped; the host's batches are stored"
+                    );
+                    continue;
+                }
                 (Work::Hello(introduction), None) => {
                     self.introduce(connection, introduction, now).await?;
                     continue;
