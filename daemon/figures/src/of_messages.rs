@@ -2,7 +2,7 @@
 
 use peernet_statistics::number::{mean_std, throughput_with_margin};
 
-use crate::drawing::{Parts, Scaling, Series, Unit, Value};
+use crate::drawing::{Explanations, Scaling, Series, Unit, Value};
 use crate::look::Mark;
 use peernet_analysis::fit::{Fit, rate};
 use peernet_analysis::message_sizes::{SizeSummary, line_through_medians};
@@ -77,7 +77,7 @@ impl MessageSeries {
         let line = self.increasing_fit().map(|fit| (fit.intercept.value, fit.slope.value));
         self.series(name, line, |size| {
             let bounds = size.bounds.map(|(lo, hi)| (lo, Some(hi)));
-            Some(Value { bytes: size.wire_bytes, value: size.median, spread: size.tails, bounds })
+            Some(Value { bytes: size.wire_bytes, value: size.median, p5_and_p95: size.tails, bounds })
         })
     }
 
@@ -89,7 +89,7 @@ impl MessageSeries {
         let line = self.rate().map(|(rate, _)| (rate, 0.0));
         self.series(name, line, |size| {
             let (value, bounds) = (size.throughput?, size.throughput_bounds);
-            Some(Value { bytes: size.wire_bytes, value, spread: None, bounds })
+            Some(Value { bytes: size.wire_bytes, value, p5_and_p95: None, bounds })
         })
     }
 
@@ -107,25 +107,36 @@ impl MessageSeries {
 impl MessageFigures {
     /// Returns the figure of delay against size, with the fitted lines.
     pub(crate) fn latency(&self) -> Scaling {
-        let parts = Parts { point: "median", whisker: "clock bounds", line: "best fit, ±\u{a0}95\u{a0}%" };
-        self.scaling(Unit::milliseconds("One-way delay"), "One-way delay", parts, MessageSeries::latency)
+        let explanations =
+            Explanations { point: "median", whisker: "clock bounds", line: "best fit, ±\u{a0}95\u{a0}%" };
+        self.scaling(
+            Unit::milliseconds("One-way delay"),
+            "One-way delay",
+            explanations,
+            MessageSeries::latency,
+        )
     }
 
     /// Returns the figure of throughput against size, with the throughput that the slope of the delays implies.
     pub(crate) fn throughput(&self) -> Scaling {
-        let parts = Parts {
+        let explanations = Explanations {
             point: "size ÷ median delay",
             whisker: "by clock bounds",
             line: "by slope, ±\u{a0}95\u{a0}%",
         };
-        self.scaling(Unit::megabytes_per_second("Throughput"), "Throughput", parts, MessageSeries::throughput)
+        self.scaling(
+            Unit::megabytes_per_second("Throughput"),
+            "Throughput",
+            explanations,
+            MessageSeries::throughput,
+        )
     }
 
     fn scaling(
         &self,
         unit: Unit,
         quantity: &str,
-        parts: Parts,
+        explanations: Explanations,
         series: fn(&MessageSeries) -> Series,
     ) -> Scaling {
         let title = match self.link_name.as_str() {
@@ -133,7 +144,7 @@ impl MessageFigures {
             link => format!("{quantity} against payload · {link}"),
         };
         let notes = self.notes.iter().cloned().chain(self.undetermined_rates_note()).collect();
-        Scaling { title, unit, parts, notes, series: self.directions.iter().map(series).collect() }
+        Scaling { title, unit, explanations, notes, series: self.directions.iter().map(series).collect() }
     }
 
     /// Returns a note on the directions whose rate is not determined.

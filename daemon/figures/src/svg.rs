@@ -6,7 +6,7 @@
 //! let mut svg = Writer::default();
 //! svg.element(Tag::Svg).set("class", "plot").open();
 //! svg.element(Tag::Line).set("x1", Share(0.25)).set("x2", 12.5).leaf();
-//! svg.element(Tag::Text).set("dy", ".36em").words("a < b");
+//! svg.element(Tag::Text).set("dy", ".36em").text("a < b");
 //! svg.close();
 //! assert_eq!(svg.finish(), r#"<svg class="plot"><line x1="25%" x2="12.5"/><text dy=".36em">a &lt; b</text></svg>"#);
 //! ```
@@ -17,12 +17,12 @@ use peernet_sample::printable_line;
 
 use crate::look::Rgb;
 
-/// Number of decimals of coordinates, which gives a thousandth of a point.
+/// Number of decimals of coordinates. Coordinates are thus exact to a thousandth of a point.
 const DECIMALS: usize = 3;
 
 /// Kind of element of SVG or HTML.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "each is called like its element")]
+#[expect(missing_docs, reason = "each variant has the name of its element")]
 pub enum Tag {
     Circle,
     Div,
@@ -120,16 +120,16 @@ impl Value for String {
     }
 }
 
-/// Writes elements into a text.
+/// Writer of markup: elements and text.
 #[derive(Clone, Debug, Default)]
 pub struct Writer {
     out: String,
-    /// Elements that are not closed yet, the innermost last.
+    /// Open elements, from the outermost to the innermost.
     open_tags: Vec<Tag>,
 }
 
 /// Element whose attributes are being written.
-#[must_use = "an element ends with `leaf`, `open` or `words`"]
+#[must_use = "an element ends with `leaf`, `open` or `text`"]
 pub struct Attributes<'a> {
     writer: &'a mut Writer,
     tag: Tag,
@@ -143,15 +143,15 @@ impl Writer {
         Attributes { writer: self, tag }
     }
 
-    /// Ends the element that was opened last.
+    /// Ends the innermost open element.
     pub fn close(&mut self) {
         if let Some(tag) = self.open_tags.pop() {
             self.write_end_tag(tag);
         }
     }
 
-    /// Writes text into the element that was opened last.
-    pub fn words(&mut self, text: &str) {
+    /// Writes text into the innermost open element.
+    pub fn text(&mut self, text: &str) {
         append_escaped(&mut self.out, text);
     }
 
@@ -160,7 +160,7 @@ impl Writer {
         self.out.push_str(&other.finish());
     }
 
-    /// Returns the text, with all open elements closed.
+    /// Closes all open elements and returns the markup.
     pub fn finish(mut self) -> String {
         while !self.open_tags.is_empty() {
             self.close();
@@ -197,28 +197,28 @@ impl Attributes<'_> {
     pub fn leaf(self) {
         if matches!(self.tag, Tag::Div | Tag::Li | Tag::Span | Tag::Ul) {
             // HTML reads `<span/>` as the start tag of a span.
-            self.words("");
+            self.text("");
         } else {
             self.writer.out.push_str("/>");
         }
     }
 
-    /// Leaves the element open for nested elements, until [`Writer::close`].
+    /// Leaves the element open for nested elements. [`Writer::close`] ends it.
     pub fn open(self) {
         self.writer.out.push('>');
         self.writer.open_tags.push(self.tag);
     }
 
     /// Writes text as the content of the element and ends the element.
-    pub fn words(self, text: &str) {
+    pub fn text(self, text: &str) {
         self.writer.out.push('>');
         append_escaped(&mut self.writer.out, text);
         self.writer.write_end_tag(self.tag);
     }
 }
 
-/// Appends a number with at most `decimals` decimals and without trailing zeros. Appends 0 for a number that is not finite, because SVG
-/// has no such numbers.
+/// Appends a number with at most `decimals` decimals and without trailing zeros. Appends 0 for a number that is not
+/// finite, because SVG has no such numbers.
 pub(crate) fn append_number(out: &mut String, value: f64, decimals: usize) {
     let value = if value.is_finite() { value } else { 0.0 };
     let start = out.len();
@@ -232,7 +232,8 @@ pub(crate) fn append_number(out: &mut String, value: f64, decimals: usize) {
     }
 }
 
-/// Appends text with its markup characters escaped. Control characters become spaces, because they would make the SVG unreadable.
+/// Appends text with its markup characters escaped. Control characters become spaces, because an SVG with control
+/// characters is not valid XML.
 fn append_escaped(out: &mut String, text: &str) {
     for character in printable_line(text).chars() {
         match character {
@@ -250,7 +251,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_have_no_trailing_zeros_and_are_finite() {
+    fn numbers_are_finite_without_trailing_zeros() {
         let text = |value: f64| {
             let mut out = "=".to_owned();
             append_number(&mut out, value, DECIMALS);
@@ -264,7 +265,7 @@ mod tests {
     fn markup_in_text_is_escaped() {
         let mut svg = Writer::default();
         svg.element(Tag::Div).set("class", "\"><script>").open();
-        svg.words("<b>&\u{7}");
+        svg.text("<b>&\u{7}");
         svg.element(Tag::Span).leaf();
         let text = svg.finish();
         assert!(!text.contains("<script>") && !text.contains("<b>") && !text.contains('\u{7}'), "{text}");

@@ -1,6 +1,6 @@
 //! Picture of the distribution of one quantity of a run.
 
-use peernet_figures::drawing::{Counted, Distribution, View};
+use peernet_figures::drawing::{CountNoun, Distribution, View};
 use peernet_figures::look::stage;
 use peernet_logger::IterationValues;
 use peernet_store::Histogram;
@@ -22,16 +22,17 @@ pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) ->
         .filter_map(|(name, value)| Some((name, value?)))
         .filter(|(_, value)| *value <= last_edge)
         .collect();
-    let quantile_texts = quantiles.iter().map(|(name, value)| format!("{name} {}", unit.words(*value, 0.0)));
+    let quantile_texts =
+        quantiles.iter().map(|(name, value)| format!("{name} {}", unit.format_value(*value, 0.0)));
     let label =
         format!("Distribution of {}: {}", stored.stage, quantile_texts.collect::<Vec<_>>().join(", "));
     let distribution = Distribution {
         edges: stored.edges.clone(),
         counts: stored.counts.clone(),
-        counted: if IterationValues::has_one_value(&stored.stage) {
-            Counted::Iterations
+        count_noun: if IterationValues::has_one_value(&stored.stage) {
+            CountNoun::Iterations
         } else {
-            Counted::Values
+            CountNoun::Values
         },
         beyond: (stored.below, stored.beyond),
         quantiles,
@@ -40,7 +41,7 @@ pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) ->
         stage: stage(stored.stage.trim_end_matches("-throughput")),
         view,
         is_logarithmic,
-        ems: NARROWEST_EMS,
+        min_width_em: NARROWEST_EMS,
     };
     Picture::of_plot(&distribution.plot(), "histogram", &label)
 }

@@ -83,7 +83,7 @@ impl Stack {
 
     /// Returns the stack as a bar that fills its panel.
     pub(crate) fn full_width_bar(&self, class: &'static str) -> Picture {
-        Picture::of_items(&StageBar::whole(&self.parts).items(), class, &self.finding((None, None)))
+        Picture::of_items(&StageBar::full_width(&self.parts).items(), class, &self.finding((None, None)))
     }
 
     /// Returns the description of the bar in words.

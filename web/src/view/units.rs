@@ -34,7 +34,7 @@ mod tests {
         let symbols = [44.0, 9e4, 1.2e6, 3e9].map(|end| axis_unit("B", end).symbol.into_owned());
         assert_eq!(symbols, ["B", "B", "kB", "MB"]);
         assert_eq!(axis_unit("s", 1e9), Unit::symbol("ms", 1e3));
-        let words = [44.0, 1_228_800.0].map(|bytes| axis_unit("B", bytes).words(bytes, 0.0));
-        assert_eq!(words, ["44 B", "1,229 kB"]);
+        let texts = [44.0, 1_228_800.0].map(|bytes| axis_unit("B", bytes).format_value(bytes, 0.0));
+        assert_eq!(texts, ["44 B", "1,229 kB"]);
     }
 }

@@ -1,4 +1,4 @@
-//! Distributions of sketches on an axis that several distributions share.
+//! Axis that several distributions share. The distributions are sketches.
 
 use peernet_statistics::Summary;
 use peernet_statistics::histogram::{Binning, MAX_BINS, shown_range};
@@ -7,14 +7,15 @@ use crate::look::{Stage, Style};
 use crate::plot::{At, Axis, Item, Unit};
 use crate::scale::Scale;
 
-/// Number of bins between the ends of the values.
+/// Number of bins between the smallest and the largest value that is shown.
 const BINS: u32 = 48;
-/// Margin on both sides of values that lie far from zero, as a share of the range of the values.
+/// Margin on both sides of the values on an axis that does not begin at zero, as a share of the range of the values.
 const SIDE_MARGIN: f64 = 0.05;
-/// Share by which a value may lie beyond the end of the axis, because it was rounded, and still count as on the axis.
+/// Share by which a value may lie beyond an end of the axis and still have a position on the axis. The value may have been
+/// rounded.
 const ROUNDING: f64 = 1e-9;
-/// If the smallest value is less than this share of the largest value, the smallest value is taken as zero. Otherwise
-/// it would make the axis logarithmic.
+/// A smallest value that is less than this share of the largest value becomes zero. Otherwise the smallest value would make
+/// the axis logarithmic.
 const ZERO_SHARE: f64 = 1e-12;
 /// Approximate number of marks on the axis.
 const MARKS: usize = 5;
@@ -28,19 +29,19 @@ pub struct BinnedAxis {
     pub unit: Unit,
     /// Scale, in the unit that is shown.
     pub scale: Scale,
-    /// Edges of the bins between the ends of the values, in the unit that is shown.
+    /// Edges of the bins, in the unit that is shown.
     edges: Vec<f64>,
 }
 
 impl BinnedAxis {
-    /// Returns an axis of the values that a histogram shows: tails that would compress the rest lie beyond the ends of
-    /// the axis. A single distribution has the bins of its [histogram](Binning). An axis that several distributions
+    /// Returns an axis of the values that a histogram shows. Tails that would compress the rest lie beyond the ends of the
+    /// axis. The axis of a single distribution has the bins of the [histogram](Binning). An axis that several distributions
     /// share is logarithmic if it spans more than a decade. `None` without values.
     pub fn around<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
         let all: Vec<&Summary> = all.filter(|summary| summary.count() > 0).collect();
-        if let [one] = all.as_slice() {
+        if let [single] = all.as_slice() {
             let edges: Vec<f64> =
-                Binning::of(*one, MAX_BINS)?.edges().iter().map(|edge| edge * unit.per_si).collect();
+                Binning::of(*single, MAX_BINS)?.edges().iter().map(|edge| edge * unit.per_si).collect();
             let scale = Scale::linear((*edges.first()?, *edges.last()?)).widened(MARKS);
             return Some(Self { unit, scale, edges });
         }
@@ -49,15 +50,15 @@ impl BinnedAxis {
         Some(Self::new(unit, scale, ends))
     }
 
-    /// Returns a linear axis that begins at zero and ends a little above the largest value that is shown in a
-    /// histogram. The axis begins near the smallest value instead if zero would squeeze all values into a corner, or if
-    /// the smallest value is negative. `None` without values.
-    // The axis is linear for any range: latency grows in a straight line with the length of answers, and the line would
-    // be a curve on a logarithmic axis.
+    /// Returns a linear axis that begins at zero and ends a little above the largest value that a histogram shows. The axis
+    /// begins near the smallest value instead if an axis from zero would squeeze all values into a corner, or if the
+    /// smallest value is negative. `None` without values.
+    // The axis is linear for any range, because the line of latency over the length of answers would be a curve on a
+    // logarithmic axis.
     pub fn from_zero<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
         let all: Vec<&Summary> = all.filter(|summary| summary.count() > 0).collect();
         let (lo, hi) = Self::ends(&all, &unit)?;
-        let room = (hi - lo) * SIDE_MARGIN;
+        let margin = (hi - lo) * SIDE_MARGIN;
         let is_squeezed = lo > hi * ZERO_THRESHOLD;
         match lo {
             _ if lo < 0.0 => {
@@ -65,25 +66,24 @@ impl BinnedAxis {
                 Some(Self::new(unit, scale, (lo, hi)))
             }
             _ if is_squeezed => {
-                let scale = Scale::linear((lo - room, hi + room)).widened(MARKS);
+                let scale = Scale::linear((lo - margin, hi + margin)).widened(MARKS);
                 Some(Self::new(unit, scale, (lo, hi)))
             }
             _ => {
-                // An axis from zero has a position for each small value, so the bins begin at the smallest of all
-                // values, including tails.
+                // On an axis from zero, even the lower tail has a position, so the bins begin at the smallest value of all.
                 let min = all.iter().map(|summary| summary.moments.min * unit.per_si).fold(lo, f64::min);
-                Some(Self::new(unit, Scale::up_to(hi + room / 2.0, MARKS + 1), (min.max(0.0), hi)))
+                Some(Self::new(unit, Scale::up_to(hi + margin / 2.0, MARKS + 1), (min.max(0.0), hi)))
             }
         }
     }
 
     fn new(unit: Unit, scale: Scale, (lo, hi): (f64, f64)) -> Self {
-        let edge = |at: u32| scale.between(lo, hi, f64::from(at) / f64::from(BINS));
+        let edge = |index: u32| scale.between(lo, hi, f64::from(index) / f64::from(BINS));
         Self { unit, scale, edges: (0..=BINS).map(edge).collect() }
     }
 
-    /// Returns the smallest and the largest value that is shown, in the unit that is shown. The [shown
-    /// range](shown_range) of each distribution lies between them. `None` without values.
+    /// Returns the ends of the union of the [shown ranges](shown_range) of all distributions, in the unit that is shown.
+    /// `None` without values.
     fn ends(all: &[&Summary], unit: &Unit) -> Option<(f64, f64)> {
         let ends = |summary: &&Summary| {
             let (lo, hi) = shown_range(*summary)?;
@@ -91,11 +91,11 @@ impl BinnedAxis {
             Some((lo * unit.per_si, hi * unit.per_si))
         };
         let (lo, hi) = all.iter().filter_map(ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
-        // If all values are equal, the bins get a width that can be drawn.
+        // If all values are equal, the range is widened, because a bin needs a width.
         Some((lo, if hi > lo { hi } else { lo + lo.abs().max(1e-6) * 0.01 }))
     }
 
-    /// Returns the axis of a plot.
+    /// Returns this axis as an axis of a plot.
     pub fn axis(&self) -> Axis {
         self.unit.axis(self.scale).with_grid()
     }
@@ -106,7 +106,7 @@ impl BinnedAxis {
         ((lo - lo.abs() * ROUNDING) / self.unit.per_si, (hi + hi.abs() * ROUNDING) / self.unit.per_si)
     }
 
-    /// Returns the position of a value in SI units; `None` beyond an end.
+    /// Returns the position of a value in SI units; `None` for a value beyond an end of the axis.
     pub fn at(&self, value: f64) -> Option<f64> {
         let (lo, hi) = self.range();
         (lo..=hi).contains(&value).then(|| self.scale.at(value * self.unit.per_si))
@@ -120,12 +120,12 @@ impl BinnedAxis {
         (count_below(lo), values.count() - count_below(hi))
     }
 
-    /// Returns beginning, end and height of each bar of a distribution, as shares of the plot. The bar of the fullest
-    /// bin has the full height.
+    /// Returns the beginning, the end and the height of each bar of a distribution, as shares of the plot. The bar of the
+    /// bin with most values has the full height.
     pub fn bars(&self, values: &Summary) -> Vec<[f64; 3]> {
         let mut edges: Vec<f64> = self.edges.iter().map(|edge| edge / self.unit.per_si).collect();
-        // If no value lies beyond an end of the axis, the bin at this end is open, so that it does not lose values to
-        // rounding.
+        // If no value lies beyond an end of the axis, the bin at this end is open. Otherwise a value at the end could miss
+        // the bin because of rounding.
         let (lo, hi) = self.range();
         if let Some(first) = edges.first_mut().filter(|_| lo <= values.moments.min) {
             *first = f64::NEG_INFINITY;
@@ -142,7 +142,8 @@ impl BinnedAxis {
         filled_bins.map(bar).collect()
     }
 
-    /// Returns a small histogram. `median_interval` is the interval of the median in SI units, if the median is uncertain.
+    /// Returns a small histogram. `median_interval` is an interval of the median in SI units, which is drawn as a band;
+    /// `None` if there is no band.
     pub fn histogram(
         &self,
         values: &Summary,
@@ -163,7 +164,7 @@ impl BinnedAxis {
         items
     }
 
-    /// Returns the bars of a distribution, upright above a horizontal axis.
+    /// Returns the upright bars of a distribution above a horizontal axis.
     pub fn upright_bars(&self, values: &Summary, style: &Style) -> Vec<Item> {
         let bar = |[from, to, height]: [f64; 3]| {
             Item::rect(At::new(from, 1.0 - height), At::new(to, 1.0), style.clone())
@@ -171,8 +172,8 @@ impl BinnedAxis {
         self.bars(values).into_iter().map(bar).collect()
     }
 
-    /// Returns the bars of a distribution, horizontal at the right of a vertical axis.
-    pub fn level_bars(&self, values: &Summary, style: &Style) -> Vec<Item> {
+    /// Returns the horizontal bars of a distribution at the right of a vertical axis.
+    pub fn horizontal_bars(&self, values: &Summary, style: &Style) -> Vec<Item> {
         let bar = |[from, to, width]: [f64; 3]| {
             Item::rect(At::new(0.0, 1.0 - to), At::new(width, 1.0 - from), style.clone())
         };

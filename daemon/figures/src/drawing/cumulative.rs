@@ -1,8 +1,8 @@
-//! Figure of cumulative distributions: a curve for each quantity with the share of values up to each value.
+//! Figure of cumulative distributions: each quantity has a curve, which shows the share of iterations up to each value.
 
 use peernet_statistics::number::fixed;
 
-use super::histogram::range;
+use super::histogram::shown_range_of;
 use crate::look::{Mark, Style};
 use crate::plot::{Axis, Figure, Item, Key, Path, Plot, Swatch, Unit};
 use crate::scale::Scale;
@@ -17,9 +17,9 @@ const LOGARITHMIC_RATIO: f64 = 12.0;
 const AXIS_MARGIN: f64 = 0.02;
 /// An axis begins at zero unless the smallest value is more than this share of the largest value.
 const ZERO_THRESHOLD: f64 = 0.5;
-/// Height of the mark of the first curve, as a share of the plot.
+/// Height at which the first curve has its mark, as a share of the plot.
 const FIRST_MARK_HEIGHT: f64 = 0.12;
-/// Difference of the heights of the marks of two consecutive curves, so that no mark hides another.
+/// Difference between the heights at which two consecutive curves have their marks, so that no mark hides another.
 const MARK_DISTANCE: f64 = 0.16;
 /// Radius of a mark, points.
 const RADIUS: f64 = 1.7;
@@ -33,7 +33,7 @@ pub struct Cumulative {
     pub unit: Unit,
     /// Curves in the order of the legend.
     pub curves: Vec<CumulativeCurve>,
-    /// Notes below the figure, such as numbers of values and what is left out.
+    /// Notes below the figure, such as the number of values and what is left out.
     pub notes: Vec<String>,
 }
 
@@ -60,9 +60,10 @@ impl CumulativeCurve {
 }
 
 impl Cumulative {
-    /// Returns the curves that are drawn, each with the range of its values that is shown.
+    /// Returns the curves that are drawn, each with the range of its values without far tails.
     fn shown_curves(&self) -> impl Iterator<Item = (&CumulativeCurve, (f64, f64))> {
-        let curves_with_values = self.curves.iter().filter_map(|curve| Some((curve, range(&curve.values)?)));
+        let curves_with_values =
+            self.curves.iter().filter_map(|curve| Some((curve, shown_range_of(&curve.values)?)));
         curves_with_values.filter(|(_, (lo, hi))| lo.is_finite() && hi.is_finite())
     }
 
@@ -90,23 +91,23 @@ impl Cumulative {
         if let Some(scale) = self.scale() {
             let y_axis = Axis::new(Scale::linear((0.0, 100.0)), "Share of iterations, %", "%");
             let mut plot = Plot::new(self.unit.axis(scale).with_grid(), y_axis.with_grid());
-            for (number, (curve, _)) in self.shown_curves().enumerate() {
-                plot.items.extend(self.curve(&plot, number, curve));
+            for (index, (curve, _)) in self.shown_curves().enumerate() {
+                plot.items.extend(self.curve_items(&plot, index, curve));
             }
             let (_, end) = scale.ends();
-            let beyond: Vec<(&str, String)> = self
+            let counts_beyond: Vec<(&str, String)> = self
                 .shown_curves()
                 .filter_map(|(curve, _)| curve.count_beyond(end / self.unit.per_si))
                 .collect();
-            if let [(_, count)] = beyond.as_slice()
+            if let [(_, count)] = counts_beyond.as_slice()
                 && self.curves.len() == 1
             {
                 plot.remark =
-                    Some(format!("{count} beyond {} →", self.unit.words(end / self.unit.per_si, 0.0)));
+                    Some(format!("{count} beyond {} →", self.unit.format_value(end / self.unit.per_si, 0.0)));
             }
-            if !beyond.is_empty() {
+            if !counts_beyond.is_empty() {
                 let counts: Vec<String> =
-                    beyond.iter().map(|(name, count)| format!("{count} of {name}")).collect();
+                    counts_beyond.iter().map(|(name, count)| format!("{count} of {name}")).collect();
                 notes.push(format!("beyond the axis: {}", counts.join(", ")));
             }
             plots.push(plot);
@@ -121,7 +122,8 @@ impl Cumulative {
         Figure { title: self.title.clone(), legend, notes, plots, ..Figure::default() }
     }
 
-    fn curve(&self, plot: &Plot, number: usize, curve: &CumulativeCurve) -> Vec<Item> {
+    /// Returns the line and the mark of the curve with this index. A single curve has no mark.
+    fn curve_items(&self, plot: &Plot, index: usize, curve: &CumulativeCurve) -> Vec<Item> {
         let values = curve.values.values();
         let point = |index: usize| {
             let share = (index + 1) as f64 / values.len() as f64;
@@ -133,14 +135,16 @@ impl Cumulative {
         let mut points: Vec<(f64, f64)> = (0..=steps).map(|step| point(last * step / steps)).collect();
         // The curve begins at a share of zero, straight below its first value.
         points.insert(0, (points[0].0, 1.0));
-        let mark_y = 1.0 - (FIRST_MARK_HEIGHT + MARK_DISTANCE * number as f64).fract();
-        let mark =
+        let mark_y = 1.0 - (FIRST_MARK_HEIGHT + MARK_DISTANCE * index as f64).fract();
+        // The mark lies on the point that is nearest to this height.
+        let mark_point =
             points.iter().min_by(|a, b| (a.1 - mark_y).abs().total_cmp(&(b.1 - mark_y).abs())).copied();
         let mut items = vec![Item::path(Path::line(points.into_iter().map(Some)), curve.line.clone())];
         if self.curves.len() > 1 {
             let (shape, style) = &curve.mark;
             items.extend(
-                mark.map(|(x, y)| Item::mark(crate::plot::At::new(x, y), *shape, RADIUS, style.clone())),
+                mark_point
+                    .map(|(x, y)| Item::mark(crate::plot::At::new(x, y), *shape, RADIUS, style.clone())),
             );
         }
         items

@@ -4,22 +4,23 @@ use crate::look::{Style, stage};
 use crate::plot::{At, Item, Label, Path};
 use peernet_statistics::number;
 
-/// Length of a share bar for a share of 1. The rest of the width is room for the number after the bar.
+/// Length of a share bar that shows the share 1, as a share of the picture. The rest of the picture is room for the number
+/// after the bar.
 const FULL_LENGTH: f64 = 0.72;
-/// A meter is marked as nearly full if it shows at least this share.
+/// A meter is nearly full if it shows at least this share.
 const NEARLY_FULL: f64 = 0.9;
-/// Minimum length of a meter's bar, so that a small share is visible.
+/// Minimum length of a meter's bar as a share of the picture, so that a small share is visible.
 const MIN_LENGTH: f64 = 0.02;
 
-/// Returns the share of a stage, 0 to 1, as a bar with its number.
+/// Returns a bar that shows the share of a stage, 0 to 1, with the share as a number after the bar.
 pub fn share_bar(name: &str, share: f64) -> Vec<Item> {
     let end = share.clamp(0.0, 1.0) * FULL_LENGTH;
     let number = Label::new(At::new(end + 0.02, 0.5), number::share(share), crate::look::TextStyle::AXIS);
     vec![Item::rect(At::new(0.0, 0.19), At::new(end, 0.81), stage(name).plain()), Item::Text(number)]
 }
 
-/// Returns a meter of how much of a limit is used: a bar on a track that ends at the limit, and whether the meter is
-/// nearly full. `share` is the used share of the limit, 0 to 1.
+/// Returns a meter that shows the used share of a limit, 0 to 1, and whether the meter is nearly full. The meter is a bar
+/// on a track that ends at the limit.
 pub fn meter(share: f64) -> (Vec<Item>, bool) {
     let share = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
     let end = if share > 0.0 { share.max(MIN_LENGTH) } else { 0.0 };
@@ -27,8 +28,8 @@ pub fn meter(share: f64) -> (Vec<Item>, bool) {
     (vec![bar(1.0, "track"), bar(end, "fill")], share >= NEARLY_FULL)
 }
 
-/// Returns values from 0 to 1 at evenly spaced times as a line with the area below it. A missing value leaves a gap in
-/// the line and the area.
+/// Returns a line through values from 0 to 1 at evenly spaced times, with the area below the line. A missing value leaves
+/// a gap in the line and in the area.
 pub fn sparkline(values: &[Option<f64>]) -> Vec<Item> {
     let step = 1.0 / values.len().saturating_sub(1).max(1) as f64;
     let point = |(index, value): (usize, &Option<f64>)| {

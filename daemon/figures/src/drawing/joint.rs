@@ -1,4 +1,4 @@
-//! Plot of a sample of points, with the distribution of each quantity over all iterations at a side of the plot.
+//! Plot of points for some iterations, with the distribution of each quantity over all iterations at a side of the plot.
 
 use std::collections::BTreeMap;
 
@@ -8,9 +8,9 @@ use super::binned::BinnedAxis;
 use crate::look::{Fill, INK, Stage, Style};
 use crate::plot::{At, Item, Path, Plot, Strip};
 
-/// If there are at least this many points, cells with shades replace the points, because dots would hide each other.
+/// With at least this number of points, shaded cells replace the points, because the points would hide each other.
 const MIN_POINTS_FOR_CELLS: usize = 400;
-/// Number of cells across and upwards. A cell is about 4 points wide and high in a file.
+/// Numbers of columns and rows of cells. A cell is about 4 points wide and high in a file.
 const CELLS: (f64, f64) = (50.0, 25.0);
 /// Number of shades of cells.
 const SHADES: f64 = 14.0;
@@ -21,12 +21,12 @@ const SIDE_WIDTH: f64 = 26.0;
 /// Width of the line through the points in a file, points.
 const LINE_WIDTH: f64 = 0.75;
 
-/// Values of a plot, in SI units.
+/// Plot of two quantities against each other. All values are in SI units.
 #[derive(Clone, Copy, Debug)]
 pub struct Joint<'a> {
     /// Stage that determines the colour of the points.
     pub stage: Stage,
-    /// A sample of the iterations.
+    /// Points for some or all of the iterations.
     pub points: &'a [(f64, f64)],
     /// Horizontal axis, and the distribution of its quantity over all iterations.
     pub x: (&'a BinnedAxis, &'a Summary),
@@ -37,7 +37,8 @@ pub struct Joint<'a> {
 }
 
 impl Joint<'_> {
-    /// Returns the position of a point, as shares from the left and from the top; `None` beyond the end of an axis.
+    /// Returns the position of a point, as shares from the left and from the top; `None` for a point beyond the end of an
+    /// axis.
     fn position(&self, (x, y): (f64, f64)) -> Option<(f64, f64)> {
         Some((self.x.0.at(x)?, 1.0 - self.y.0.at(y)?))
     }
@@ -47,7 +48,7 @@ impl Joint<'_> {
         self.points.iter().filter_map(|point| self.position(*point)).collect()
     }
 
-    /// Returns whether the points are counted into cells, whose shades show the counts.
+    /// Returns whether shaded cells replace the points. The shade of a cell shows how many points lie in the cell.
     pub fn has_cells(&self) -> bool {
         self.positions().len() >= MIN_POINTS_FOR_CELLS
     }
@@ -59,8 +60,8 @@ impl Joint<'_> {
         let points = self.positions();
         if self.has_cells() {
             let style = Style::area(format!("f-{}", self.stage.class), Fill::of(self.stage.line_colour()));
-            let shades = cells(points.into_iter(), CELLS).into_iter();
-            plot.items.extend(shades.map(|(shade, path)| Item::path(path, style.clone().opacity(shade))));
+            let cells = cells_by_shade(points.into_iter(), CELLS).into_iter();
+            plot.items.extend(cells.map(|(shade, path)| Item::path(path, style.clone().opacity(shade))));
         } else if !points.is_empty() {
             let colour = self.stage.line_colour().tint(0.62);
             let style = Style::line(format!("dots d-{}", self.stage.class), colour, POINT_DIAMETER);
@@ -72,10 +73,10 @@ impl Joint<'_> {
             let (start, end) = x.range();
             let ends = (min.max(start) * x_per_si, max.min(end) * x_per_si);
             let line = plot.curve(ends, |x| (intercept + slope * x / x_per_si) * y_per_si);
-            // The line needs a halo only over cells.
+            // Over cells, the line needs a halo. Without cells, the halo is skipped.
             let styles = [Style::halo(), Style::line("fit", INK.light, LINE_WIDTH)];
-            let shown = styles.into_iter().skip(usize::from(!self.has_cells()));
-            plot.items.extend(shown.map(|style| Item::path(line.clone(), style)));
+            let needed_styles = styles.into_iter().skip(usize::from(!self.has_cells()));
+            plot.items.extend(needed_styles.map(|style| Item::path(line.clone(), style)));
         }
         let bars = Style::total().bin();
         // Each strip has a line along the side that is next to the plot.
@@ -84,27 +85,27 @@ impl Joint<'_> {
             Some(Strip { items, size: SIDE_WIDTH })
         };
         plot.top_strip = strip(x.upright_bars(self.x.1, &bars), At::new(1.0, 1.0));
-        plot.right_strip = strip(y.level_bars(self.y.1, &bars), At::new(0.0, 0.0));
+        plot.right_strip = strip(y.horizontal_bars(self.y.1, &bars), At::new(0.0, 0.0));
         plot
     }
 }
 
-/// Divides the plot into `columns` × `rows` cells and counts the points in each cell. Returns a path of the cells with
-/// each shade, the lightest shade first. A shade is an opacity from 0 to 1. It grows with the logarithm of the count,
-/// so that a single point is visible.
-fn cells(points: impl Iterator<Item = (f64, f64)>, (columns, rows): (f64, f64)) -> Vec<(f64, Path)> {
+/// Divides the plot into `columns` × `rows` cells and counts the points in each cell. Returns the shades, the lightest
+/// first, each with a path of the cells that have this shade. A shade is an opacity from 0 to 1. The shade grows with the
+/// logarithm of the count, so that a cell with a single point is visible.
+fn cells_by_shade(points: impl Iterator<Item = (f64, f64)>, (columns, rows): (f64, f64)) -> Vec<(f64, Path)> {
     let mut counts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
     for (x, y) in points {
         let cell = ((x * columns).min(columns - 1.0) as u32, (y * rows).min(rows - 1.0) as u32);
         *counts.entry(cell).or_default() += 1;
     }
     let max_logarithm = f64::from(counts.values().copied().max().unwrap_or(1)).ln_1p();
-    let mut cells_by_step: BTreeMap<u32, Vec<[(f64, f64); 2]>> = BTreeMap::new();
+    let mut cells_by_level: BTreeMap<u32, Vec<[(f64, f64); 2]>> = BTreeMap::new();
     for ((column, row), count) in counts {
-        let step = (f64::from(count).ln_1p() / max_logarithm * SHADES).round() as u32;
+        let level = (f64::from(count).ln_1p() / max_logarithm * SHADES).round() as u32;
         let corner = |column: u32, row: u32| (f64::from(column) / columns, f64::from(row) / rows);
-        cells_by_step.entry(step).or_default().push([corner(column, row), corner(column + 1, row + 1)]);
+        cells_by_level.entry(level).or_default().push([corner(column, row), corner(column + 1, row + 1)]);
     }
-    let shade = |step: u32| 0.18 + 0.82 * f64::from(step) / SHADES;
-    cells_by_step.into_iter().map(|(step, cells)| (shade(step), Path::rects(cells))).collect()
+    let shade = |level: u32| 0.18 + 0.82 * f64::from(level) / SHADES;
+    cells_by_level.into_iter().map(|(level, cells)| (shade(level), Path::rects(cells))).collect()
 }

@@ -1,4 +1,5 @@
-//! Figure of two quantities of each iteration against each other, such as response length and latency, with their distributions at the sides.
+//! Figure of two quantities of each iteration against each other, such as the length of answers and latency, with the
+//! distributions of both quantities at the sides.
 
 use peernet_statistics::Summary;
 use peernet_statistics::number::fixed;
@@ -8,7 +9,7 @@ use super::joint::Joint;
 use crate::look::stage;
 use crate::plot::{Figure, Plot, Unit};
 
-/// Points with both marginal histograms, as a [`Joint`] of single iterations.
+/// Points of single iterations with the distributions of both quantities, drawn as a [`Joint`] plot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lengths {
     /// Title of the figure.
@@ -19,7 +20,7 @@ pub struct Lengths {
     pub y: Unit,
     /// Stage whose quantity the vertical axis shows. It determines the colour of the points.
     pub stage: String,
-    /// One point for each iteration, SI units; points that are not finite are left out.
+    /// One point for each iteration, SI units. Points that are not finite are not drawn.
     pub points: Vec<(f64, f64)>,
     /// Intercept and slope of the line through the points, in SI units; `None` if no line is drawn.
     pub line: Option<(f64, f64)>,

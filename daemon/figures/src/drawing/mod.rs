@@ -1,9 +1,9 @@
-//! Kinds of figures: the layout of the results of the analysis.
+//! Kinds of figures. Each kind lays out results of the analysis.
 //!
 //! Every kind is a type with a method `figure`, `plot` or `items`. The method returns a layout of `crate::plot`, which
-//! both renderers can draw: on a page and in a file. Everything that differs by colour differs by mark, dash or hatch
-//! as well. [`Distribution`] and [`Stack`] are for both renderers. If a kind is drawn only on pages, its documentation
-//! says so. The values of such a kind are sketches and means, because a page does not read single iterations.
+//! both renderers can draw: on a page and in a file. Everything that differs by colour differs by mark, dash or hatch,
+//! too. If a kind is drawn only on pages, its documentation says so. The values of such a kind are sketches and means,
+//! because a page does not read single iterations.
 
 mod accuracy;
 mod binned;
@@ -28,13 +28,13 @@ pub use binned::BinnedAxis;
 pub(crate) use peernet_analysis::rows::is_plausible as is_drawable;
 
 pub use cumulative::{Cumulative, CumulativeCurve};
-pub use histogram::{Bins, Counted, Distribution, Histogram, View};
+pub use histogram::{Bins, CountNoun, Distribution, Histogram, View};
 pub use inline::{meter, share_bar, sparkline};
 pub use joint::Joint;
 pub use lengths::Lengths;
 pub use paired::{Group, MAX_GROUPS, MAX_PLACEMENTS, Paired};
 pub use quartiles::Quartiles;
-pub use scaling::{Parts, Scaling, Series, Value};
+pub use scaling::{Explanations, Scaling, Series, Value};
 pub use sharing::{MAX_CURVES, Sharing, SharingCurve, SharingPoint};
 pub use stack::{Orientation, Stack};
 pub use stacked::{Bar, Stacked};

@@ -1,5 +1,5 @@
-//! Figure of a quantity against size, on logarithmic axes. Each size has a point with its spread, and each series has a
-//! fitted line.
+//! Figure of a quantity against the size of messages, on logarithmic axes. Each size has a point with a bar and a whisker.
+//! A series can have a line.
 
 use peernet_statistics::number::bytes;
 
@@ -7,7 +7,7 @@ use crate::look::{Mark, Style, stage};
 use crate::plot::{At, Figure, Item, Key, Plot, Swatch, Unit};
 use crate::scale::Scale;
 
-/// Half the distance between two series at one size, points.
+/// Half the distance between the points of two series at the same size, points.
 const HALF_DISTANCE: f64 = 2.0;
 /// Width of a bar, points.
 const BAR_WIDTH: f64 = 2.7;
@@ -15,32 +15,37 @@ const BAR_WIDTH: f64 = 2.7;
 const CAP_HALF_WIDTH: f64 = 1.7;
 /// Approximate width of the plot in a file, points.
 const PLOT_WIDTH: f64 = 220.0;
-/// Radius of a point, and width of lines, points.
+/// Radius of a point, points.
 const RADIUS: f64 = 1.9;
+/// Width of the line of a series, points.
 const LINE_WIDTH: f64 = 0.75;
+/// Width of the line of a whisker, points.
 const WHISKER_WIDTH: f64 = 0.45;
-/// Room beyond the values at each end of the vertical axis. The first number is an exponent: the room is a factor, the
-/// ratio of the highest to the lowest value to this power. The second number is the minimum of this factor.
-const AXIS_MARGIN: (f64, f64) = (0.06, 1.15);
-/// Space on both sides of the sizes, as a factor.
+/// Exponent that gives the room beyond the values at each end of the vertical axis. The room is a factor: the ratio of the
+/// highest to the lowest value to this power.
+const AXIS_MARGIN: f64 = 0.06;
+/// Minimum of the factor that is the room beyond the values at each end of the vertical axis.
+const MIN_ROOM: f64 = 1.15;
+/// Room beyond the sizes at each end of the horizontal axis, as a factor.
 const SIDE_FACTOR: f64 = 1.4;
-/// Maximum factor between a level line and the values. A line that is farther away would squeeze the values: a note replaces it.
+/// Maximum factor between a level line and the values. A line that is farther away would squeeze the values, so a note
+/// replaces the line.
 const MAX_LEVEL_RATIO: f64 = 20.0;
 
-/// Statistics at one size, in SI units.
+/// Statistics of the messages of one size, in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Value {
     /// Size in bytes.
     pub bytes: f64,
     /// Value of the point.
     pub value: f64,
-    /// Range from the 5th to the 95th percentile, drawn as a bar; `None` if it is not known.
-    pub spread: Option<(f64, f64)>,
+    /// The 5th and the 95th percentile, drawn as the ends of a bar; `None` if they are not known.
+    pub p5_and_p95: Option<(f64, f64)>,
     /// Lower and upper bound of the true value, drawn as a whisker. A whisker without an upper bound leaves the plot.
     pub bounds: Option<(f64, Option<f64>)>,
 }
 
-/// Series of values over size.
+/// Values of one direction at several sizes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
     /// Name in the legend.
@@ -49,23 +54,24 @@ pub struct Series {
     pub stage: &'static str,
     /// Mark of the series.
     pub mark: Mark,
-    /// Values, one per size.
+    /// Values, one for each size.
     pub values: Vec<Value>,
     /// Line of the series: intercept in SI units and slope in SI units per byte; `None` if no line is drawn.
     pub line: Option<(f64, f64)>,
 }
 
 impl Value {
-    /// Returns the bounds of the whisker; `None` if there are no bounds, or if they are equal, because one clock
-    /// measured both ends.
+    /// Returns the ends of the whisker; `None` if there are no bounds, or if the bounds are equal because one clock stamped
+    /// both departure and arrival.
     fn whisker(&self) -> Option<(f64, Option<f64>)> {
         self.bounds.filter(|(lo, hi)| hi.is_none_or(|hi| hi > *lo))
     }
 }
 
-/// Explanations of the parts of a figure, in a few words each. The figure shows only the explanations of parts that are drawn.
+/// Explanations of the points, whiskers and lines of a figure, in a few words each. The figure shows the explanations of
+/// what is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Parts {
+pub struct Explanations {
     /// Explanation of the points.
     pub point: &'static str,
     /// Explanation of the whiskers.
@@ -74,15 +80,16 @@ pub struct Parts {
     pub line: &'static str,
 }
 
-/// Figure of series over size.
+/// Figure of a quantity against the size of messages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scaling {
     /// Title of the figure.
     pub title: String,
     /// Unit of the vertical axis.
     pub unit: Unit,
-    /// Explanations of the parts. Bars need none: they always show the 5th to the 95th percentile.
-    pub parts: Parts,
+    /// Explanations of points, whiskers and lines. Bars need no explanation here, because they always show the 5th to the
+    /// 95th percentile.
+    pub explanations: Explanations,
     /// Further notes on the values.
     pub notes: Vec<String>,
     /// Series: at most two.
@@ -94,11 +101,11 @@ impl Scaling {
         self.series.iter().flat_map(|series| &series.values).filter(|value| value.value > 0.0)
     }
 
-    /// Returns the lowest and the highest of all values, bars and bounds, SI units. A bound that is far from its value
-    /// counts only up to a certain distance.
+    /// Returns the lowest and the highest of all values, ends of bars and bounds, SI units. A bound that is far from its
+    /// value is replaced by a nearer number.
     fn heights(&self) -> Option<(f64, f64)> {
         let extent = |value: &Value| {
-            let (lo, hi) = value.spread.unwrap_or((value.value, value.value));
+            let (lo, hi) = value.p5_and_p95.unwrap_or((value.value, value.value));
             let whisker = value.whisker();
             // Bounds that are far from the value, such as a lower bound near zero, would squeeze everything else.
             let top = whisker.and_then(|bounds| bounds.1).map_or(hi, |bound| bound.min(value.value * 10.0));
@@ -108,37 +115,37 @@ impl Scaling {
         self.values().map(extent).reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
     }
 
-    /// Returns the height of a series' level line, and whether the line is near enough to the values to be drawn.
+    /// Returns the height of the level line of a series, and whether the line is near enough to the values to be drawn.
     /// `None` if the series has no line, or if its line is not level.
-    fn level(&self, series: &Series) -> Option<(f64, bool)> {
+    fn level_line(&self, series: &Series) -> Option<(f64, bool)> {
         let (height, _) = series.line.filter(|(height, slope)| *slope == 0.0 && *height > 0.0)?;
         let (low, high) = self.heights()?;
         Some((height, height <= high * MAX_LEVEL_RATIO && height >= low / MAX_LEVEL_RATIO))
     }
 
     /// Returns whether the line of a series is level and too far from the values to be drawn.
-    fn is_far(&self, series: &Series) -> bool {
-        self.level(series).is_some_and(|(_, is_near)| !is_near)
+    fn is_line_too_far(&self, series: &Series) -> bool {
+        self.level_line(series).is_some_and(|(_, is_near)| !is_near)
     }
 
-    /// Returns notes on how to read the figure: the explanations of the parts that are drawn, the lines that are not
-    /// drawn, and the further notes.
+    /// Returns notes on how to read the figure: the explanations of what is drawn, the names of lines that are not drawn,
+    /// and the further notes.
     fn reading_notes(&self) -> Vec<String> {
-        let mut parts = vec![format!("point: {}", self.parts.point)];
-        if self.values().any(|value| value.spread.is_some()) {
-            parts.push("bar: 5th to 95th percentile".to_owned());
+        let mut explanations = vec![format!("point: {}", self.explanations.point)];
+        if self.values().any(|value| value.p5_and_p95.is_some()) {
+            explanations.push("bar: 5th to 95th percentile".to_owned());
         }
         if self.values().any(|value| value.whisker().is_some()) {
-            parts.push(format!("whisker: {}", self.parts.whisker));
+            explanations.push(format!("whisker: {}", self.explanations.whisker));
         }
-        if self.series.iter().any(|series| series.line.is_some() && !self.is_far(series)) {
-            parts.push(format!("line: {}", self.parts.line));
+        if self.series.iter().any(|series| series.line.is_some() && !self.is_line_too_far(series)) {
+            explanations.push(format!("line: {}", self.explanations.line));
         }
-        let mut notes = vec![parts.join(" · ")];
+        let mut notes = vec![explanations.join(" · ")];
         let far_lines: Vec<&str> = self
             .series
             .iter()
-            .filter(|series| self.is_far(series))
+            .filter(|series| self.is_line_too_far(series))
             .map(|series| series.name.split(':').next().unwrap_or_default())
             .collect();
         if !far_lines.is_empty() {
@@ -149,13 +156,14 @@ impl Scaling {
         notes
     }
 
-    /// Returns axes that contain all values and level lines; `None` when there is no value above zero.
-    fn axes(&self) -> Option<Plot> {
+    /// Returns an empty plot whose axes contain all values and level lines; `None` if no value is above zero.
+    fn empty_plot(&self) -> Option<Plot> {
         let sizes = self.values().map(|value| (value.bytes, value.bytes));
         let (small, large) = sizes.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))?;
-        let levels = self.series.iter().filter_map(|series| self.level(series)).filter(|(_, near)| *near);
+        let levels =
+            self.series.iter().filter_map(|series| self.level_line(series)).filter(|(_, is_near)| *is_near);
         let (low, high) = levels.fold(self.heights()?, |(lo, hi), (level, _)| (lo.min(level), hi.max(level)));
-        let room = (high / low).powf(AXIS_MARGIN.0).max(AXIS_MARGIN.1);
+        let room = (high / low).powf(AXIS_MARGIN).max(MIN_ROOM);
         let y_scale = Scale::logarithmic((low * self.unit.per_si / room, high * self.unit.per_si * room));
         let sizes = Scale::logarithmic((small / SIDE_FACTOR, large * SIDE_FACTOR));
         let sizes = crate::plot::Axis::new(sizes, "Size on the wire", "");
@@ -168,7 +176,8 @@ impl Scaling {
             let (line, mark) = look(series);
             Key::new(Swatch::Curve(line, series.mark, mark), series.name.clone())
         };
-        let plots = self.axes().map(|mut plot| {
+        let plots = self.empty_plot().map(|mut plot| {
+            // Twice the mean index of the series, so that the offsets of all series are symmetric.
             let middle = self.series.len() as f64 - 1.0;
             for (index, series) in self.series.iter().enumerate() {
                 let items = self.series_items(&plot, series, HALF_DISTANCE * (2.0 * index as f64 - middle));
@@ -185,14 +194,16 @@ impl Scaling {
         }
     }
 
-    /// Returns the items of a series. The whole series is moved to the right by `dx` points, so that two series at one size are both visible.
+    /// Returns the items of a series. The series is moved to the right by `dx` points, so that the points of two series at
+    /// the same size are both visible.
     fn series_items(&self, plot: &Plot, series: &Series, dx: f64) -> Vec<Item> {
         let in_shown_unit = |value: f64| value * self.unit.per_si;
         let (line_style, mark_style) = look(series);
         let mut items = Vec::new();
-        if let Some((intercept, slope)) = series.line.filter(|_| !self.is_far(series)) {
+        if let Some((intercept, slope)) = series.line.filter(|_| !self.is_line_too_far(series)) {
             let line = plot.curve(plot.x.scale.ends(), |bytes| in_shown_unit(intercept + slope * bytes));
-            // A line that is not level is moved like the points, so that points that fit the line lie on it.
+            // A line that is not level is moved by the same distance as the points, so that points that fit the line lie on
+            // the line.
             let dx = if slope == 0.0 { 0.0 } else { dx };
             items.push(Item::path(line.within(dx / PLOT_WIDTH).offset_by(dx), line_style));
         }
@@ -201,7 +212,7 @@ impl Scaling {
         let whisker = Style::line("whisk2", colour, WHISKER_WIDTH);
         for value in series.values.iter().filter(|value| value.value > 0.0) {
             let at = |height: f64| plot.at(value.bytes, in_shown_unit(height)).offset_by(dx, 0.0);
-            if let Some((lo, hi)) = value.spread {
+            if let Some((lo, hi)) = value.p5_and_p95 {
                 items.push(Item::line(at(lo), at(hi), bar.clone()));
             }
             if let Some((lo, hi)) = value.whisker() {
@@ -219,7 +230,7 @@ impl Scaling {
     }
 }
 
-/// Returns the styles of the line and of the points.
+/// Returns the style of the line and the style of the points.
 fn look(series: &Series) -> (Style, Style) {
     let stage = stage(series.stage);
     (stage.line(LINE_WIDTH).dashed(series.mark.dash()).with("fit"), stage.mark())

@@ -1,4 +1,4 @@
-//! Figure of latency against the number of edges that share one cloud, with the fairness among these edges.
+//! Figure of latency against the number of edges that share a cloud, with the fairness among these edges.
 
 use peernet_analysis::users::{Curve, UsersLine};
 use peernet_statistics::number::fixed;
@@ -10,14 +10,17 @@ use crate::scale::{Scale, Tick};
 
 /// Maximum number of curves that a reader can distinguish.
 pub const MAX_CURVES: usize = 4;
-/// Half the distance between two curves at one number of edges, points.
+/// Half the distance between the points of two curves at the same number of edges, points.
 const HALF_DISTANCE: f64 = 2.0;
-/// Half the width of a whisker's cap, and of the dash at the median of one edge, points.
+/// Half the width of a whisker's cap, points.
 const CAP_HALF_WIDTH: f64 = 1.7;
+/// Half the width of the dash at the median of one edge, points.
 const DASH_HALF_WIDTH: f64 = 2.7;
-/// Radius of a point, and width of lines, points.
+/// Radius of a point, points.
 const RADIUS: f64 = 1.9;
+/// Width of the line of a curve and of a dash, points.
 const LINE_WIDTH: f64 = 0.75;
+/// Width of the line of a whisker, points.
 const WHISKER_WIDTH: f64 = 0.45;
 /// Height of the plot of fairness, points.
 const FAIRNESS_HEIGHT: f64 = 28.5;
@@ -34,9 +37,9 @@ const AXIS_MARGIN: f64 = 0.06;
 pub struct Sharing {
     /// Title of the figure.
     pub title: String,
-    /// Unit of the vertical axis: a latency.
+    /// Quantity and unit of the vertical axis: a latency.
     pub unit: Unit,
-    /// Curves: at most four.
+    /// Curves, at most [`MAX_CURVES`].
     pub curves: Vec<SharingCurve>,
     /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
@@ -45,23 +48,23 @@ pub struct Sharing {
 /// Curve of one configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SharingCurve {
-    /// Name for the legend; if it is empty, there is no entry.
+    /// Name in the legend; empty if the legend has no entry for the curve.
     pub name: String,
     /// Points of the curve, in ascending order of the number of edges.
     pub points: Vec<SharingPoint>,
 }
 
-/// Latency and fairness with a certain number of edges at the same time. Latencies are in seconds.
+/// Latency and fairness at one number of edges. Latencies are in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SharingPoint {
     /// Number of edges.
     pub edges: usize,
     /// Median of the totals of all edges.
     pub median: f64,
-    /// 95th percentile of all totals; `None` for few values.
+    /// 95th percentile of the totals of all edges; `None` if there are too few values.
     pub p95: Option<f64>,
     /// Median of the totals of each edge.
-    pub each: Vec<f64>,
+    pub edge_medians: Vec<f64>,
     /// Jain's index of the edges' rates, from 0 to 1; `None` if the rates are not known.
     pub fairness: Option<f64>,
 }
@@ -75,7 +78,7 @@ impl SharingCurve {
                 edges: line.edges,
                 median: drawable(line.totals.median)?,
                 p95: drawable(line.totals.p95),
-                each: line.edge_performances.iter().filter_map(|edge| drawable(edge.median)).collect(),
+                edge_medians: line.edge_performances.iter().filter_map(|edge| drawable(edge.median)).collect(),
                 fairness: line.fairness,
             })
         };
@@ -84,11 +87,12 @@ impl SharingCurve {
 }
 
 impl Sharing {
+    /// Returns the points of all curves that can be drawn.
     fn points(&self) -> impl Iterator<Item = &SharingPoint> {
         self.curves.iter().flat_map(|curve| &curve.points).filter(|point| point.median.is_finite())
     }
 
-    /// Returns the numbers of edges that were measured, each once, in ascending order.
+    /// Returns the numbers of edges that were measured, without duplicates, in ascending order.
     fn edge_counts(&self) -> Vec<usize> {
         let mut edges: Vec<usize> = self.points().map(|point| point.edges).collect();
         edges.sort_unstable();
@@ -102,34 +106,34 @@ impl Sharing {
 
     fn legend(&self) -> Vec<Key> {
         let named_curves = self.curves.iter().enumerate().filter(|(_, curve)| !curve.name.is_empty());
-        let key = |(number, curve): (usize, &SharingCurve)| {
-            let look = series(number);
+        let key = |(index, curve): (usize, &SharingCurve)| {
+            let look = series(index);
             Key::new(Swatch::Curve(look.line(LINE_WIDTH), look.mark, look.marks()), curve.name.clone())
         };
         named_curves.map(key).collect()
     }
 
     fn notes(&self) -> Vec<String> {
-        let mut parts = vec!["mark: median"];
+        let mut explanations = vec!["mark: median"];
         if self.points().any(|point| point.p95.is_some()) {
-            parts.push("whisker: to the 95th percentile");
+            explanations.push("whisker: to the 95th percentile");
         }
-        if self.points().any(|point| point.each.len() > 1) {
-            parts.push("dash: one edge’s median");
+        if self.points().any(|point| point.edge_medians.len() > 1) {
+            explanations.push("dash: one edge’s median");
         }
-        std::iter::once(parts.join(" · ")).chain(self.notes.iter().cloned()).collect()
+        std::iter::once(explanations.join(" · ")).chain(self.notes.iter().cloned()).collect()
     }
 
     /// Returns the axis of numbers of edges, with marks at the measured numbers.
     fn edges_axis(&self) -> Option<Axis> {
         let edges = self.edge_counts();
-        let (few, many) = (*edges.first()? as f64, *edges.last()? as f64);
-        let scale = if many >= few * LOGARITHMIC_EDGES_RATIO {
-            let room = (many / few).powf(AXIS_MARGIN);
-            Scale::logarithmic((few / room, many * room))
+        let (fewest, most) = (*edges.first()? as f64, *edges.last()? as f64);
+        let scale = if most >= fewest * LOGARITHMIC_EDGES_RATIO {
+            let room = (most / fewest).powf(AXIS_MARGIN);
+            Scale::logarithmic((fewest / room, most * room))
         } else {
-            let room = ((many - few) * AXIS_MARGIN).max(0.5);
-            Scale::linear((few - room, many + room))
+            let room = ((most - fewest) * AXIS_MARGIN).max(0.5);
+            Scale::linear((fewest - room, most + room))
         };
         let tick = |edges: usize| {
             let value = edges as f64;
@@ -138,10 +142,10 @@ impl Sharing {
         Some(Axis::new(scale, "Edges at once", "").marked(Marks::At(edges.into_iter().map(tick).collect())))
     }
 
-    /// Returns the lowest and the highest latency, in the unit shown.
-    fn latencies(&self) -> Option<(f64, f64)> {
+    /// Returns the lowest and the highest latency, in the unit that is shown.
+    fn latency_range(&self) -> Option<(f64, f64)> {
         let ends = |point: &SharingPoint| {
-            let all = point.each.iter().copied().chain([point.median]).chain(point.p95);
+            let all = point.edge_medians.iter().copied().chain([point.median]).chain(point.p95);
             let shown = all.filter(|value| value.is_finite()).map(|value| value * self.unit.per_si);
             shown.fold((f64::INFINITY, 0.0_f64), |(lo, hi), value| (lo.min(value), hi.max(value)))
         };
@@ -150,8 +154,10 @@ impl Sharing {
 
     /// Lays the figure out.
     pub fn figure(&self) -> Figure {
-        let plots =
-            self.latencies().zip(self.edges_axis()).map(|(latencies, across)| self.plots(latencies, across));
+        let plots = self
+            .latency_range()
+            .zip(self.edges_axis())
+            .map(|(latencies, edges)| self.plots(latencies, edges));
         Figure {
             title: self.title.clone(),
             legend: self.legend(),
@@ -161,32 +167,33 @@ impl Sharing {
         }
     }
 
-    fn plots(&self, (low, high): (f64, f64), across: Axis) -> Vec<Plot> {
+    /// Returns the plot of latencies between `low` and `high` and, below it, the plot of fairness if fairness is known.
+    fn plots(&self, (low, high): (f64, f64), edges_axis: Axis) -> Vec<Plot> {
         let y_scale = if low > 0.0 && high > low * LOGARITHMIC_RATIO {
             let room = (high / low).powf(AXIS_MARGIN);
             Scale::logarithmic((low / room, high * room))
         } else {
             Scale::from_zero((0.0, high))
         };
-        let mut latency = Plot::new(across.clone(), self.unit.axis(y_scale).with_grid());
-        for (number, curve) in self.curves.iter().enumerate() {
-            let items = self.curve(&latency, number, curve);
+        let mut latency = Plot::new(edges_axis.clone(), self.unit.axis(y_scale).with_grid());
+        for (index, curve) in self.curves.iter().enumerate() {
+            let items = self.curve_items(&latency, index, curve);
             latency.items.extend(items);
         }
         if !self.has_fairness() {
             return vec![latency];
         }
-        let shares = Scale::linear((0.0, 1.0));
-        let index = Axis::new(shares, "Fairness of answers/s (Jain’s index)", "").with_grid();
-        let mut fairness = Plot::new(across, index);
+        let index_scale = Scale::linear((0.0, 1.0));
+        let fairness_axis = Axis::new(index_scale, "Fairness of answers/s (Jain’s index)", "").with_grid();
+        let mut fairness = Plot::new(edges_axis, fairness_axis);
         fairness.height = Height::Points(FAIRNESS_HEIGHT);
-        for (number, curve) in self.curves.iter().enumerate() {
+        for (index, curve) in self.curves.iter().enumerate() {
             let points = curve.points.iter().filter(|point| point.median.is_finite());
             let values = points.filter_map(|point| Some((point.edges as f64, point.fairness?)));
-            let items = self.line(&fairness, number, values.collect());
+            let items = self.line_and_marks(&fairness, index, values.collect());
             fairness.items.extend(items);
         }
-        // Both plots share the horizontal axis, so only the lower plot has its title and its labels.
+        // Both plots share the horizontal axis, so its title and labels are removed from the upper plot.
         latency.x.title.clear();
         if let Marks::At(ticks) = &mut latency.x.marks {
             ticks.iter_mut().for_each(|tick| tick.text.clear());
@@ -194,8 +201,9 @@ impl Sharing {
         vec![latency, fairness]
     }
 
-    fn curve(&self, plot: &Plot, number: usize, curve: &SharingCurve) -> Vec<Item> {
-        let look = series(number);
+    /// Returns the items of the latencies of the curve with this index: dashes, whiskers, line and marks.
+    fn curve_items(&self, plot: &Plot, index: usize, curve: &SharingCurve) -> Vec<Item> {
+        let look = series(index);
         let (dash, whisker) = (
             Style::line("faint", look.colour.tint(0.5), LINE_WIDTH),
             Style::line("whisk2", look.colour, WHISKER_WIDTH),
@@ -204,10 +212,12 @@ impl Sharing {
         let mut items = Vec::new();
         for point in points() {
             let at = |value: f64| {
-                plot.at(point.edges as f64, value * self.unit.per_si)
-                    .offset_by(self.curve_offset(number), 0.0)
+                plot.at(point.edges as f64, value * self.unit.per_si).offset_by(self.curve_offset(index), 0.0)
             };
-            for value in point.each.iter().filter(|value| value.is_finite() && point.each.len() > 1) {
+            // The median of a single edge is the median of all edges, so the edge needs no dash.
+            for value in
+                point.edge_medians.iter().filter(|value| value.is_finite() && point.edge_medians.len() > 1)
+            {
                 items.push(Item::line(
                     at(*value).offset_by(-DASH_HALF_WIDTH, 0.0),
                     at(*value).offset_by(DASH_HALF_WIDTH, 0.0),
@@ -224,13 +234,13 @@ impl Sharing {
             }
         }
         let medians = points().map(|point| (point.edges as f64, point.median * self.unit.per_si));
-        items.extend(self.line(plot, number, medians.collect()));
+        items.extend(self.line_and_marks(plot, index, medians.collect()));
         items
     }
 
-    /// Returns a curve through some values, with its marks.
-    fn line(&self, plot: &Plot, number: usize, values: Vec<(f64, f64)>) -> Vec<Item> {
-        let (look, dx) = (series(number), self.curve_offset(number));
+    /// Returns the line of the curve with this index through these values, with a mark at each value.
+    fn line_and_marks(&self, plot: &Plot, index: usize, values: Vec<(f64, f64)>) -> Vec<Item> {
+        let (look, dx) = (series(index), self.curve_offset(index));
         let places: Vec<_> = values.into_iter().map(|(x, y)| plot.at(x, y)).collect();
         let line = Path::line(places.iter().map(|at| Some((at.x, at.y)))).offset_by(dx);
         let line = (places.len() > 1).then(|| Item::path(line, look.line(LINE_WIDTH)));
@@ -239,8 +249,9 @@ impl Sharing {
         line.into_iter().chain(marks).collect()
     }
 
-    /// Returns the distance in points by which a curve is moved to the right, so that curves do not hide each other.
-    fn curve_offset(&self, number: usize) -> f64 {
-        HALF_DISTANCE * (2.0 * number as f64 - (self.curves.len() as f64 - 1.0))
+    /// Returns the distance by which the curve with this index is moved to the right, so that curves do not hide each other;
+    /// points.
+    fn curve_offset(&self, index: usize) -> f64 {
+        HALF_DISTANCE * (2.0 * index as f64 - (self.curves.len() as f64 - 1.0))
     }
 }

@@ -1,4 +1,4 @@
-//! Bars of consecutive stages along a scale, for pages and files.
+//! Bar of consecutive stages along a scale, for pages and files.
 
 use crate::look::{Style, stage};
 use crate::plot::{At, Item};
@@ -6,7 +6,7 @@ use crate::scale::Scale;
 
 /// Minimum length of a part in a file, points, so that a short part is visible.
 const MIN_LENGTH: f64 = 0.6;
-/// A part that is shorter than this share of the scale has no line between itself and the part before it.
+/// No line separates a part from the part before it if the part is shorter than this share of the scale.
 const MIN_SEPARATED_SHARE: f64 = 0.006;
 
 /// Orientation of a bar or of a whisker.
@@ -19,7 +19,8 @@ pub enum Orientation {
 }
 
 impl Orientation {
-    /// Returns the place at a share along the scale and a share across the scale. The share across is counted from the left or from the top.
+    /// Returns the place at a share along the scale and a share across the scale. The share across the scale is measured
+    /// from the left or from the top.
     pub fn at(self, along: f64, across: f64) -> At {
         match self {
             Self::Vertical => At::new(across, 1.0 - along),
@@ -27,7 +28,8 @@ impl Orientation {
         }
     }
 
-    /// Returns a whisker along the scale. `has_cap` says which ends have a cap. A cap extends `cap` points to each side.
+    /// Returns a whisker along the scale. `has_cap` says which of its two ends have a cap. A cap extends `cap` points to each
+    /// side.
     pub fn whisker(self, ends: [At; 2], has_cap: [bool; 2], cap: f64, style: &Style) -> Vec<Item> {
         if self == Self::Vertical {
             return Item::whisker(ends, has_cap, cap, style);
@@ -39,7 +41,7 @@ impl Orientation {
         items
     }
 
-    /// Returns a whisker, as [`Self::whisker`] does, on a rim in the colour of the background.
+    /// Returns a [whisker](Self::whisker) with a rim in the colour of the background.
     pub fn rimmed_whisker(self, ends: [At; 2], has_cap: [bool; 2], cap: f64) -> Vec<Item> {
         [Style::halo(), Style::whisker()]
             .iter()
@@ -48,11 +50,11 @@ impl Orientation {
     }
 }
 
-/// Parts of one bar.
+/// Bar of consecutive parts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stack<'a> {
     /// Stage and value of each part, in the order of time. Values are in the unit of the scale. A value may be negative
-    /// if clocks were not corrected. Negative parts lie on the other side of zero.
+    /// if the clocks are not related. Negative parts lie below zero.
     pub parts: Vec<(&'a str, f64)>,
     /// Scale of the values.
     pub scale: Scale,
@@ -64,7 +66,8 @@ impl Stack<'_> {
         self.parts.iter().map(|(_, value)| value.max(0.0)).sum()
     }
 
-    /// Returns name, start and end of each part that is not zero, in the unit of the scale. Parts below zero are stacked from zero downwards.
+    /// Returns the name, the start and the end of each part that is not zero, in the unit of the scale. Negative parts are
+    /// stacked from zero downwards.
     pub fn segments(&self) -> Vec<(&str, f64, f64)> {
         let (mut negative_end, mut positive_end) = (0.0, 0.0);
         let parts = self.parts.iter().filter(|(_, value)| *value != 0.0);
@@ -77,17 +80,23 @@ impl Stack<'_> {
         parts.map(segment).collect()
     }
 
-    /// Lays the parts out in a bar between two positions across the scale.
-    pub fn items(&self, (near, far): (f64, f64), orientation: Orientation) -> Vec<Item> {
+    /// Lays the parts out in a bar. `sides` are the positions of both sides of the bar across the scale.
+    pub fn items(&self, sides: (f64, f64), orientation: Orientation) -> Vec<Item> {
+        let (one_side, other_side) = sides;
         let mut items = Vec::new();
-        let least = if orientation == Orientation::Vertical { (0.0, MIN_LENGTH) } else { (MIN_LENGTH, 0.0) };
+        let min_size =
+            if orientation == Orientation::Vertical { (0.0, MIN_LENGTH) } else { (MIN_LENGTH, 0.0) };
         for (name, from, to) in self.segments() {
             let [begin, end] = [from, to].map(|value| self.scale.at(value));
-            let corners = [orientation.at(begin, near), orientation.at(end, far)];
-            items.push(Item::Rect { from: corners[0], to: corners[1], least, style: stage(name).area() });
-            // Neighbours can have the same grey, so a line separates them.
+            let corners = [orientation.at(begin, one_side), orientation.at(end, other_side)];
+            items.push(Item::Rect { from: corners[0], to: corners[1], min_size, style: stage(name).area() });
+            // Neighbouring parts can have the same colour, so a line separates them.
             if from != 0.0 && (end - begin).abs() > MIN_SEPARATED_SHARE {
-                items.push(Item::line(orientation.at(begin, near), orientation.at(begin, far), Style::cut()));
+                items.push(Item::line(
+                    orientation.at(begin, one_side),
+                    orientation.at(begin, other_side),
+                    Style::cut(),
+                ));
             }
         }
         items

@@ -17,21 +17,22 @@ const ROW_HEIGHT: f64 = 14.4;
 /// Height of a horizontal bar with the space around it if there are many bars, points. With this height, sixty bars
 /// fill a page.
 const CLOSE_ROW_HEIGHT: f64 = 10.0;
-/// Maximum number of bars with [`ROW_HEIGHT`]. If there are more bars, all of them have [`CLOSE_ROW_HEIGHT`].
+/// Maximum number of bars with [`ROW_HEIGHT`]. If there are more bars, all bars have [`CLOSE_ROW_HEIGHT`].
 const MAX_WIDE_ROWS: usize = 16;
 /// Maximum number of upright bars, because their labels must fit side by side.
 const MAX_UPRIGHT_BARS: usize = 6;
 /// Space at the sides of the bars of an upright plot, points.
 const SIDE_MARGIN: f64 = 39.0;
-/// Space between horizontal bars and their names, and between a bar and its sum, points.
+/// Space at the sides of the names of horizontal bars, points.
 const NAME_DISTANCE: f64 = 16.0;
+/// Space at the sides of the sum after a horizontal bar, points.
 const SUM_DISTANCE: f64 = 4.5;
 /// Width of a bar as a share of the distance between two bars.
 const BAR_SHARE: f64 = 0.6;
 /// Maximum width of a bar as a share of the plot.
 const MAX_BAR_SHARE: f64 = 0.19;
-/// Share of the plot's height for the sum above the tallest bar.
-const WORDS_HEIGHT: f64 = 0.12;
+/// Height of the room for the sum above the tallest bar, as a share of the range of values.
+const SUM_HEIGHT: f64 = 0.12;
 /// Half the width of an error bar's cap, points.
 const CAP_HALF_WIDTH: f64 = 1.8;
 
@@ -42,21 +43,21 @@ pub struct Stacked {
     pub title: String,
     /// Unit of the axis of values: ms.
     pub unit: Unit,
-    /// Stages in the order of time. Every bar has a value for each stage, which is 0 for a stage that the bar does not
-    /// have.
+    /// Stages in the order of time. Every bar has a value for each stage. The value is 0 for a stage that the configuration
+    /// does not have.
     pub stages: Vec<String>,
     /// One bar for each configuration.
     pub bars: Vec<Bar>,
-    /// Notes on how to read the parts.
+    /// Notes below the figure, such as the meaning of the parts and what is left out.
     pub notes: Vec<String>,
 }
 
-/// Bar of a configuration, SI units.
+/// Bar of a configuration. Values are in SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bar {
     /// Label of the configuration.
     pub label: String,
-    /// Mean of each stage of the figure. A mean may be negative if clocks were not corrected.
+    /// Mean of each stage of the figure. A mean may be negative if the clocks are not related.
     pub means: Vec<f64>,
     /// Mean of the total. If the means of all stages are known, they add up to the total.
     pub total: f64,
@@ -66,12 +67,13 @@ pub struct Bar {
 
 impl Bar {
     /// Returns the mean and the standard deviation of the total; `None` unless the deviation is known and above 0.
-    fn spread(&self) -> Option<(f64, f64)> {
+    fn mean_and_std(&self) -> Option<(f64, f64)> {
         self.std.filter(|std| *std > 0.0).map(|std| (self.total, std))
     }
 
-    /// Returns the two ends of the bar, including its error bar.
+    /// Returns the lowest and the highest value that the bar and its error bar reach.
     fn range(&self) -> (f64, f64) {
+        // Parts below zero are stacked downwards, so they do not shorten the bar above zero.
         let sum_of =
             |is_included: fn(f64) -> bool| self.means.iter().filter(|mean| is_included(**mean)).sum::<f64>();
         let (negative_sum, positive_sum) = (sum_of(|mean| mean < 0.0), sum_of(|mean| mean > 0.0));
@@ -90,8 +92,8 @@ impl Bar {
 }
 
 impl Stacked {
-    /// Returns the figure of these bars, each given with its label, in ms. The stages of the figure are the parts that
-    /// at least one bar has.
+    /// Returns the figure of these bars, each given with its label. The axis is in ms. The stages of the figure are the
+    /// parts that at least one bar has.
     pub fn new(title: &str, bars: &[(String, LatencyBar)], notes: Vec<String>) -> Self {
         let has_part = |name: &Name| bars.iter().any(|(_, bar)| bar.part(name).is_some());
         let stages: Vec<Name> = part_order().filter(has_part).collect();
@@ -110,14 +112,14 @@ impl Stacked {
         }
     }
 
-    /// Lays each bar out as a picture of its own, with the values of its parts, for pages. Returns the bars and their
-    /// common scale, in ms.
+    /// Lays each bar out as a separate picture with the values of its parts, for pages. Returns the pictures and their common
+    /// scale, in ms.
     pub fn rows(&self) -> (Vec<Vec<Item>>, Scale) {
         let (low, high) = self.range();
         let scale = if low < 0.0 { Scale::from_zero((low, high)) } else { Scale::up_to(high, 6) };
         let row = |bar: &Bar| {
             let parts = self.parts(bar);
-            StageBar { spread: bar.spread(), ..StageBar::new(&parts, scale) }.items()
+            StageBar { mean_and_std: bar.mean_and_std(), ..StageBar::new(&parts, scale) }.items()
         };
         (self.bars.iter().map(row).collect(), scale)
     }
@@ -132,16 +134,17 @@ impl Stacked {
         self.stages.iter().zip(&bar.means).map(part).collect()
     }
 
-    /// Returns whether the bars are upright. They are upright if they are few and their labels are short.
+    /// Returns whether the bars are upright. The bars are upright if they are few and their labels are short.
     fn is_upright(&self) -> bool {
         let room = (WIDTH - SIDE_MARGIN) / self.bars.len().max(1) as f64 - 3.0;
-        let fits = |words: &str, size: f64| width(words, size) <= room;
+        let fits = |text: &str, size: f64| width(text, size) <= room;
         self.bars.len() <= MAX_UPRIGHT_BARS
             && self.bars.iter().all(|bar| {
                 bar.label.split(", ").all(|line| fits(line, TEXT)) && fits(&bar.sum_text(&self.unit), SMALL)
             })
     }
 
+    /// Returns the lowest and the highest value that the bars reach, in the unit that is shown.
     fn range(&self) -> (f64, f64) {
         let ranges = self.bars.iter().map(Bar::range);
         let (lo, hi) = ranges.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).unwrap_or_default();
@@ -162,22 +165,23 @@ impl Stacked {
 
     fn upright_plot(&self) -> Plot {
         let (low, high) = self.range();
-        let values = Scale::from_zero((low, high + (high - low) * WORDS_HEIGHT));
+        let values = Scale::from_zero((low, high + (high - low) * SUM_HEIGHT));
         let count = self.bars.len() as f64;
-        let place = |number: usize| (number as f64 + 0.5) / count;
-        let names = self.bars.iter().enumerate().map(|(number, bar)| Tick {
+        let middle = |index: usize| (index as f64 + 0.5) / count;
+        let names = self.bars.iter().enumerate().map(|(index, bar)| Tick {
             value: 0.0,
-            at: place(number),
+            at: middle(index),
             text: bar.label.replace(", ", "\n"),
         });
         let names = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(names.collect()));
         let mut plot = Plot::new(names, self.unit.axis(values).with_grid());
-        let half = (BAR_SHARE / count / 2.0).min(MAX_BAR_SHARE / 2.0);
-        for (number, bar) in self.bars.iter().enumerate() {
-            let (items, end) = self.bar(bar, values, (place(number), half), Orientation::Vertical);
+        let half_width = (BAR_SHARE / count / 2.0).min(MAX_BAR_SHARE / 2.0);
+        for (index, bar) in self.bars.iter().enumerate() {
+            let (items, end) =
+                self.bar_items(bar, values, (middle(index), half_width), Orientation::Vertical);
             plot.items.extend(items);
             let label = Label::new(
-                Orientation::Vertical.at(values.at(end), place(number)),
+                Orientation::Vertical.at(values.at(end), middle(index)),
                 bar.sum_text(&self.unit),
                 TextStyle::MARK,
             );
@@ -189,21 +193,25 @@ impl Stacked {
     fn horizontal_plot(&self) -> Plot {
         let values = Scale::from_zero(self.range());
         let count = self.bars.len() as f64;
-        let place = |number: usize| (number as f64 + 0.5) / count;
+        let middle = |index: usize| (index as f64 + 0.5) / count;
         let names = self.bars.iter().enumerate();
         let names =
-            names.map(|(number, bar)| Tick { value: 0.0, at: 1.0 - place(number), text: bar.label.clone() });
+            names.map(|(index, bar)| Tick { value: 0.0, at: 1.0 - middle(index), text: bar.label.clone() });
         let names = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(names.collect()));
         let mut plot = Plot::new(self.unit.axis(values).with_grid(), names);
         plot.height = Height::Points(
             count * if self.bars.len() > MAX_WIDE_ROWS { CLOSE_ROW_HEIGHT } else { ROW_HEIGHT },
         );
         plot.free_right = self.free_space(values);
-        for (number, bar) in self.bars.iter().enumerate() {
-            let (items, end) =
-                self.bar(bar, values, (place(number), BAR_SHARE / count / 2.0), Orientation::Horizontal);
+        for (index, bar) in self.bars.iter().enumerate() {
+            let (items, end) = self.bar_items(
+                bar,
+                values,
+                (middle(index), BAR_SHARE / count / 2.0),
+                Orientation::Horizontal,
+            );
             plot.items.extend(items);
-            let at = Orientation::Horizontal.at(values.at(end), place(number));
+            let at = Orientation::Horizontal.at(values.at(end), middle(index));
             plot.items.push(Item::Text(
                 Label::new(at, bar.sum_text(&self.unit), TextStyle::MARK).shifted(0.4, 0.36),
             ));
@@ -212,7 +220,7 @@ impl Stacked {
     }
 
     /// Returns the width that must stay free at the right of the plot for the sums that follow horizontal bars, points.
-    /// The sum of a short bar needs less of it, because it begins at the end of its bar.
+    /// The sum of a short bar needs less of this width, because the sum begins at the end of the bar.
     fn free_space(&self, values: Scale) -> f64 {
         let names_width = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
         let available_width = WIDTH - NAME_DISTANCE - names_width.min(MAX_NAME_WIDTH);
@@ -224,21 +232,25 @@ impl Stacked {
         available_width - self.bars.iter().map(max_plot_width).fold(available_width, f64::min)
     }
 
-    /// Returns a bar with its error bar, and the farther end of the two, in the unit that is shown. `middle` is the
-    /// centre of the bar and `half` is half its width, both as shares of the plot across the bars.
-    fn bar(
+    /// Returns the items of a bar and its error bar, and the highest value that they reach, in the unit that is shown.
+    /// `middle` is the centre of the bar and `half_width` is half its width, both as shares of the plot across the bars.
+    fn bar_items(
         &self,
         bar: &Bar,
         values: Scale,
-        (middle, half): (f64, f64),
+        (middle, half_width): (f64, f64),
         orientation: Orientation,
     ) -> (Vec<Item>, f64) {
         let parts = self.parts(bar);
-        let place = BarPlace { orientation, sides: (middle - half, middle + half), cap: CAP_HALF_WIDTH };
+        let place = BarPlace {
+            orientation,
+            sides: (middle - half_width, middle + half_width),
+            cap_half_width: CAP_HALF_WIDTH,
+        };
         let stage_bar = StageBar {
             has_grid: false,
             has_values: false,
-            spread: bar.spread(),
+            mean_and_std: bar.mean_and_std(),
             place,
             ..StageBar::new(&parts, values)
         };

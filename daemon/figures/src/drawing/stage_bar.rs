@@ -1,5 +1,5 @@
-//! Bar of the stages of one iteration, run or configuration, with their values and the distribution of the total. A file has such bars in
-//! [`Stacked`](super::Stacked).
+//! Bar of the stages of one iteration, run or configuration, with their values and the distribution of the total. In files,
+//! [`Stacked`](super::Stacked) draws such bars.
 
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
 use peernet_statistics::number::{figure, fixed};
@@ -9,9 +9,10 @@ use crate::look::{INK_2, INK_3, Style, TextStyle, stage};
 use crate::plot::{Anchor, At, Item, Label};
 use crate::scale::Scale;
 
-/// Vertical position of the whiskers of clock bounds, as a share of the height from the top.
+/// Vertical position of the whiskers of clock bounds, as a share of the picture's height from the top.
 const BOUND_Y: f64 = 0.08;
-/// Minimum length of the whisker of a clock bound, as a share of the scale. A shorter whisker would look like the line between two stages.
+/// Minimum length of the whisker of a clock bound, as a share of the scale. A shorter whisker would look like the line
+/// between two stages.
 const MIN_BOUND_LENGTH: f64 = 0.004;
 /// Half the width of the caps of the whisker of a clock bound, points.
 const BOUND_CAP_HALF_WIDTH: f64 = 1.5;
@@ -21,45 +22,45 @@ const BOUND_CAP_HALF_WIDTH: f64 = 1.5;
 pub struct BarPlace {
     /// Orientation of the scale.
     pub orientation: Orientation,
-    /// Both sides of the bar, as shares across the scale.
+    /// Positions of both sides of the bar, as shares across the scale.
     pub sides: (f64, f64),
     /// Half the width of the caps of the total's whisker, points.
-    pub cap: f64,
+    pub cap_half_width: f64,
 }
 
 impl Default for BarPlace {
     /// Returns the place of a bar that is alone in its picture.
     fn default() -> Self {
-        Self { orientation: Orientation::Horizontal, sides: (0.15, 0.85), cap: 3.8 }
+        Self { orientation: Orientation::Horizontal, sides: (0.15, 0.85), cap_half_width: 3.8 }
     }
 }
 
-/// Length of a stage in a bar.
+/// Stage in a bar.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StagePart {
     /// Name of the stage.
     pub name: String,
     /// Length, seconds.
     pub seconds: f64,
-    /// Half the width of the interval that the clock bounds give for the length, seconds; `None` for stages that are
-    /// not one-way delays.
+    /// Half the width of the interval that contains the length according to the clock bounds, seconds; `None` for stages
+    /// that are not one-way delays.
     pub bound: Option<f64>,
 }
 
-/// Stages in the order of their time, on a scale in ms.
+/// Bar of stages in the order of time, on a scale in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StageBar<'a> {
     /// Stages from the first to the last.
     pub parts: &'a [StagePart],
     /// Scale, ms.
     pub scale: Scale,
-    /// True if the marks of the scale are lines through the picture.
+    /// True if grid lines are drawn at the marks of the scale.
     pub has_grid: bool,
     /// True if values and clock bounds are shown. A low bar has no room for them.
     pub has_values: bool,
-    /// Mean and standard deviation of the total, seconds; `None` if they are not shown. A whisker shows the standard
-    /// deviation on both sides of the mean.
-    pub spread: Option<(f64, f64)>,
+    /// Mean and standard deviation of the total, seconds; `None` if they are not shown. A whisker extends by one standard
+    /// deviation to both sides of the mean.
+    pub mean_and_std: Option<(f64, f64)>,
     /// 95th and 99th percentile of the total, seconds.
     pub quantiles: [Option<f64>; 2],
     /// Place of the bar. Values, clock bounds and percentiles are drawn only in a bar that is alone in its picture.
@@ -74,14 +75,14 @@ impl<'a> StageBar<'a> {
             scale,
             has_grid: true,
             has_values: true,
-            spread: None,
+            mean_and_std: None,
             quantiles: [None; 2],
             place: BarPlace::default(),
         }
     }
 
     /// Returns a bar without a grid. The scale ends at the end of the last part, so that the parts fill the picture.
-    pub fn whole(parts: &'a [StagePart]) -> Self {
+    pub fn full_width(parts: &'a [StagePart]) -> Self {
         let end = parts.iter().map(|part| part.seconds.max(0.0)).sum::<f64>() * 1e3;
         let scale = if end > 0.0 { Scale::linear((0.0, end)) } else { Scale::up_to(0.0, 1) };
         Self { has_grid: false, ..Self::new(parts, scale) }
@@ -97,46 +98,51 @@ impl<'a> StageBar<'a> {
             items.extend(stack.segments().into_iter().map(|segment| Item::Text(self.value_label(segment))));
             items.extend(self.bound_whiskers(&stack));
         }
-        items.extend(self.spread_whisker());
+        items.extend(self.total_whisker());
         items.extend(self.quantile_whiskers(&stack));
         items
     }
 
     /// Returns the whisker of the total. An end beyond the scale has no cap.
-    fn spread_whisker(&self) -> Vec<Item> {
-        let Some((mean, std)) = self.spread else { return Vec::new() };
-        let BarPlace { orientation, sides: (near, far), cap } = self.place;
+    fn total_whisker(&self) -> Vec<Item> {
+        let Some((mean, std)) = self.mean_and_std else { return Vec::new() };
+        let BarPlace { orientation, sides: (one_side, other_side), cap_half_width } = self.place;
         let values = [mean - std, mean + std].map(|seconds| seconds * 1e3);
-        let ends = values.map(|value| orientation.at(self.scale.at(value), f64::midpoint(near, far)));
-        orientation.rimmed_whisker(ends, values.map(|value| self.scale.has(value)), cap)
+        let ends =
+            values.map(|value| orientation.at(self.scale.at(value), f64::midpoint(one_side, other_side)));
+        orientation.rimmed_whisker(ends, values.map(|value| self.scale.has(value)), cap_half_width)
     }
 
     /// Returns the positions of both ends of the total's whisker.
-    fn spread_ends(&self) -> Option<[f64; 2]> {
-        let (mean, std) = self.spread?;
+    fn total_whisker_ends(&self) -> Option<[f64; 2]> {
+        let (mean, std) = self.mean_and_std?;
         Some([mean - std, mean + std].map(|seconds| self.scale.at(seconds * 1e3)))
     }
 
-    /// Returns the label of a stage: its value, and before it the name of the stage if there is room. The label is
-    /// hidden if the whisker of the total would cross it.
+    /// Returns the label of a stage: the value, and before the value the name of the stage if there is room. The label is
+    /// hidden if the whisker of the total would cross the label.
     fn value_label(&self, (name, from, to): (&str, f64, f64)) -> Label {
         let (begin, end) = (self.scale.at(from), self.scale.at(to));
         let (middle, value) = (f64::midpoint(begin, end), to - from);
-        let words = if (1.0..9.95).contains(&value) { fixed(value, 1) } else { figure(value) };
+        let value_text = if (1.0..9.95).contains(&value) { fixed(value, 1) } else { figure(value) };
         let short_name = if name == BOTH_DIRECTIONS { "up + down" } else { name };
-        let label = Label::new(At::new(middle, 0.5), words, stage(name).text()).anchored(Anchor::Middle);
-        let label = label.led_by(format!("{short_name} ")).with_max_width(end - begin);
-        match self.spread_ends() {
+        let label = Label::new(At::new(middle, 0.5), value_text, stage(name).text()).anchored(Anchor::Middle);
+        let label = label.with_prefix(format!("{short_name} ")).with_max_width(end - begin);
+        match self.total_whisker_ends() {
+            // A label on one side of the whisker may be at most twice as wide as its middle is away from the whisker. A
+            // label whose middle is under the whisker has no room.
             Some([left, right]) => label.with_max_width(2.0 * (left - middle).max(middle - right).max(0.0)),
             None => label,
         }
     }
 
-    /// Returns the whiskers of the clock bounds. The sum of both directions is exact. Only the boundaries between the network and the stages
-    /// on the other host are uncertain, so the whiskers are at the end of the upload and at the beginning of the download.
+    /// Returns the whiskers of the clock bounds. The sum of both directions is exact, but the boundaries between the
+    /// network and the stages on the cloud are uncertain. The whiskers are therefore at the end of the upload and at the
+    /// beginning of the download.
     fn bound_whiskers(&self, stack: &Stack<'_>) -> Vec<Item> {
         let whisker = |(name, from, to): (&str, f64, f64)| {
             let part = self.parts.iter().find(|part| part.name == name)?;
+            // Each side of the whisker is at most as long as the delay, because a delay is not negative.
             let bound = part.bound?.min(part.seconds) * 1e3;
             let boundary = if name == "download" { from } else { to };
             let ends =
@@ -147,8 +153,8 @@ impl<'a> StageBar<'a> {
         stack.segments().into_iter().filter_map(whisker).flatten().collect()
     }
 
-    /// Returns the whiskers after the end of the bar: a solid line to the 95th percentile, and a dotted line from there to the 99th. A quantile
-    /// beyond the scale has an arrow.
+    /// Returns the whiskers after the end of the bar: a solid line to the 95th percentile, and a dotted line from the 95th
+    /// to the 99th percentile. A percentile beyond the scale has an arrow.
     fn quantile_whiskers(&self, stack: &Stack<'_>) -> Vec<Item> {
         let solid = || Style::line("whisk", INK_2.light, 0.75);
         let dotted = Style::line("whisk far", INK_3.light, 0.75).dashed(Some((1.5, 1.5)));

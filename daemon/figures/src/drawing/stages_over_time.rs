@@ -1,5 +1,5 @@
-//! Plot of the stages of one run over time, stacked, with the quantiles of the total. The plots of several runs have
-//! the same axes. They are drawn only on web pages, not in files.
+//! Plot of the stacked stages of a run over time, with the quantiles of the total. The plots of several runs have the same
+//! axes. The plots are drawn only on web pages, not in files.
 
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
 
@@ -8,26 +8,26 @@ use crate::look::{STAGES, Style, stage};
 use crate::plot::{At, Axis, Item, Key, Marks, Path, Plot, Strip, Swatch};
 use crate::scale::Scale;
 
-/// The vertical axis extends beyond the largest quantile by this share of the quantile.
+/// The vertical axis extends beyond the largest latency that it must show by this share of the latency.
 const MARGIN: f64 = 0.05;
-/// Units of the horizontal axis, as tuples: length of the longest axis that uses the unit, seconds; length of the unit,
-/// seconds; name of the unit.
+/// Units of the horizontal axis, as tuples: length of the longest axis with the unit, seconds; length of the unit, seconds;
+/// name of the unit.
 const UNITS: [(f64, f64, &str); 4] = [
     (180.0, 1.0, "seconds"),
     (10_800.0, 60.0, "minutes"),
     (259_200.0, 3_600.0, "hours"),
     (f64::INFINITY, 86_400.0, "days"),
 ];
-/// A run that is shorter than this share of the axis is reported as short.
+/// A run is short if it takes less than this share of the axis.
 const SHORT_RUN_SHARE: f64 = 0.02;
 /// Minimum width of a period of warm-up, as a share of the axis.
-const MIN_SHADE: f64 = 0.002;
-/// Failed iterations share a mark if they are closer together than this share of the axis.
+const MIN_WARM_UP_WIDTH: f64 = 0.002;
+/// Failed iterations share a mark if their distance is less than this share of the axis.
 const MIN_MARK_DISTANCE: f64 = 0.005;
 
-/// Returns the position of a stage in a stack, counted from below.
+/// Returns the position of a stage in the stack, from 0 for the lowest stage.
 fn stack_position(name: &str) -> usize {
-    // Both directions together take the position of the upload.
+    // The sum of both directions takes the position of the upload.
     let name = if name == BOTH_DIRECTIONS { "upload" } else { name };
     STAGES.iter().position(|stage| stage.name == name).unwrap_or(STAGES.len())
 }
@@ -39,14 +39,15 @@ pub struct StageBucket {
     pub begin: f64,
     /// Median of the total.
     pub median: f64,
-    /// 95th percentile of the total; `None` for few values.
+    /// 95th percentile of the total; `None` if there are too few values.
     pub p95: Option<f64>,
-    /// Means of the stages. Their sum is the mean of the total.
+    /// Stages, each with the mean of its latencies. The sum of the means is the mean of the total.
     pub parts: Vec<StagePart>,
 }
 
 impl StageBucket {
-    fn mean(&self) -> f64 {
+    /// Returns the mean of the total.
+    fn mean_total(&self) -> f64 {
         self.parts.iter().map(|part| part.seconds).sum()
     }
 }
@@ -60,25 +61,26 @@ pub struct StagesOverTime {
     pub width: f64,
     /// Buckets, oldest first.
     pub buckets: Vec<StageBucket>,
-    /// Beginnings of episodes, except the first.
+    /// Borders between episodes: start times of all episodes except the first.
     pub borders: Vec<f64>,
     /// Periods of warm-up, each with its beginning and end.
     pub warm_up: Vec<(f64, f64)>,
     /// Times of failed iterations.
     pub failed: Vec<f64>,
-    /// The 95th percentile of the total over the whole run, seconds; `None` for few values.
+    /// The 95th percentile of the total over the whole run, seconds; `None` if there are too few values.
     pub p95: Option<f64>,
 }
 
 impl StagesOverTime {
-    /// Returns the largest latency that the axis must show: the largest median or 95th percentile of a bucket. If no bucket has enough
-    /// samples for a 95th percentile, the 95th percentile of the whole run is used, or the largest mean if the run has none.
+    /// Returns the largest latency that the axis must show: the largest median or 95th percentile of a bucket. If no bucket
+    /// has enough samples for a 95th percentile, the 95th percentile of the whole run takes its place. If the run has too few
+    /// samples, too, the largest mean of a bucket takes its place.
     fn largest_latency(&self) -> f64 {
         let largest = |latency: fn(&StageBucket) -> Option<f64>| {
             self.buckets.iter().filter_map(latency).reduce(f64::max)
         };
         let largest_p95 =
-            largest(|bucket| bucket.p95).or(self.p95).or_else(|| largest(|bucket| Some(bucket.mean())));
+            largest(|bucket| bucket.p95).or(self.p95).or_else(|| largest(|bucket| Some(bucket.mean_total())));
         largest_p95.into_iter().chain(largest(|bucket| Some(bucket.median))).fold(0.0, f64::max)
     }
 
@@ -86,18 +88,19 @@ impl StagesOverTime {
         self.buckets.iter().any(|bucket| bucket.p95.is_some())
     }
 
-    /// Returns the line through the values of all buckets, as points of time and value. `None` interrupts the line
-    /// where buckets or values are missing. The line has a point in the middle of each bucket. Each piece between
-    /// interruptions is extended to the beginning of its first bucket and to the end of its last bucket.
+    /// Returns the line through the values of all buckets, as points of time and value. `None` interrupts the line where
+    /// buckets or values are missing. The line has a point in the middle of each bucket. Each piece between interruptions
+    /// begins at the beginning of its first bucket and ends at the end of its last bucket.
     fn outline(&self, value: impl Fn(&StageBucket) -> Option<f64>) -> Vec<Option<(f64, f64)>> {
-        // Statistics leave out the iterations of the warm-up. The values of the bucket in which the warm-up ends hold
-        // only from that end on, so the line begins there and not at the beginning of the bucket.
-        let at_start = self.warm_up.first().filter(|(from, _)| *from <= 0.0);
-        let start = at_start.map_or(0.0, |(_, until)| until.clamp(0.0, self.length));
+        // Statistics leave out the iterations of the warm-up. The values of the bucket in which the warm-up ends are those of
+        // iterations after the warm-up, so the line begins at the end of the warm-up and not at the beginning of the bucket.
+        let first_warm_up = self.warm_up.first().filter(|(from, _)| *from <= 0.0);
+        let start = first_warm_up.map_or(0.0, |(_, until)| until.clamp(0.0, self.length));
         let within_run = |time: f64| time.clamp(start, self.length);
         let mut points = Vec::with_capacity(self.buckets.len() + 4);
         for consecutive in self.buckets.chunk_by(|a, b| b.begin - a.begin < self.width * 1.5) {
-            // A bucket with few iterations has no quantile, although it has neighbours.
+            // A bucket with few iterations can lack a value, such as the 95th percentile. The bucket then interrupts the
+            // line, although no bucket is missing.
             for piece in consecutive.chunk_by(|a, b| value(a).is_some() == value(b).is_some()) {
                 let point = |bucket: &StageBucket, share: f64| {
                     Some((within_run(bucket.begin + self.width * share), value(bucket)?))
@@ -111,8 +114,8 @@ impl StagesOverTime {
         points
     }
 
-    /// Returns the names of the stages, the uppermost of the stack first.
-    fn names(&self) -> Vec<&str> {
+    /// Returns the names of the stages, from the top to the bottom of the stack.
+    fn stage_names(&self) -> Vec<&str> {
         let mut names: Vec<&str> = Vec::new();
         for name in self.buckets.iter().flat_map(|bucket| &bucket.parts).map(|part| part.name.as_str()) {
             if !names.contains(&name) {
@@ -123,16 +126,16 @@ impl StagesOverTime {
         names
     }
 
-    /// Lays the run out on shared axes: areas of the stages, and lines over the areas. The area of each stage reaches
-    /// down to the axis, and the areas of the stages below it are drawn over its lower part.
+    /// Lays the run out on shared axes: areas of the stages, and lines over the areas. The area of each stage reaches down to
+    /// the axis. The areas of lower stages are drawn over the lower part of this area.
     pub fn plot(&self, axes: &OverTimeAxes) -> Plot {
-        let x = Axis::new(axes.x(), "", "").marked(Marks::Round(4));
-        let y = Axis::new(axes.y(), "", "").marked(Marks::Round(5)).with_grid();
+        let x = Axis::new(axes.x_scale(), "", "").marked(Marks::Round(4));
+        let y = Axis::new(axes.y_scale(), "", "").marked(Marks::Round(5)).with_grid();
         let mut plot = Plot::new(x, y);
-        let (seconds, _) = axes.time_unit();
+        let (unit_seconds, _) = axes.time_unit();
         let position = |point: Option<(f64, f64)>| {
             let (time, value) = point?;
-            Some((plot.x.scale.at(time / seconds), 1.0 - plot.y.scale.at_or_outside(value * 1e3)))
+            Some((plot.x.scale.at(time / unit_seconds), 1.0 - plot.y.scale.at_or_outside(value * 1e3)))
         };
         let outline =
             |value: &dyn Fn(&StageBucket) -> Option<f64>| self.outline(value).into_iter().map(position);
@@ -142,15 +145,15 @@ impl StagesOverTime {
         };
         let mut items = Vec::new();
         let shade = |(from, until): &(f64, f64)| {
-            let [from, until] = [from, until].map(|time| plot.x.scale.at(time / seconds));
-            Item::rect(At::new(from, 0.0), At::new(until.max(from + MIN_SHADE), 1.0), Style::shade())
+            let [from, until] = [from, until].map(|time| plot.x.scale.at(time / unit_seconds));
+            Item::rect(At::new(from, 0.0), At::new(until.max(from + MIN_WARM_UP_WIDTH), 1.0), Style::shade())
         };
         items.extend(self.warm_up.iter().map(shade));
-        for name in self.names() {
+        for name in self.stage_names() {
             let area = Path::area(outline(&|bucket| stack_height(bucket, name)));
             items.push(Item::path(area, stage(name).plain()));
         }
-        let x_share = |time: &f64| plot.x.scale.at(time / seconds);
+        let x_share = |time: &f64| plot.x.scale.at(time / unit_seconds);
         let ticks = |xs: Vec<f64>| Path::ticks(xs.into_iter().map(|x| (x, 0.0, 1.0)));
         let lines = [
             (ticks(self.borders.iter().map(x_share).collect()), "border"),
@@ -158,7 +161,7 @@ impl StagesOverTime {
             (Path::line(outline(&|bucket| Some(bucket.median))), "median"),
         ];
         for (path, class) in lines.into_iter().filter(|(path, _)| !path.is_empty()) {
-            // A wide pale line below each line separates it from the areas.
+            // A wide pale line under each line separates the line from the areas.
             items.extend(["halo", class].map(|class| Item::path(path.clone(), Style::of_page(class))));
         }
         let mut failed: Vec<f64> = self.failed.iter().map(x_share).collect();
@@ -174,7 +177,7 @@ impl StagesOverTime {
     }
 }
 
-/// Axes that all runs share.
+/// Axes that the plots of all runs share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OverTimeAxes {
     /// Length of the horizontal axis, seconds.
@@ -184,8 +187,8 @@ pub struct OverTimeAxes {
 }
 
 impl OverTimeAxes {
-    /// Returns axes for these runs. Both axes begin at zero. The time axis ends at the end of the longest run. The axis
-    /// of latencies ends a little above the largest latency that must be shown. `None` if no run has a bucket.
+    /// Returns axes for these runs. Both axes begin at zero. The time axis is as long as the longest run. The axis of latencies
+    /// ends a little above the largest latency that it must show. `None` if no run has a bucket.
     pub fn of(runs: &[StagesOverTime]) -> Option<Self> {
         let max = |value: fn(&StagesOverTime) -> f64| runs.iter().map(value).fold(0.0, f64::max);
         let top = max(StagesOverTime::largest_latency) * (1.0 + MARGIN);
@@ -214,26 +217,26 @@ impl OverTimeAxes {
         self.time_unit().1
     }
 
-    /// Returns the unit of the horizontal axis: its length in seconds, such as 60 for minutes, and its name.
+    /// Returns the length in seconds and the name of the unit of the horizontal axis, such as 60 and `minutes`.
     fn time_unit(&self) -> (f64, &'static str) {
         let fits = |(max_length, ..): &&(f64, f64, &str)| self.length <= *max_length;
         UNITS.iter().find(fits).map_or((1.0, "seconds"), |(_, seconds, name)| (*seconds, *name))
     }
 
-    fn x(&self) -> Scale {
+    fn x_scale(&self) -> Scale {
         Scale::linear((0.0, self.length / self.time_unit().0))
     }
 
-    fn y(&self) -> Scale {
+    fn y_scale(&self) -> Scale {
         Scale::linear((0.0, self.top * 1e3))
     }
 
     /// Returns the number of buckets of a run whose mean is above the upper end of the axis.
     pub fn beyond(&self, run: &StagesOverTime) -> usize {
-        run.buckets.iter().filter(|bucket| bucket.mean() > self.top).count()
+        run.buckets.iter().filter(|bucket| bucket.mean_total() > self.top).count()
     }
 
-    /// Returns whether a run is so much shorter than the longest run that it can hardly be seen.
+    /// Returns whether a run is so short in comparison with the longest run that the short run can hardly be seen.
     pub fn is_short(&self, run: &StagesOverTime) -> bool {
         run.length < self.length * SHORT_RUN_SHARE
     }

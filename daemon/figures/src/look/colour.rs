@@ -12,21 +12,23 @@ impl Rgb {
         Self((value >> 16) as u8, (value >> 8) as u8, value as u8)
     }
 
-    /// Returns the colour mixed with white, as if drawn on white with this opacity, so that files need no transparency.
+    /// Returns the opaque colour that looks like this colour with an opacity on white paper. Files thus need no
+    /// transparency.
     #[must_use]
     pub fn tint(self, opacity: f64) -> Self {
-        let mix = |part: u8| (f64::from(part) * opacity + 255.0 * (1.0 - opacity)).round() as u8;
+        let mix = |channel: u8| (f64::from(channel) * opacity + 255.0 * (1.0 - opacity)).round() as u8;
         Self(mix(self.0), mix(self.1), mix(self.2))
     }
 
-    /// Returns the contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance). Only tests of the tables
-    /// of colours use it.
+    /// Returns the contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance). Only the tests of the
+    /// colour tables need the contrast.
     #[cfg(test)]
     pub(crate) fn contrast(self, other: Self) -> f64 {
-        let linear = |part: u8| {
-            let share = f64::from(part) / 255.0;
-            if share <= 0.04045 { share / 12.92 } else { ((share + 0.055) / 1.055).powf(2.4) }
+        let linear = |channel: u8| {
+            let encoded = f64::from(channel) / 255.0;
+            if encoded <= 0.04045 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
         };
+        // WCAG adds 0.05 to both luminances for the light that a screen reflects, so that black has a finite contrast.
         let luminance = |colour: Self| {
             0.2126 * linear(colour.0) + 0.7152 * linear(colour.1) + 0.0722 * linear(colour.2) + 0.05
         };
@@ -67,11 +69,11 @@ pub const INK_2: Token = Token::new("ink-2", 0x45_4d59, 0xb6_bec9);
 pub const INK_3: Token = Token::new("ink-3", 0x62_6b78, 0x8e_98a6);
 /// Lines between parts of a page.
 pub const LINE: Token = Token::new("line", 0xe3_e7ec, 0x25_2c35);
-/// Axes, and the bars of totals.
+/// Axes and the bars of totals.
 pub const LINE_STRONG: Token = Token::new("line-strong", 0x8a_94a3, 0x5d_6877);
 /// Background of a figure.
 pub const SURFACE: Token = Token::new("surface", 0xff_ffff, 0x14_181e);
-/// Failed iterations, and errors.
+/// Failed iterations and errors.
 pub const BAD: Token = Token::new("bad", 0x9b_1620, 0xff_9f98);
 
 /// Tokens that do not belong to a stage.
@@ -79,9 +81,9 @@ pub const TOKENS: [Token; 7] = [INK, INK_2, INK_3, LINE, LINE_STRONG, SURFACE, B
 
 /// Background of a file.
 pub const WHITE: Rgb = Rgb::hex(0xff_ffff);
-/// Grid of a file: a little darker than on a page, because it is printed.
+/// Grid of a file: a little darker than the grid of a page, because a file is printed.
 pub const GRID: Rgb = Rgb::hex(0xdd_e2e8);
-/// Background of periods that are excluded, in a file.
+/// Background of the periods that are excluded from the statistics, in a file.
 pub const SHADE: Rgb = Rgb::hex(0xe8_ebef);
 /// Text on a dark fill.
 pub const ON_DARK: Rgb = WHITE;

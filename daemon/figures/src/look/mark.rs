@@ -11,7 +11,7 @@ pub enum Mark {
     Square,
     /// Diamonds on a line of long dashes.
     Diamond,
-    /// Cross, for missing data.
+    /// Cross, for failed iterations and for the curve of a total.
     Cross,
 }
 
@@ -29,7 +29,8 @@ impl Mark {
         }
     }
 
-    /// Returns the corners around the middle for a radius of 1. A disc has none; a cross has the ends of its two strokes.
+    /// Returns the corners of the mark around its middle, for a radius of 1. A disc has no corners. The corners of a cross
+    /// are the ends of its two strokes.
     pub(crate) const fn corners(self) -> &'static [(f64, f64)] {
         match self {
             Self::Disc => &[],

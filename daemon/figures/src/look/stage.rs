@@ -6,9 +6,9 @@ use super::style::{Fill, Style, TextStyle};
 
 /// Name of the part of `total` that belongs to no stage.
 pub const UNATTRIBUTED: &str = "unattributed";
-/// Name of the time from the intended to the real start of an iteration. This time is a part of the unattributed time.
+/// Name of the time from the intended to the actual start of an iteration. This time is a part of the unattributed time.
 pub const LATENESS: &str = "lateness";
-/// Class of the sum of upload and download, which is shown if the clocks cannot separate the two.
+/// Class of the sum of upload and download. The sum is shown if the clocks cannot separate the two.
 const NETWORK: &str = "network";
 /// Class of totals. A total is the sum of all stages.
 const TOTAL: &str = "total";
@@ -24,19 +24,20 @@ pub struct Stage {
     pub colour: Token,
     /// Darker edge of a fill that is pale on paper, so that every boundary has a contrast of at least 3.
     pub edge: Option<Token>,
-    /// Hatch in a file, so that stages also differ without colour. On pages, only stages of waiting and the
-    /// unattributed time have a hatch.
+    /// Hatch in a file, so that stages differ without colour, too. On pages, only stages of waiting and the unattributed
+    /// time have a hatch.
     pub hatch: Hatch,
-    /// Colour of a line in a file, if neither the fill colour nor the edge colour is suitable for a line.
+    /// Colour of a line in a file, for totals and for stages whose fill and edge have the colours of another stage; `None`
+    /// if lines have the colour of the edge or, without an edge, of the fill.
     line: Option<Rgb>,
 }
 
-const QUEUE: Token = Token::new("s-queue", 0xdd_c336, 0xf0_e442);
+const QUEUE_FILL: Token = Token::new("s-queue", 0xdd_c336, 0xf0_e442);
 const QUEUE_EDGE: Token = Token::new("e-queue", 0x8c_7600, 0xf0_e442);
-const ENCODE: Token = Token::new("s-encode", 0x9a_cbab, 0xbe_e1c9);
+const ENCODE_FILL: Token = Token::new("s-encode", 0x9a_cbab, 0xbe_e1c9);
 const ENCODE_EDGE: Token = Token::new("e-encode", 0x4f_8f68, 0xbe_e1c9);
-const UNKNOWN: Token = Token::new("s-unattributed", 0xa0_a7b0, 0x62_6974);
-const UNKNOWN_EDGE: Token = Token::new("e-unattributed", 0x72_7b87, 0x8e_98a6);
+const UNATTRIBUTED_FILL: Token = Token::new("s-unattributed", 0xa0_a7b0, 0x62_6974);
+const UNATTRIBUTED_EDGE: Token = Token::new("e-unattributed", 0x72_7b87, 0x8e_98a6);
 
 /// Returns a stage whose fill is dark enough to need no edge.
 const fn dark(name: &'static str, colour: Token, hatch: Hatch) -> Stage {
@@ -51,19 +52,23 @@ const fn pale(name: &'static str, class: &'static str, colour: Token, edge: Toke
 /// Every stage in the order of stacks, keys and tables; the unattributed time is the last.
 pub const STAGES: [Stage; 14] = [
     dark("sensing", Token::new("s-sensing", 0x10_9e6d, 0x29_b783), Hatch::Plain),
-    pale("encode", "encode", ENCODE, ENCODE_EDGE, Hatch::Horizontal),
+    pale("encode", "encode", ENCODE_FILL, ENCODE_EDGE, Hatch::Horizontal),
     Stage {
         line: Some(Rgb::hex(0xa0_8600)),
-        ..pale("send-queue", "queue", QUEUE, QUEUE_EDGE, Hatch::Falling)
+        ..pale("send-queue", "queue", QUEUE_FILL, QUEUE_EDGE, Hatch::Falling)
     },
     dark("upload", Token::new("s-upload", 0xd5_5e00, 0xee_6c16), Hatch::Rising),
-    pale("queue", "queue", QUEUE, QUEUE_EDGE, Hatch::Rising),
+    pale("queue", "queue", QUEUE_FILL, QUEUE_EDGE, Hatch::Rising),
     Stage {
         line: Some(Rgb::hex(0x6b_5a00)),
-        ..pale("batch-wait", "queue", QUEUE, QUEUE_EDGE, Hatch::Horizontal)
+        ..pale("batch-wait", "queue", QUEUE_FILL, QUEUE_EDGE, Hatch::Horizontal)
     },
-    // Handing a sample to a model in a separate process is similar to encoding it for the network, so it has similar colours.
-    Stage { line: Some(Rgb::hex(0x2f_6b48)), ..pale("ipc", "encode", ENCODE, ENCODE_EDGE, Hatch::Cross) },
+    // Handing a sample to a model in a separate process is similar to encoding the sample for the network, so both
+    // stages have similar colours.
+    Stage {
+        line: Some(Rgb::hex(0x2f_6b48)),
+        ..pale("ipc", "encode", ENCODE_FILL, ENCODE_EDGE, Hatch::Cross)
+    },
     pale(
         "preprocessing",
         "preprocessing",
@@ -77,14 +82,14 @@ pub const STAGES: [Stage; 14] = [
     dark("actuation", Token::new("s-actuation", 0x0c_5232, 0x38_785a), Hatch::Horizontal),
     Stage {
         line: Some(Rgb::hex(0x4a_525c)),
-        ..pale(LATENESS, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Cross)
+        ..pale(LATENESS, UNATTRIBUTED, UNATTRIBUTED_FILL, UNATTRIBUTED_EDGE, Hatch::Cross)
     },
-    pale(UNATTRIBUTED, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Falling),
+    pale(UNATTRIBUTED, UNATTRIBUTED, UNATTRIBUTED_FILL, UNATTRIBUTED_EDGE, Hatch::Falling),
 ];
 
-/// Looks of quantities that are not stages: parts of stages, both directions together, totals. Each has the name that
-/// events use for the quantity.
-const PARTS: [Stage; 6] = [
+/// Looks of quantities that are not stages: parts of stages, both directions together, totals. Each look has the name
+/// that events use for the quantity.
+const NON_STAGES: [Stage; 6] = [
     Stage { name: "capture", class: "capture", ..STAGES[0] },
     Stage { name: "transform", class: "transform", ..STAGES[0] },
     Stage { name: "upload + download", class: NETWORK, ..STAGES[3] },
@@ -93,8 +98,8 @@ const PARTS: [Stage; 6] = [
     Stage { class: TOTAL, line: Some(INK.light), ..dark("stages-total", LINE_STRONG, Hatch::Plain) },
 ];
 
-/// Stage that a custom program defines.
-const OTHER: Stage = Stage {
+/// Look of every stage that custom code defines.
+const CUSTOM_STAGE: Stage = Stage {
     name: "",
     class: "other",
     colour: Token::new("ink-3", 0x62_6b78, 0x8e_98a6),
@@ -103,15 +108,16 @@ const OTHER: Stage = Stage {
     line: None,
 };
 
-/// Returns the label of a stage, or of a part of a stage, in legends, tables and sentences. The label is the name, except for [`LATENESS`].
+/// Returns the label of a stage, or of a part of a stage, in legends, tables and sentences. The label is the name, except
+/// for [`LATENESS`].
 pub fn label(name: &str) -> &str {
     if name == LATENESS { "late start" } else { name }
 }
 
-/// Returns the look of the stage, part of a stage or total with this name. Any other name is that of a stage that a
-/// custom program defines; such a stage has the colour of quiet text.
+/// Returns the look of the stage, part of a stage or total with this name. A stage with any other name is defined by
+/// custom code and has the colour of quiet text.
 pub fn stage(name: &str) -> Stage {
-    STAGES.iter().chain(&PARTS).copied().find(|stage| stage.name == name).unwrap_or(OTHER)
+    STAGES.iter().chain(&NON_STAGES).copied().find(|stage| stage.name == name).unwrap_or(CUSTOM_STAGE)
 }
 
 impl Stage {
@@ -155,7 +161,7 @@ impl Stage {
         }
     }
 
-    /// Returns the style of the stage's area without a hatch, for bars that are side by side. A hatch would only blur such bars.
+    /// Returns the style of the stage's area without a hatch, for bars that are side by side. A hatch would blur such bars.
     pub fn plain(&self) -> Style {
         Style::area(class("f-", self.class), Fill::of(self.colour.light))
     }
@@ -199,16 +205,21 @@ mod tests {
 
     #[test]
     fn stage_colours_have_contrast_and_differ() {
-        let lines: BTreeSet<Rgb> = STAGES.iter().chain([&OTHER]).map(Stage::line_colour).collect();
+        let lines: BTreeSet<Rgb> = STAGES.iter().chain([&CUSTOM_STAGE]).map(Stage::line_colour).collect();
         assert_eq!(lines.len(), STAGES.len() + 1);
         for stage in STAGES {
             let line = stage.line_colour();
-            assert!(line.contrast(WHITE) >= 3.0, "{}: {line} {}", stage.name, line.contrast(WHITE));
+            assert!(
+                line.contrast(WHITE) >= 3.0,
+                "{}: {line} has the contrast {}",
+                stage.name,
+                line.contrast(WHITE)
+            );
         }
     }
 
     #[test]
-    fn dashboard_has_the_same_colours_as_figures() {
+    fn dashboard_has_colours_of_figures() {
         let sheet = include_str!("../../../../web/assets/css/tokens.css");
         let stage_tokens = STAGES.iter().flat_map(|stage| std::iter::once(stage.colour).chain(stage.edge));
         for Token { name, light, dark } in stage_tokens.chain(TOKENS) {
@@ -218,12 +229,12 @@ mod tests {
     }
 
     #[test]
-    fn unknown_stage_has_no_colour() {
+    fn custom_stage_has_no_colour_of_its_own() {
         assert_eq!((stage("\"><script>").class, stage("upload").class), ("other", "upload"));
         let classes = ["capture", "upload + download", "total", "stages-total"].map(|name| stage(name).class);
         assert_eq!(classes, ["capture", "network", "total", "total"]);
         let has_colour =
-            ["lateness", "upload", "total", "a stage of one's own"].map(|name| stage(name).has_colour());
+            ["lateness", "upload", "total", "a custom stage"].map(|name| stage(name).has_colour());
         assert_eq!(has_colour, [true, true, false, false]);
     }
 
@@ -231,12 +242,12 @@ mod tests {
     fn text_has_contrast_on_its_stage() {
         for stage in STAGES {
             let contrast = stage.text().colour.contrast(stage.colour.light);
-            assert!(contrast >= 4.5, "{}: {contrast}", stage.name);
+            assert!(contrast >= 4.5, "the text on {} has the contrast {contrast}", stage.name);
             let rule = format!(".{}", stage.text().class);
             assert!(
                 include_str!("../../../../web/assets/css/pictures.css").contains(&rule)
                     || include_str!("../../../../web/assets/css/tokens.css").contains(&rule),
-                "{rule}"
+                "no rule: {rule}"
             );
         }
     }

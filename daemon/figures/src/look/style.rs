@@ -11,7 +11,7 @@ use super::mark::Mark;
 pub struct Fill {
     /// Colour of the fill.
     pub colour: Rgb,
-    /// Opacity from 0 to 1. Unlike the colour, it is also used on pages, because it represents a number.
+    /// Opacity from 0 to 1. Pages use the opacity, too, because it represents a number. They do not use the colour.
     pub opacity: f64,
     /// Lines over the fill, and their colour.
     pub hatch: Option<(Hatch, Rgb)>,
@@ -35,7 +35,7 @@ pub struct Stroke {
     pub dash: Option<(f64, f64)>,
 }
 
-/// Look of a shape: its class on a page, fill and stroke in a file.
+/// Look of a shape: its class on a page, its fill and its stroke in a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Style {
     /// Classes of the dashboard's style sheet.
@@ -62,7 +62,7 @@ impl Style {
         Self { class: class.into(), fill: None, stroke: None }
     }
 
-    /// Returns the same line with a dash and a gap, points.
+    /// Returns the same line with a dash and a gap, points; with `None`, returns a solid line.
     #[must_use]
     pub fn dashed(mut self, dash: Option<(f64, f64)>) -> Self {
         if let Some(stroke) = &mut self.stroke {
@@ -103,7 +103,7 @@ impl Style {
         Self::line("rail", LINE_STRONG.light, 0.45)
     }
 
-    /// Returns the same style for a bar of a distribution. Bars are separated by a line in the colour of the background.
+    /// Returns the same style for a bar of a distribution. A line in the colour of the background separates the bars.
     #[must_use]
     pub fn bin(self) -> Self {
         let separator = Stroke { colour: WHITE, width: 0.3, dash: None };
@@ -115,7 +115,7 @@ impl Style {
         Self::area("f-total", Fill::of(LINE_STRONG.light))
     }
 
-    /// Returns the style of a quantile's line: `median`, `p95` or `p99`.
+    /// Returns the style of the line of a quantile with this name: `median`, `p95` or `p99`.
     pub fn quantile(name: &'static str) -> Self {
         let (colour, width, dash) = match name {
             "p95" => (INK, 0.8, Some((3.3, 1.8))),
@@ -160,7 +160,7 @@ impl Style {
         Self::area("warm-up", Fill::of(SHADE))
     }
 
-    /// Returns the style of a mark of a failed iteration.
+    /// Returns the style of the mark of a failed iteration.
     pub fn lost() -> Self {
         Self::line("lost", BAD.light, 0.9)
     }
@@ -183,7 +183,7 @@ pub struct TextStyle {
 }
 
 impl TextStyle {
-    /// Label of an axis. The style sheet of pages styles it by its position.
+    /// Label of an axis. The style sheet of pages selects such a label by its position, so the class is empty.
     pub const AXIS: Self = Self { class: "", colour: INK_2.light, halo: false };
     /// Name of a category at an axis.
     pub const NAME: Self = Self { class: "", colour: INK.light, halo: false };
@@ -201,15 +201,17 @@ pub struct Series {
     /// Colour of the line and the points: black or a grey.
     pub colour: Rgb,
     /// Colour of the fill of areas.
-    pub ground: Rgb,
+    pub fill: Rgb,
     /// Mark of the points.
     pub mark: Mark,
-    /// Class of the line, and class of the points and areas.
-    classes: [&'static str; 2],
+    /// Class of the line.
+    line_class: &'static str,
+    /// Class of the points and areas.
+    fill_class: &'static str,
 }
 
 /// Returns the look of the series with this index. There are four looks, so the fifth series looks like the first.
-pub fn series(number: usize) -> Series {
+pub fn series(index: usize) -> Series {
     const GREYS: [Rgb; 4] = [INK.light, Rgb::hex(0x7c_8694), Rgb::hex(0x45_4d59), Rgb::hex(0x8a_94a3)];
     const CLASSES: [[&str; 2]; 4] = [
         ["g-series-1", "f-series-1"],
@@ -217,30 +219,26 @@ pub fn series(number: usize) -> Series {
         ["g-series-3", "f-series-3"],
         ["g-series-4", "f-series-4"],
     ];
-    const GROUNDS: [Rgb; 4] = [Rgb::hex(0xb4_b8be), Rgb::hex(0xe6_e9ed), Rgb::hex(0x8d_96a3), WHITE];
-    let number = number % GREYS.len();
-    Series {
-        colour: GREYS[number],
-        ground: GROUNDS[number],
-        mark: Mark::ALL[number],
-        classes: CLASSES[number],
-    }
+    const FILLS: [Rgb; 4] = [Rgb::hex(0xb4_b8be), Rgb::hex(0xe6_e9ed), Rgb::hex(0x8d_96a3), WHITE];
+    let index = index % GREYS.len();
+    let [line_class, fill_class] = CLASSES[index];
+    Series { colour: GREYS[index], fill: FILLS[index], mark: Mark::ALL[index], line_class, fill_class }
 }
 
 impl Series {
     /// Returns the style of the series' line, with the dash that belongs to its mark.
     pub fn line(&self, width: f64) -> Style {
-        Style::line(self.classes[0], self.colour, width).dashed(self.mark.dash())
+        Style::line(self.line_class, self.colour, width).dashed(self.mark.dash())
     }
 
     /// Returns the style of the series' points.
     pub fn marks(&self) -> Style {
-        Style::area(self.classes[1], Fill::of(self.colour))
+        Style::area(self.fill_class, Fill::of(self.colour))
     }
 
     /// Returns the style of the series' area: a tint with an edge.
     pub fn shape(&self) -> Style {
         let edge = Stroke { colour: self.colour, width: 0.5, dash: None };
-        Style { stroke: Some(edge), ..Style::area(self.classes[1], Fill::of(self.ground)) }
+        Style { stroke: Some(edge), ..Style::area(self.fill_class, Fill::of(self.fill)) }
     }
 }

@@ -68,20 +68,20 @@ pub enum MissingData {
     #[error(
         "it needs the {column} of one model at two placements, such as a local and a remote run of the same model"
     )]
-    SecondPlace {
+    SecondPlacement {
         /// The column to be compared.
         column: String,
     },
     /// There are more models or placements than fit.
     #[error(
-        "{models} models at {places} placements are too many for one figure (at most {MAX_GROUPS} models and {MAX_PLACEMENTS} \
+        "{models} models at {placements} placements are too many for one figure (at most {MAX_GROUPS} models and {MAX_PLACEMENTS} \
          placements); name fewer runs"
     )]
     TooManyModels {
         /// Number of models.
         models: usize,
         /// Number of placements at which they ran.
-        places: usize,
+        placements: usize,
     },
     /// The largest message has less than twice the size of the smallest.
     #[error(

@@ -21,10 +21,10 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
         runs_with_values.iter().map(|run| placed_model(&run.record)).collect();
     let ModelPlaces { places: sides, models, at_one_place } = ModelPlaces::new(&placed_models);
     if models.is_empty() {
-        return Err(MissingData::SecondPlace { column: column.to_owned() });
+        return Err(MissingData::SecondPlacement { column: column.to_owned() });
     }
     if sides.len() > MAX_PLACEMENTS || models.len() > MAX_GROUPS {
-        return Err(MissingData::TooManyModels { models: models.len(), places: sides.len() });
+        return Err(MissingData::TooManyModels { models: models.len(), placements: sides.len() });
     }
     let values_of = |runs: &Vec<usize>| -> SortedValues {
         let values =

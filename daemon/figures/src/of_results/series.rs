@@ -17,7 +17,7 @@ const ITERATION: &str = "Iteration";
 
 /// Returns the figure of the total and the stages over time.
 pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, MissingData> {
-    let (x, time) = horizontal_axis(rows);
+    let (x_title, time) = horizontal_axis(rows);
     let successful = || rows.iter().filter(|row| row.outcome() == Outcome::Ok);
     let line = |column: &str| {
         let values = successful().filter_map(|row| Some((time(row), row.value(column)?)));
@@ -27,8 +27,8 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         }
     };
     let total = Some(line(TotalColumn::from_rows(rows).name())).filter(|line| !line.values.is_empty());
-    let failed = rows.iter().filter(|row| row.outcome() != Outcome::Ok).map(&time);
-    let failed = failed.filter(|at| is_drawable(*at)).collect();
+    let failed_rows = rows.iter().filter(|row| row.outcome() != Outcome::Ok);
+    let failure_times = failed_rows.map(&time).filter(|at| is_drawable(*at)).collect();
     let Some(total) = total else {
         return Err(MissingData::Total);
     };
@@ -37,8 +37,8 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         |(previous, row): (RowRef<'_>, RowRef<'_>)| (previous.episode() != row.episode()).then(|| time(row));
     let time_series = TimeSeries {
         title: with_run("Latency over time", record),
-        x_is_iteration: x == ITERATION,
-        x: x.to_owned(),
+        x_is_iteration: x_title == ITERATION,
+        x_title: x_title.to_owned(),
         unit: Unit::milliseconds("Latency"),
         notes: std::iter::once(count_and_warm_up_note(rows, total.values.len()))
             .chain(too_large_note(rows.iter(), &[total.name.as_str()]))
@@ -47,8 +47,8 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         total,
         stages: stages.longest.iter().map(|name| line(name)).collect(),
         warm_up: warm_up_periods(rows.iter().map(|row| (time(row), row.warm_up()))),
-        episodes: rows.iter().zip(rows.iter().skip(1)).filter_map(episode_start).collect(),
-        failed,
+        episode_starts: rows.iter().zip(rows.iter().skip(1)).filter_map(episode_start).collect(),
+        failure_times,
     };
     Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
 }

@@ -275,7 +275,7 @@ fn models_are_paired_by_placement() {
     ];
     let drawings = paired::drawings(&runs, None).expect("there are pairs");
     let AnyFigure::Paired(figure) = &drawings[0].figure else { panic!("pairs") };
-    assert_eq!(figure.sides, ["local", "cloud"]);
+    assert_eq!(figure.placements, ["local", "cloud"]);
     assert_eq!(figure.groups.iter().map(|group| group.name.as_str()).collect::<Vec<_>>(), ["s", "m"]);
     assert_eq!(
         figure.groups[1].values.iter().map(peernet_analysis::order::SortedValues::len).collect::<Vec<_>>(),
@@ -370,9 +370,9 @@ fn concurrent_edges_have_curve_per_model() {
     assert_eq!((edges(0), edges(1)), (vec![1, 2], vec![1, 3]));
     let two = &figure.curves[0].points[1];
     // Both edges have the same rate; the second one waited a millisecond longer.
-    assert_eq!((two.fairness, two.each.len()), (Some(1.0), 2));
-    assert!((two.each[1] - two.each[0] - 1e-3).abs() < 1e-9 && two.p95.is_some(), "{two:?}");
-    assert!(two.each[0] < two.median && two.median < two.each[1], "{two:?}");
+    assert_eq!((two.fairness, two.edge_medians.len()), (Some(1.0), 2));
+    assert!((two.edge_medians[1] - two.edge_medians[0] - 1e-3).abs() < 1e-9 && two.p95.is_some(), "{two:?}");
+    assert!(two.edge_medians[0] < two.median && two.median < two.edge_medians[1], "{two:?}");
     let folder = tempfile::tempdir().expect("a folder");
     let files = of_experiment(&runs.concat(), folder.path()).expect("written");
     assert!(names(&files).ends_with(&written_as("users")), "{files:?}");
@@ -407,9 +407,12 @@ fn series_has_totals_stages_warm_up_and_failed_iterations() {
         ["sensing", "upload", "inference", "download"]
     );
     let near = |value: f64, wanted: f64| (value - wanted).abs() < 1e-6;
-    assert!(near(time_series.failed[0], 0.6) && time_series.failed.len() == 1, "{time_series:?}");
+    assert!(
+        near(time_series.failure_times[0], 0.6) && time_series.failure_times.len() == 1,
+        "{time_series:?}"
+    );
     assert!(near(time_series.warm_up[0].0, 0.0) && near(time_series.warm_up[0].1, 0.5));
-    assert!(near(time_series.episodes[0], 1.9) && time_series.episodes.len() == 3);
+    assert!(near(time_series.episode_starts[0], 1.9) && time_series.episode_starts.len() == 3);
     assert!(time_series.notes[0].starts_with("n = 54 and 5 warm-up"), "{:?}", time_series.notes);
     run.rows.change(|row| row.at = 0.0);
     let AnyFigure::TimeSeries(time_series) =
@@ -418,7 +421,7 @@ fn series_has_totals_stages_warm_up_and_failed_iterations() {
         panic!("a time series")
     };
     assert_eq!(
-        (time_series.x.as_str(), time_series.x_is_iteration, time_series.failed[0]),
+        (time_series.x_title.as_str(), time_series.x_is_iteration, time_series.failure_times[0]),
         ("Iteration", true, 7.0)
     );
     run.rows.change(|row| row.outcome = Outcome::Lost);

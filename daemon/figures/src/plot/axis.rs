@@ -1,4 +1,4 @@
-//! Axes: a scale with its title and its marks.
+//! Axes. An axis is a scale with a title and marks.
 
 use std::borrow::Cow;
 
@@ -6,15 +6,15 @@ use peernet_statistics::number::{decimals, fixed};
 
 use crate::scale::{Scale, Tick};
 
-/// Approximate maximum number of round marks on an axis, unless the axis sets another maximum.
-pub(super) const MARKS: usize = 6;
+/// Approximate maximum number of marks at round numbers on an axis, unless the axis sets another maximum.
+pub(super) const MAX_MARKS: usize = 6;
 
 /// Unit in which a quantity is shown, with the name of the quantity.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unit {
     /// Title with the unit: `One-way delay, ms`.
     pub title: String,
-    /// Symbol of the unit, for numbers in text; empty for a count.
+    /// Symbol of the unit, for numbers in text; empty for a number without a unit.
     pub symbol: Cow<'static, str>,
     /// Factor from a value in SI units to the number shown: 1,000 for seconds that are shown as ms.
     pub per_si: f64,
@@ -37,9 +37,9 @@ impl Unit {
     }
 
     /// Returns a value in SI units as text: `5.66 ms`. The number has three significant digits. It has more decimals if
-    /// they are needed to show a difference of `spread` with two digits; a `spread` of 0 needs none. Numbers of bytes
-    /// have no decimals.
-    pub fn words(&self, value: f64, spread: f64) -> String {
+    /// they are needed to show a difference of `spread` with two significant digits; a `spread` of 0 needs no more
+    /// decimals. Numbers of bytes have no decimals.
+    pub fn format_value(&self, value: f64, spread: f64) -> String {
         let spread_decimals = if spread > 0.0 { decimals(spread * self.per_si, 2) } else { 0 };
         let decimals = decimals(value * self.per_si, 3).max(spread_decimals);
         let number = fixed(value * self.per_si, if self.symbol == "B" { 0 } else { decimals });
@@ -55,7 +55,7 @@ impl Unit {
 /// Positions of the marks of an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Marks {
-    /// Marks at round numbers, at most about this many.
+    /// Marks at round numbers. The value is the approximate maximum number of marks.
     Round(usize),
     /// Marks at these positions.
     At(Vec<Tick>),
@@ -82,7 +82,7 @@ impl Axis {
     /// Returns an axis with round marks and without a grid.
     pub fn new(scale: Scale, title: impl Into<String>, unit: impl Into<Cow<'static, str>>) -> Self {
         let (title, unit) = (title.into(), unit.into());
-        Self { scale, title, unit, marks: Marks::Round(MARKS), has_grid: false }
+        Self { scale, title, unit, marks: Marks::Round(MAX_MARKS), has_grid: false }
     }
 
     /// Returns the same axis with a grid.
@@ -97,15 +97,16 @@ impl Axis {
         Self { marks, ..self }
     }
 
-    /// Returns the same axis with its round marks, each with the text that `label` returns for it.
+    /// Returns the same axis with its marks at round numbers. `label` returns the text of each mark.
     #[must_use]
     pub fn labelled(self, label: impl Fn(&Tick) -> String) -> Self {
-        let ticks = self.ticks(MARKS).into_iter();
-        let ticks = ticks.map(|tick| Tick { text: label(&tick), ..tick }).collect();
-        self.marked(Marks::At(ticks))
+        let ticks = self.ticks(MAX_MARKS).into_iter();
+        let labelled_ticks = ticks.map(|tick| Tick { text: label(&tick), ..tick }).collect();
+        self.marked(Marks::At(labelled_ticks))
     }
 
-    /// Returns the marks. `max_round_marks` limits the number of round marks; marks at given positions are all returned.
+    /// Returns the marks. `max_round_marks` limits the number of marks at round numbers. It does not limit the number of
+    /// marks at given positions.
     pub fn ticks(&self, max_round_marks: usize) -> Vec<Tick> {
         match &self.marks {
             Marks::Round(max_marks) => self.scale.ticks((*max_marks).min(max_round_marks.max(1))),
@@ -113,14 +114,15 @@ impl Axis {
         }
     }
 
-    /// Returns the title on a page: the unit, followed by `logarithmic` for a logarithmic axis. It is empty for a
-    /// linear axis without a unit.
+    /// Returns the title on a page: the unit, followed by `logarithmic` for a logarithmic axis. The title of a linear axis
+    /// without a unit is empty.
     pub fn page_title(&self) -> String {
         let scale = if self.scale.is_logarithmic() { "logarithmic" } else { "" };
         [&*self.unit, scale].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ")
     }
 
-    /// Returns the title in a file, followed by `(log scale)` if the scale is logarithmic. It is empty for an axis without a title.
+    /// Returns the title in a file, followed by `(log scale)` if the scale is logarithmic. The result is empty for an axis
+    /// without a title.
     pub fn full_title(&self) -> String {
         if self.scale.is_logarithmic() && !self.title.is_empty() {
             format!("{} (log scale)", self.title)

@@ -5,25 +5,29 @@ use super::item::{At, Item};
 use super::legend::Key;
 use super::path::Path;
 
-/// Number of pieces of a drawn function, which is a curve on logarithmic axes.
+/// Number of straight pieces of the graph of a function. Even a straight line needs several pieces, because it is a curve
+/// on logarithmic axes.
 const CURVE_PIECES: u32 = 64;
-/// Number of bisections that find the place at which a curve leaves the plot, to a millionth of the length of a piece.
+/// Number of bisections that find the place at which a curve leaves the plot. The error of this place is a millionth of
+/// the length of a piece.
 const BISECTIONS: u32 = 20;
 
-/// Strip along one side of a plot, such as the distribution of one of the plot's quantities. Positions are shares of the strip.
+/// Strip along one side of a plot, such as the distribution of one of the plot's quantities. The positions of its items
+/// are shares of the strip.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Strip {
     /// Items of the strip.
     pub items: Vec<Item>,
-    /// Height of the strip in a file, points. For a strip at the right of the plot, its width.
+    /// Height of a strip above the plot, or width of a strip at the right of the plot, in a file, points.
     pub size: f64,
 }
 
 /// Height of a plot in a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Height {
-    /// Equal share of the height that the other parts of the figure leave.
-    Rest,
+    /// Share of the height that the header, the titles, the labels and the plots with a fixed height leave. All flexible
+    /// plots of a figure are equally high.
+    Flexible,
     /// Height in points.
     Points(f64),
 }
@@ -47,7 +51,7 @@ pub struct Plot {
     pub lines_above: usize,
     /// Height in a file.
     pub height: Height,
-    /// Width that stays free at the right of the plot in a file, points, for text that extends beyond the plot.
+    /// Width that stays free at the right of the plot in a file, for text that extends beyond the plot; points.
     pub free_right: f64,
 }
 
@@ -57,7 +61,7 @@ impl Plot {
     pub fn curve(&self, (from, to): (f64, f64), function: impl Fn(f64) -> f64) -> Path {
         let is_inside = |x: f64| self.y.scale.has(function(x));
         // Returns the value between `inside` and `outside` at which the function leaves the plot.
-        let end = |mut inside: f64, mut outside: f64| {
+        let boundary = |mut inside: f64, mut outside: f64| {
             for _ in 0..BISECTIONS {
                 let middle = self.x.scale.between(inside, outside, 0.5);
                 *(if is_inside(middle) { &mut inside } else { &mut outside }) = middle;
@@ -69,8 +73,8 @@ impl Plot {
         for piece in 0..=CURVE_PIECES {
             let x = self.x.scale.between(from, to, f64::from(piece) / f64::from(CURVE_PIECES));
             match (previous, is_inside(x)) {
-                (Some(before), true) if !is_inside(before) => xs.extend([Some(end(x, before)), Some(x)]),
-                (Some(before), false) if is_inside(before) => xs.extend([Some(end(before, x)), None]),
+                (Some(before), true) if !is_inside(before) => xs.extend([Some(boundary(x, before)), Some(x)]),
+                (Some(before), false) if is_inside(before) => xs.extend([Some(boundary(before, x)), None]),
                 (_, true) => xs.push(Some(x)),
                 (_, false) => {}
             }
@@ -81,16 +85,15 @@ impl Plot {
 
     /// Returns an empty plot.
     pub fn new(x: Axis, y: Axis) -> Self {
-        let (items, top_strip, right_strip, remark) = (Vec::new(), None, None, None);
         Self {
             x,
             y,
-            items,
-            top_strip,
-            right_strip,
-            remark,
+            items: Vec::new(),
+            top_strip: None,
+            right_strip: None,
+            remark: None,
             lines_above: 0,
-            height: Height::Rest,
+            height: Height::Flexible,
             free_right: 0.0,
         }
     }
@@ -106,12 +109,12 @@ impl Plot {
     }
 }
 
-/// Table below the plots. It explains the numbers in the plots.
+/// Table below the plots, with numbered lines. The numbers stand beside points in the plots.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Table {
-    /// Titles of the columns, without the column of names, which has no title.
+    /// Titles of the columns of cells. The column of names has no title.
     pub titles: Vec<String>,
-    /// Lines of the table: the name and the cells of each.
+    /// Lines of the table. Each line has a name and cells.
     pub lines: Vec<(String, Vec<String>)>,
 }
 
@@ -122,19 +125,20 @@ pub struct Figure {
     pub title: String,
     /// Entries that explain the colours, marks and dashes.
     pub legend: Vec<Key>,
-    /// Sentences for the caption's file: how to read it, numbers of values, what is left out.
+    /// Sentences for the caption's file: how to read the figure, the number of values, what is left out.
     pub notes: Vec<String>,
     /// Plots from top to bottom. A figure without a plot says that there are no values.
     pub plots: Vec<Plot>,
-    /// Explanation of the numbers in the plots.
+    /// Table that explains the numbers beside the points.
     pub table: Table,
 }
 
 impl Figure {
-    /// Returns the line above the figure: the title and, if a note gives it, the number of values.
+    /// Returns the line above the figure: the title, followed by the number of values if a note contains this number.
     pub fn caption(&self) -> String {
-        let parts = self.notes.iter().flat_map(|note| note.split(" · "));
-        match parts.into_iter().find(|part| part.starts_with("n = ")) {
+        // A note may consist of several remarks, such as `n = 120 · left out: 5 warm-up`.
+        let mut remarks = self.notes.iter().flat_map(|note| note.split(" · "));
+        match remarks.find(|remark| remark.starts_with("n = ")) {
             Some(n) => format!("{} · {n}", self.title),
             None => self.title.clone(),
         }
@@ -162,7 +166,7 @@ mod tests {
     use crate::scale::Scale;
 
     #[test]
-    fn curve_ends_exactly_at_border() {
+    fn curve_ends_where_it_leaves_plot() {
         let axis = |ends| Axis::new(Scale::linear(ends), "", "");
         let plot = Plot::new(axis((0.0, 10.0)), axis((1.0, 5.0)));
         let path = plot.curve((0.0, 10.0), |x| x);

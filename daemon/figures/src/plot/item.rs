@@ -1,6 +1,6 @@
 //! Items of a plot: shapes, lines and text.
 
-use super::axis::MARKS;
+use super::axis::MAX_MARKS;
 use super::path::Path;
 use crate::look::{Mark, Style, TextStyle};
 use crate::scale::Scale;
@@ -65,15 +65,15 @@ pub struct Label {
     /// Part of the text that lies at the place.
     pub anchor: Anchor,
     /// The text.
-    pub words: String,
+    pub text: String,
     /// Look.
     pub style: TextStyle,
-    /// Minimum width of a picture in which a page shows the text, rem. If it is 0, the text is always shown; if it is
-    /// `None`, never.
+    /// Minimum width of a picture in which a page shows the text, rem. With 0, the text is always shown; with `None`, the
+    /// text is never shown.
     pub min_width: Option<u16>,
-    /// Words before the text, and the minimum width of a picture in which a page shows the words and the text. Files do
-    /// not show the words.
-    pub lead: Option<(String, Option<u16>)>,
+    /// Text before this text, and the minimum width of a picture in which a page shows both. Files do not show the text
+    /// before it.
+    pub prefix: Option<(String, Option<u16>)>,
 }
 
 /// Distance from the middle of capital letters down to their baseline, as a share of the type size.
@@ -81,12 +81,20 @@ const MIDDLE: f64 = 0.36;
 
 impl Label {
     /// Returns a text that begins at a place and is vertically centred on it.
-    pub fn new(at: At, words: impl Into<String>, style: TextStyle) -> Self {
-        let words = words.into();
-        Self { at, shift: (0.0, MIDDLE), anchor: Anchor::Start, words, style, min_width: Some(0), lead: None }
+    pub fn new(at: At, text: impl Into<String>, style: TextStyle) -> Self {
+        let text = text.into();
+        Self {
+            at,
+            shift: (0.0, MIDDLE),
+            anchor: Anchor::Start,
+            text,
+            style,
+            min_width: Some(0),
+            prefix: None,
+        }
     }
 
-    /// Returns the same text with another part at its place.
+    /// Returns the same text, of which this part lies at the place.
     #[must_use]
     pub fn anchored(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
@@ -98,37 +106,39 @@ impl Label {
         Self { shift: (right, down), ..self }
     }
 
-    /// Returns the same text with words before it, which are shown only if there is room for both.
+    /// Returns the same text with another text before it. A page shows the text before it only if there is room for both.
     #[must_use]
-    pub fn led_by(self, words: String) -> Self {
-        Self { lead: Some((words, Some(0))), ..self }
+    pub fn with_prefix(self, prefix: String) -> Self {
+        Self { prefix: Some((prefix, Some(0))), ..self }
     }
 
-    /// Returns the same text with a limit of its width: pages show the text only if it takes at most the share `share`
-    /// of the picture's width. If the method is called several times, the smallest share applies.
+    /// Returns the same text with a limit on its width: a page shows the text only if the text takes at most the share
+    /// `share` of the picture's width. If the method is called several times, the smallest share applies.
     #[must_use]
     pub fn with_max_width(self, share: f64) -> Self {
-        let raise = |min_width: Option<u16>, words: &str| {
-            Some(min_width?.max(text::width_step(text::rem(words) / share.max(1e-9))?))
+        // Returns the minimum width that satisfies the earlier limits and this limit; `None` if no picture is wide enough.
+        let raised_min_width = |min_width: Option<u16>, text: &str| {
+            Some(min_width?.max(text::width_step(text::width_rem(text) / share.max(1e-9))?))
         };
-        let lead = self.lead.map(|(lead, min_width)| {
-            let min_width = raise(min_width, &format!("{lead}{}", self.words));
-            (lead, min_width)
+        let prefix = self.prefix.map(|(prefix, min_width)| {
+            let min_width = raised_min_width(min_width, &format!("{prefix}{}", self.text));
+            (prefix, min_width)
         });
-        Self { min_width: raise(self.min_width, &self.words), lead, ..self }
+        Self { min_width: raised_min_width(self.min_width, &self.text), prefix, ..self }
     }
 
     /// Returns the left end, top, right end and bottom of the text, as distances from its place in points. `size` is
     /// the type size in points.
     pub fn extent(&self, size: f64) -> [f64; 4] {
-        let wide = text::width(&self.words, size);
+        let width = text::width(&self.text, size);
         let left = match self.anchor {
             Anchor::Start => 0.0,
-            Anchor::Middle => -wide / 2.0,
-            Anchor::End => -wide,
+            Anchor::Middle => -width / 2.0,
+            Anchor::End => -width,
         } + self.shift.0 * size;
-        let base = self.shift.1 * size;
-        [left, base - 0.75 * size, left + wide, base + 0.22 * size]
+        let baseline = self.shift.1 * size;
+        // Room for capital letters above the baseline and for descenders below it.
+        [left, baseline - 0.75 * size, left + width, baseline + 0.22 * size]
     }
 }
 
@@ -142,15 +152,15 @@ pub enum Item {
         /// Opposite corner.
         to: At,
         /// Minimum width and height in a file, points.
-        least: (f64, f64),
+        min_size: (f64, f64),
         /// Look.
         style: Style,
     },
     /// Straight line.
     Line {
-        /// First end.
+        /// One end.
         from: At,
-        /// Second end.
+        /// Other end.
         to: At,
         /// Look.
         style: Style,
@@ -180,7 +190,7 @@ pub enum Item {
 impl Item {
     /// Returns a rectangle of any size.
     pub fn rect(from: At, to: At, style: Style) -> Self {
-        Self::Rect { from, to, least: (0.0, 0.0), style }
+        Self::Rect { from, to, min_size: (0.0, 0.0), style }
     }
 
     /// Returns a straight line.
@@ -201,10 +211,10 @@ impl Item {
     /// Returns upright lines at the ticks of a horizontal scale.
     pub fn grid(scale: &Scale) -> Vec<Self> {
         let line = |at: f64| Self::line(At::new(at, 0.0), At::new(at, 1.0), Style::grid());
-        scale.ticks(MARKS).into_iter().map(|tick| line(tick.at)).collect()
+        scale.ticks(MAX_MARKS).into_iter().map(|tick| line(tick.at)).collect()
     }
 
-    /// Returns an upright whisker between two places. `has_cap` says which of the two ends have a cap. A cap extends
+    /// Returns an upright whisker between two places. `has_cap` says which of its two ends have a cap. A cap extends
     /// `cap` points to each side. An end at which the whisker leaves the plot should have no cap.
     pub fn whisker([from, to]: [At; 2], has_cap: [bool; 2], cap: f64, style: &Style) -> Vec<Self> {
         let mut items = vec![Self::line(from, to, style.clone())];

@@ -6,10 +6,10 @@
 //!                                                                              └─ render::file ── SVG, PNG, PDF, text
 //! ```
 //!
-//! A kind of figure is a function, or a type with a method, that makes [`Plot`]s. It chooses the scales and uses them
-//! to place [`Item`]s. Positions are not pixels or points, but shares of the plot from the left and from the top
-//! ([`Plot::at`] computes them from values). Lengths that stay the same when the plot grows (marks, caps, distances of
-//! text) are given in points or as multiples of the type size. The look of an item is a [`Style`](crate::look::Style),
+//! A kind of figure is a function, or a type with a method, that makes [`Plot`]s. The kind chooses the scales and uses
+//! them to place [`Item`]s. Positions are neither pixels nor points, but shares of the plot from the left and from the
+//! top ([`Plot::at`] computes the shares from values). Lengths that stay the same when the plot grows (marks, caps,
+//! distances of text) are given in points or as multiples of the type size. The look of an item is a [`Style`](crate::look::Style),
 //! which has a class for pages and literal attributes for files.
 //!
 //! ```
@@ -27,7 +27,7 @@
 //! assert!(html.contains("class=\"bin f-total\""));
 //! ```
 //!
-//! # A figure of a page
+//! # Figures of pages
 //!
 //! A kind of figure that several pages or files show is a type in `crate::drawing`; one of its methods makes the plots.
 //! A figure that depends on the types of one page, such as the waterfall of an iteration, is a function in the view of
@@ -37,7 +37,8 @@
 //! - [`page::picture`](crate::render::page::picture) draws items without axes: bars, sparklines, tracks.
 //! - [`page::axis`](crate::render::page::axis) draws the row of labels above bars.
 //!
-//! [`Label::with_max_width`] hides a text on a page that has not enough room for it. The width of the text is measured in the embedded font.
+//! [`Label::with_max_width`] hides a text on pages that have too little room for the text. The width of the text is
+//! measured in the embedded font.
 //! [`Scale::at_or_outside`](crate::scale::Scale::at_or_outside) places a line that may leave its plot.
 
 mod axis;

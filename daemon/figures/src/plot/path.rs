@@ -1,17 +1,18 @@
 //! Lines and areas of many points.
 
-/// Step of a path to a point. The point is given as a share of the plot's width from the left and of its height from the top.
+/// Step of a path to a point. The point is given as a share of the plot's width from the left and a share of the plot's
+/// height from the top.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
     /// Moves to the point without drawing.
     Move(f64, f64),
     /// Draws a line to the point.
     Line(f64, f64),
-    /// Draws a line back to the point of the last [`Step::Move`].
+    /// Draws a line back to the point of the most recent [`Step::Move`].
     Close,
 }
 
-/// Line or outline of straight pieces.
+/// Line or outline that consists of straight pieces.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Path {
     /// Steps of the path.
@@ -24,7 +25,7 @@ pub struct Path {
 type Point = (f64, f64);
 
 impl Path {
-    /// Returns true if there is nothing to be drawn.
+    /// Returns whether there is nothing to draw.
     pub fn is_empty(&self) -> bool {
         self.steps.is_empty()
     }
@@ -43,8 +44,8 @@ impl Path {
         Self { dx, ..self }
     }
 
-    /// Returns the same path without the points that would leave the plot if the path were moved to the right by this share of the plot's
-    /// width.
+    /// Returns the same path without the points that would lie outside of the plot if the path were moved to the right by
+    /// this share of the plot's width.
     #[must_use]
     pub fn within(mut self, share: f64) -> Self {
         let inside = |x: f64| (0.0..=1.0).contains(&(x + share));
@@ -52,6 +53,7 @@ impl Path {
             Step::Move(x, _) | Step::Line(x, _) => inside(*x),
             Step::Close => true,
         });
+        // A path must begin with a move.
         if let Some(Step::Line(x, y)) = self.steps.first().copied() {
             self.steps[0] = Step::Move(x, y);
         }
@@ -62,10 +64,11 @@ impl Path {
         Self { steps, dx: 0.0 }
     }
 
-    /// Returns a line through these points. A missing point interrupts the line. A point between two missing points
-    /// becomes a dot.
+    /// Returns a line through these points. A missing point (`None`) interrupts the line. A point between two missing
+    /// points becomes a dot.
     pub fn line(points: impl IntoIterator<Item = Option<Point>>) -> Self {
         let (mut steps, mut in_piece, mut lone_point) = (Vec::new(), false, None);
+        // The missing point at the end finishes the last piece.
         for point in points.into_iter().chain([None]) {
             match point {
                 Some((x, y)) => {
@@ -83,8 +86,9 @@ impl Path {
         Self::from_steps(steps)
     }
 
-    /// Returns the area between two lines. A missing point interrupts the area. A point has three shares of the plot:
-    /// its position from the left, and the positions of the upper and of the lower line from the top.
+    /// Returns the area between two lines. A missing point (`None`) interrupts the area. A point has three shares of the
+    /// plot: its position from the left, the position of the upper line from the top, and the position of the lower line
+    /// from the top.
     pub fn band(points: impl IntoIterator<Item = Option<(f64, f64, f64)>>) -> Self {
         let mut steps = Vec::new();
         let mut piece: Vec<(f64, f64, f64)> = Vec::new();
@@ -136,8 +140,8 @@ impl Path {
         Self::from_steps(steps.collect())
     }
 
-    /// Returns upright error bars, each given as in [`Self::ticks`]. The caps extend to each side by the share `cap` of
-    /// the plot's width.
+    /// Returns upright error bars. Each error bar is given by its position from the left, its upper end and its lower end,
+    /// as shares of the plot. The caps extend to each side by the share `cap` of the plot's width.
     pub fn whiskers(points: impl IntoIterator<Item = (f64, f64, f64)>, cap: f64) -> Self {
         let steps = points.into_iter().flat_map(|(x, upper, lower)| {
             let stroke = |from: Point, to: Point| [Step::Move(from.0, from.1), Step::Line(to.0, to.1)];
@@ -164,7 +168,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn missing_value_breaks_lines_and_areas() {
+    fn missing_point_interrupts_lines_and_areas() {
         let points = [Some((0.0, 0.0)), Some((0.1, 1.0)), None, Some((0.5, 0.5))];
         let line = Path::line(points).steps;
         let expected =
@@ -180,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn whisker_has_caps_and_dot_has_no_length() {
+    fn whisker_has_caps_and_dot_has_zero_length() {
         let whisker = Path::whiskers([(0.5, 0.2, 0.4)], 0.01).steps;
         assert_eq!(whisker.iter().filter(|step| matches!(step, Step::Move(..))).count(), 3);
         assert_eq!(Path::dots([(0.5, 0.5)]).steps, [Step::Move(0.5, 0.5), Step::Line(0.5, 0.5)]);

@@ -18,24 +18,24 @@ use crate::text::{FAMILY, FONT};
 pub const PIXELS_PER_INCH: f64 = 480.0;
 /// Units of an SVG per inch (CSS, *Values and Units*, 6.2).
 const UNITS_PER_INCH: f32 = 96.0;
-/// Number of bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1). The chunk
-/// [`DENSITY_CHUNK`] is inserted after the header.
+/// Number of bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1).
+/// [`DENSITY_CHUNK`] is inserted after them.
 const HEADER_BYTES: usize = 8 + 25;
-/// Chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 pixels per metre, and the checksum. Without this chunk, programs that
-/// typeset papers place a picture at the resolution of a screen.
+/// Chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 pixels per metre, and the checksum. Without this chunk,
+/// programs that typeset papers place a picture at the resolution of a screen.
 const DENSITY_CHUNK: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
-/// Endings of the names of a figure's files. The name of the caption's file has more than `.txt` after the stem,
-/// because a table with the same stem has the name `STEM.txt`.
+/// Endings of the names of a figure's files. The caption's file is not `STEM.txt`, because this is the name of the table
+/// with the same stem.
 pub const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 
-/// Error of turning a figure into another format.
+/// Error while an SVG is turned into pixels or PDF.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
     /// The SVG cannot be read.
     #[error("cannot read the SVG of the figure: {0}")]
     Svg(#[from] usvg::Error),
     /// There is not enough memory for the pixels.
-    #[error("cannot draw {0} by {1} pixels")]
+    #[error("cannot draw the figure: there is no memory for {0} by {1} pixels")]
     Size(u32, u32),
     /// The pixels cannot be written.
     #[error("cannot write the PNG of the figure: {0}")]
@@ -61,7 +61,7 @@ pub struct Pixels {
     pub width: u32,
     /// Number of rows.
     pub height: u32,
-    /// Bytes of the pixels: red, green and blue of each.
+    /// Red, green and blue of each pixel.
     pub rgb: Vec<u8>,
 }
 
@@ -91,12 +91,13 @@ impl ParsedFigure {
         let mut pixmap = Pixmap::new(width, height).ok_or(ExportError::Size(width, height))?;
         resvg::render(&self.0, Transform::from_scale(scale, scale), &mut pixmap.as_mut());
         let mut rgb = pixmap.take();
-        // The background is opaque, so alpha can be dropped. This is done in place, because the pixels take most of the memory.
-        let count = rgb.len() / 4;
-        for pixel in 0..count {
+        // The background is opaque, so alpha can be dropped. Alpha is dropped in place, because the pixels take most of
+        // the memory.
+        let pixel_count = rgb.len() / 4;
+        for pixel in 0..pixel_count {
             rgb.copy_within(4 * pixel..4 * pixel + 3, 3 * pixel);
         }
-        rgb.truncate(3 * count);
+        rgb.truncate(3 * pixel_count);
         Ok(Pixels { width, height, rgb })
     }
 
@@ -118,7 +119,8 @@ impl ParsedFigure {
         Ok(png)
     }
 
-    /// Returns the figure as a PDF of one page, which is as large as the figure. Text stays text, in a subset of the embedded font.
+    /// Returns the figure as a PDF with one page, which is as large as the figure. Text stays text, in a subset of the
+    /// embedded font.
     ///
     /// # Errors
     /// If the exporter fails.
@@ -136,13 +138,14 @@ impl ParsedFigure {
 /// If the figure cannot be drawn or a file cannot be written.
 pub fn write(figure: &Figure, folder: &Path, stem: &str) -> Result<[PathBuf; 4], WriteError> {
     let files = ENDINGS.map(|ending| folder.join(format!("{stem}{ending}")));
+    let [png_file, svg_file, pdf_file, caption_file] = &files;
     let svg = file::svg(figure);
-    write_file(&files[1], svg.as_bytes())?;
-    let exported = ParsedFigure::of(&svg).map_err(WriteError::at(&files[0]))?;
+    write_file(svg_file, svg.as_bytes())?;
+    let parsed = ParsedFigure::of(&svg).map_err(WriteError::at(png_file))?;
     // A figure with many points is a long text, so the text is freed before the pixels are drawn.
     drop(svg);
-    write_file(&files[0], &exported.png().map_err(WriteError::at(&files[0]))?)?;
-    write_file(&files[2], &exported.pdf().map_err(WriteError::at(&files[2]))?)?;
-    write_file(&files[3], figure.caption_text().as_bytes())?;
+    write_file(png_file, &parsed.png().map_err(WriteError::at(png_file))?)?;
+    write_file(pdf_file, &parsed.pdf().map_err(WriteError::at(pdf_file))?)?;
+    write_file(caption_file, figure.caption_text().as_bytes())?;
     Ok(files)
 }

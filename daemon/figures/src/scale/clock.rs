@@ -1,20 +1,21 @@
 //! Times of day along an axis.
 
 /// Possible distances between two marks, seconds.
-const STEPS: [i64; 9] = [60, 120, 300, 600, 1_800, 3_600, 7_200, 14_400, 86_400];
-/// Maximum number of steps on an axis. Only an axis that is longer than this number of days has more steps.
+const STEPS_S: [i64; 9] = [60, 120, 300, 600, 1_800, 3_600, 7_200, 14_400, 86_400];
+/// Maximum number of steps on an axis. An axis that is longer than this number of days has more steps, because a day is
+/// the longest step.
 const MAX_STEPS: i64 = 12;
 /// Minimum distance of a mark from an end, as a share of the axis. The label of a nearer mark would extend beyond the axis.
 const MIN_END_DISTANCE: f64 = 0.015;
 
-/// Returns round times of day, and their positions from 0 to 1, on an axis that begins at `from` and is `length`
-/// seconds long. Times are seconds of Unix time. `utc_offset` is the number of seconds by which local time is ahead of
-/// UTC.
+/// Returns round times of day, each with its position from 0 to 1, on an axis that begins at the time `from` and is
+/// `length` seconds long. Times are seconds of Unix time. `utc_offset` is the number of seconds by which local time is
+/// ahead of UTC.
 pub fn times_of_day(from: f64, length: f64, utc_offset: i64) -> Vec<(i64, f64)> {
     let fits = |step: &i64| length / *step as f64 <= MAX_STEPS as f64;
-    let step = STEPS.into_iter().find(fits).unwrap_or(STEPS[STEPS.len() - 1]);
-    let first = (from.floor() as i64 + utc_offset).div_euclid(step) + 1;
-    let times = (first..first + 2 * MAX_STEPS).map(|number| number * step - utc_offset);
+    let step = STEPS_S.into_iter().find(fits).unwrap_or(STEPS_S[STEPS_S.len() - 1]);
+    let first_number = (from.floor() as i64 + utc_offset).div_euclid(step) + 1;
+    let times = (first_number..first_number + 2 * MAX_STEPS).map(|number| number * step - utc_offset);
     let with_positions = times.map(|time| (time, (time as f64 - from) / length));
     with_positions.filter(|(_, at)| (MIN_END_DISTANCE..=1.0 - MIN_END_DISTANCE).contains(at)).collect()
 }
@@ -28,7 +29,7 @@ mod tests {
         let marks = times_of_day(7_200.0 + 30.0, 600.0, 0);
         assert_eq!(marks.len(), 10);
         assert_eq!(marks[0], (7_260, 0.05));
-        // India is five and a half hours ahead: its hours are the half hours of UTC.
+        // India is five and a half hours ahead of UTC, so full hours in India are half past the hour in UTC.
         let hours: Vec<i64> = times_of_day(0.0, 30_000.0, 19_800).into_iter().map(|(time, _)| time).collect();
         assert_eq!(hours[..2], [1_800, 5_400]);
         assert!(times_of_day(0.0, 90.0 * 86_400.0, 0).len() <= 24);

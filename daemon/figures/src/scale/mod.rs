@@ -15,19 +15,21 @@ use peernet_statistics::number::{fixed, significant};
 
 /// Largest magnitude of an end of a scale.
 const MAX_MAGNITUDE: f64 = 1e150;
-/// An end of a scale with a smaller magnitude is taken as zero.
+/// Smallest magnitude of an end of a scale other than zero. An end with a smaller magnitude becomes zero.
 const MIN_MAGNITUDE: f64 = 1e-150;
-/// Margin beyond the values of a scale from zero, as a share of their range.
+/// Margin that [`Scale::from_zero`] adds beyond the values, as a share of their range.
 const MARGIN: f64 = 0.04;
-/// A scale of [decades](Scale::decades) needs a ratio of the largest to the smallest value of more than this.
+/// [`Scale::decades`] returns a scale only if the ratio of the largest to the smallest value is more than this.
 const DECADE: f64 = 10.0;
 /// Maximum distance at which [`Scale::at_or_outside`] places a value beyond an end, as a share of the scale's length.
 const MAX_OUTSIDE: f64 = 0.05;
 
-/// Distribution of the values along a scale.
+/// Spacing of the values along a scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Spread {
+enum Spacing {
+    /// Equal distances are equal differences.
     Linear,
+    /// Equal distances are equal factors.
     Logarithmic,
 }
 
@@ -36,13 +38,13 @@ enum Spread {
 pub struct Scale {
     lo: f64,
     hi: f64,
-    spread: Spread,
+    spacing: Spacing,
     /// Smallest distance between two ticks, in the unit of the values.
     min_tick_distance: f64,
     /// Distance between two ticks if the scale was [widened](Self::widened); else `None`.
     step: Option<f64>,
-    /// True if labels above zero have a plus sign.
-    signed: bool,
+    /// True if labels of positive values have a plus sign.
+    has_plus_signs: bool,
 }
 
 /// Mark on a scale.
@@ -57,15 +59,16 @@ pub struct Tick {
 }
 
 impl Scale {
-    /// Returns a linear scale that ends exactly at these values. A single value lies in the middle of the scale.
+    /// Returns a linear scale that ends exactly at these values. If the two values are equal, they lie in the middle of the
+    /// scale.
     pub fn linear(values: (f64, f64)) -> Self {
         let (lo, hi) = clamp_to_finite_range(values);
         let (lo, hi) = if hi > lo { (lo, hi) } else { range_around(lo) };
-        Self { lo, hi, spread: Spread::Linear, min_tick_distance: 0.0, step: None, signed: false }
+        Self { lo, hi, spacing: Spacing::Linear, min_tick_distance: 0.0, step: None, has_plus_signs: false }
     }
 
-    /// Returns a linear scale from zero to the largest value, with a small margin beyond it. If the smallest value is
-    /// negative, the scale begins a little below this value.
+    /// Returns a linear scale that contains zero and both values. A small margin lies beyond a value at an end, but not
+    /// beyond zero.
     pub fn from_zero(values: (f64, f64)) -> Self {
         let (lo, hi) = clamp_to_finite_range(values);
         let (lo, hi) = (lo.min(0.0), hi.max(0.0));
@@ -78,44 +81,48 @@ impl Scale {
         Self::linear(ends)
     }
 
-    /// Returns a linear scale from zero to a round number above the largest value, in about `ticks` steps; to 1 if no value is above zero.
+    /// Returns a linear scale from zero to a round number that is not below `largest`, in about `ticks` steps. If `largest`
+    /// is not a positive finite number, the scale ends at 1.
     pub fn up_to(largest: f64, ticks: usize) -> Self {
         let largest = if largest.is_finite() && largest > 0.0 { largest } else { 1.0 };
         Self::linear((0.0, largest)).widened(ticks)
     }
 
-    /// Returns a logarithmic scale if these values are above zero and span more than a decade.
+    /// Returns a logarithmic scale that ends at these values; `None` unless they are above zero and span more than a
+    /// decade.
     pub fn decades((lo, hi): (f64, f64)) -> Option<Self> {
         (lo > 0.0 && hi > lo * DECADE && hi.is_finite()).then(|| Self::logarithmic((lo, hi)))
     }
 
-    /// Returns a logarithmic scale of values above 0.
+    /// Returns a logarithmic scale that ends at these values, which should be above 0.
     pub fn logarithmic(values: (f64, f64)) -> Self {
         let (lo, hi) = clamp_to_finite_range(values);
         let lo = lo.max(MIN_MAGNITUDE);
         let (lo, hi) = if hi > lo { (lo, hi) } else { range_around(lo) };
-        Self { lo, hi, spread: Spread::Logarithmic, ..Self::linear((lo, hi)) }
+        Self { lo, hi, spacing: Spacing::Logarithmic, ..Self::linear((lo, hi)) }
     }
 
-    /// Returns the same scale with ticks at whole numbers only, for counts.
+    /// Returns the same scale without ticks between whole numbers, for counts.
     #[must_use]
     pub fn whole(self) -> Self {
         Self { min_tick_distance: 1.0, ..self }
     }
 
-    /// Returns the same scale with a plus sign before labels above zero.
+    /// Returns the same scale with a plus sign before the labels of positive values.
     #[must_use]
     pub fn signed(self) -> Self {
-        Self { signed: true, ..self }
+        Self { has_plus_signs: true, ..self }
     }
 
-    /// Returns the same scale with its ends moved outwards to ticks, for about `ticks` ticks. A logarithmic scale is not changed.
+    /// Returns the same scale with its ends moved outwards to ticks. The scale has about `ticks` ticks. A logarithmic scale
+    /// is returned unchanged.
     #[must_use]
     pub fn widened(self, ticks: usize) -> Self {
-        if self.spread == Spread::Logarithmic {
+        if self.spacing == Spacing::Logarithmic {
             return self;
         }
         let step = round_step(self.hi - self.lo, ticks).max(self.min_tick_distance);
+        // The tolerance keeps an end that is a tick already from moving to the next tick, because the division rounds.
         let (lo, hi) = ((self.lo / step + 1e-9).floor() * step, (self.hi / step - 1e-9).ceil() * step);
         Self { lo, hi, step: Some(step), ..self }
     }
@@ -125,22 +132,24 @@ impl Scale {
         (self.lo, self.hi)
     }
 
-    /// Returns whether equal distances on the scale are equal factors.
+    /// Returns whether the scale is logarithmic.
     pub fn is_logarithmic(&self) -> bool {
-        self.spread == Spread::Logarithmic
+        self.spacing == Spacing::Logarithmic
     }
 
-    /// Returns the position of a value, from 0 to 1. Values beyond the ends are placed at the ends, and NaN at the lower end.
+    /// Returns the position of a value, from 0 to 1. A value beyond an end is placed at this end. NaN is placed at the lower
+    /// end.
     pub fn at(&self, value: f64) -> f64 {
         self.at_or_outside(value).clamp(0.0, 1.0)
     }
 
-    /// Returns the position of a value. Values beyond the ends are placed slightly outside of the ends, for lines that leave their plot.
+    /// Returns the position of a value. A value beyond an end is placed slightly outside of the scale, for lines that leave
+    /// their plot.
     pub fn at_or_outside(&self, value: f64) -> f64 {
-        let position = match self.spread {
+        let position = match self.spacing {
             _ if value.is_nan() => 0.0,
-            Spread::Linear => (value - self.lo) / (self.hi - self.lo),
-            Spread::Logarithmic => (value.max(MIN_MAGNITUDE) / self.lo).ln() / (self.hi / self.lo).ln(),
+            Spacing::Linear => (value - self.lo) / (self.hi - self.lo),
+            Spacing::Logarithmic => (value.max(MIN_MAGNITUDE) / self.lo).ln() / (self.hi / self.lo).ln(),
         };
         position.clamp(-MAX_OUTSIDE, 1.0 + MAX_OUTSIDE)
     }
@@ -165,15 +174,15 @@ impl Scale {
         (0..=steps).map(move |step| scale.between(scale.lo, scale.hi, f64::from(step) / f64::from(steps)))
     }
 
-    /// Returns the ticks, which are round numbers. There are about `max_ticks` or fewer, and up to twice as many on a logarithmic scale. The
-    /// ticks of a widened scale do not depend on `max_ticks`.
+    /// Returns the ticks, which are round numbers. A linear scale has about `max_ticks` ticks or fewer, a logarithmic scale
+    /// up to twice as many. The ticks of a widened scale do not depend on `max_ticks`.
     ///
-    /// A logarithmic scale has ticks at powers of ten. If it has fewer than three such ticks, 2 and 5 times the powers are added. If it still
-    /// has fewer than three, the ticks are evenly spaced.
+    /// A logarithmic scale has ticks at powers of ten. If fewer than three powers lie on the scale, ticks at 2 and 5 times
+    /// the powers are added. If there are still fewer than three ticks, the ticks are evenly spaced instead.
     pub fn ticks(&self, max_ticks: usize) -> Vec<Tick> {
-        match self.spread {
-            Spread::Linear => self.evenly_spaced_ticks(max_ticks),
-            Spread::Logarithmic => self.power_of_ten_ticks(max_ticks),
+        match self.spacing {
+            Spacing::Linear => self.evenly_spaced_ticks(max_ticks),
+            Spacing::Logarithmic => self.power_of_ten_ticks(max_ticks),
         }
     }
 
@@ -185,7 +194,7 @@ impl Scale {
         let tick = |number: i64| {
             let value = number as f64 * step;
             let text = if number == 0 { "0".to_owned() } else { fixed(value, decimals) };
-            let sign = if self.signed && number > 0 { "+" } else { "" };
+            let sign = if self.has_plus_signs && number > 0 { "+" } else { "" };
             Tick { value, at: self.at(value), text: format!("{sign}{text}") }
         };
         (first..=last).map(tick).collect()
@@ -203,7 +212,7 @@ impl Scale {
         let candidates = [ticks_at(&[1.0]), ticks_at(&[1.0, 2.0, 5.0])];
         let ticks = candidates.into_iter().find(|ticks| ticks.len() >= 3);
         let ticks = ticks.unwrap_or_else(|| self.evenly_spaced_ticks(max_ticks));
-        // If there are many powers of ten, only every second, third, … power has a tick.
+        // If there are too many powers of ten, only every second, third, … power has a tick.
         let step = ticks.len().div_ceil(2 * max_ticks.max(1)).max(1);
         ticks.into_iter().step_by(step).collect()
     }
@@ -217,13 +226,13 @@ fn clamp_to_finite_range((lo, hi): (f64, f64)) -> (f64, f64) {
     (clamp(lo), clamp(hi))
 }
 
-/// Returns a range with one value in its middle.
+/// Returns a range with this value in its middle.
 fn range_around(value: f64) -> (f64, f64) {
     let half = if value == 0.0 { 0.5 } else { value.abs() * 0.1 };
     (value - half, value + half)
 }
 
-/// Formats 1, 2 or 5 times a power of ten without trailing zeros.
+/// Returns 1, 2 or 5 times a power of ten as text, without trailing zeros after the decimal point.
 fn power_label(value: f64) -> String {
     let text = significant(value);
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }

@@ -1,7 +1,7 @@
 //! The 1-2-5 rule for the distance between ticks.
 
-/// Returns the smallest step of the form 1, 2 or 5 times a power of ten such that `range` contains at most `max_steps` steps. Returns 1 if
-/// `range` is not a positive finite number.
+/// Returns the smallest step that is 1, 2 or 5 times a power of ten and of which `range` contains at most `max_steps`.
+/// Returns 1 if `range` is not a positive finite number.
 pub fn round_step(range: f64, max_steps: usize) -> f64 {
     if !range.is_finite() || range <= 0.0 {
         return 1.0;

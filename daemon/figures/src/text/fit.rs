@@ -1,18 +1,19 @@
-//! Making text fit: shortening and breaking into lines.
+//! Functions that shorten text or break it into lines, so that it fits.
 
 use super::width;
 
-/// Returns the text. If the text is wider than `room`, its middle is replaced by `…`. Its end is kept, because names
-/// often differ at the end.
+/// Returns the text. If the text is wider than `room`, its middle is replaced by `…`. The end of the text is kept,
+/// because names often differ at the end. `room` has the unit of the type size `size`.
 pub fn shorten(text: &str, size: f64, room: f64) -> String {
     if width(text, size) <= room {
         return text.to_owned();
     }
     let chars: Vec<char> = text.chars().collect();
+    // Returns the text with this number of its characters, of which two in five are at the end.
     let keep_chars = |count: usize| {
         let tail_len = count * 2 / 5;
-        let part = |chars: &[char]| chars.iter().collect::<String>();
-        let (head, tail) = (part(&chars[..count - tail_len]), part(&chars[chars.len() - tail_len..]));
+        let text_of = |chars: &[char]| chars.iter().collect::<String>();
+        let (head, tail) = (text_of(&chars[..count - tail_len]), text_of(&chars[chars.len() - tail_len..]));
         format!("{}…{}", head.trim_end(), tail.trim_start())
     };
     let longest_fitting = (0..chars.len()).rev().map(keep_chars).find(|text| width(text, size) <= room);
@@ -20,22 +21,26 @@ pub fn shorten(text: &str, size: f64, room: f64) -> String {
 }
 
 /// Shortens names that are shown together, so that different names remain different. If two names would look alike
-/// without their middle, the beginning and the end that they share are replaced instead: `…_s_…` and `…_m_…`.
+/// without their middles, `…` replaces the beginning and the end that they share instead: `…_s_…` and `…_m_…`.
 pub fn shorten_distinctly(names: &[&str], size: f64, room: f64) -> Vec<String> {
-    let short: Vec<String> = names.iter().map(|name| shorten(name, size, room)).collect();
+    let shortened: Vec<String> = names.iter().map(|name| shorten(name, size, room)).collect();
+    // Returns the other names whose shortened text is that of the name with this index.
     let look_alikes = |index: usize| -> Vec<&str> {
-        let others =
-            names.iter().zip(&short).filter(|(name, text)| **text == short[index] && **name != names[index]);
+        let others = names
+            .iter()
+            .zip(&shortened)
+            .filter(|(name, text)| **text == shortened[index] && **name != names[index]);
         others.map(|(name, _)| *name).collect()
     };
-    let distinct = |(index, text): (usize, &String)| {
+    let distinct_text = |(index, text): (usize, &String)| {
         let others = look_alikes(index);
         if others.is_empty() { text.clone() } else { shorten(&difference(names[index], &others), size, room) }
     };
-    short.iter().enumerate().map(distinct).collect()
+    shortened.iter().enumerate().map(distinct_text).collect()
 }
 
-/// Returns the part of a name that differs from the other names. The beginning and the end that all names share become `…`.
+/// Returns the part of a name that differs from the other names. `…` replaces the beginning and the end that the name
+/// shares with all other names.
 fn difference(name: &str, others: &[&str]) -> String {
     fn common_len(a: impl Iterator<Item = char>, b: impl Iterator<Item = char>) -> usize {
         a.zip(b).take_while(|(a, b)| a == b).count()
@@ -54,7 +59,7 @@ fn difference(name: &str, others: &[&str]) -> String {
     format!("{}{middle}{}", ellipsis(head_len), ellipsis(tail_len))
 }
 
-/// Breaks a text between words into lines that fit. A word that is wider than a line is shortened.
+/// Breaks a text between words into lines that are at most `room` wide. A word that is wider than a line is shortened.
 pub fn wrap(text: &str, size: f64, room: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ') {
@@ -73,21 +78,21 @@ mod tests {
 
     #[test]
     fn shortened_names_remain_distinct() {
-        let long = ["s", "m", "xl"].map(|size| format!("efficientnet_v2_{size}_with_a_long_suffix_int8"));
-        let mut names: Vec<&str> = long.iter().map(String::as_str).collect();
+        let models = ["s", "m", "xl"].map(|size| format!("efficientnet_v2_{size}_with_a_long_suffix_int8"));
+        let mut names: Vec<&str> = models.iter().map(String::as_str).collect();
         names.extend(["resnet", "resnet"]);
         assert_eq!(shorten_distinctly(&names, 50.0, 250.0), ["…s…", "…m…", "…xl…", "resnet", "resnet"]);
         assert_eq!(shorten_distinctly(&names, 50.0, 5000.0), names);
         let nested = ["a model with a long name", "a model with a long name, a model with a long name"];
-        let [one, other] = [0, 1].map(|at| shorten_distinctly(&nested, 50.0, 300.0)[at].clone());
+        let [short, long] = [0, 1].map(|index| shorten_distinctly(&nested, 50.0, 300.0)[index].clone());
         assert!(
-            one != other && [&one, &other].iter().all(|text| width(text, 50.0) <= 300.0),
-            "{one} {other}"
+            short != long && [&short, &long].iter().all(|text| width(text, 50.0) <= 300.0),
+            "{short} {long}"
         );
     }
 
     #[test]
-    fn long_text_is_shortened_or_wrapped() {
+    fn long_text_is_shortened_or_broken_into_lines() {
         assert_eq!(shorten("short", 50.0, 1000.0), "short");
         let shortened = shorten(&"a long label ".repeat(20), 50.0, 300.0);
         assert!(

@@ -10,11 +10,12 @@ pub const FAMILY: &str = "Inter";
 /// Font of the dashboard in one weight, with the glyphs that figures use. `assets/instance.py` makes it.
 pub const FONT: &[u8] = include_bytes!("../../assets/inter.ttf");
 
-/// Assumed advance (width) of a character that the font lacks, as a share of the type size. It is about that of a wide
-/// letter.
+/// Assumed advance (width) of a character that the font lacks, as a share of the type size. A wide letter has about this
+/// advance.
 const UNKNOWN_ADVANCE: f64 = 0.7;
 
-/// Advances of the characters of Latin-1, as shares of the type size. Other characters are looked up in the font each time.
+/// Advances of the characters of Latin-1, as shares of the type size. The advances of other characters are looked up in
+/// the font each time.
 static ADVANCES: LazyLock<[f64; 0x100]> = LazyLock::new(|| {
     std::array::from_fn(|code| char::from_u32(code as u32).and_then(advance).unwrap_or(UNKNOWN_ADVANCE))
 });
@@ -27,7 +28,8 @@ fn advance(character: char) -> Option<f64> {
     Some(f64::from(advance) / f64::from(face.units_per_em()))
 }
 
-/// Returns the width of one line of text in the unit of the type size. Kerning is ignored; it would make the text narrower by less than 1 %.
+/// Returns the width of a line of text, in the unit of the type size. The width ignores kerning, which would make the text
+/// narrower by less than 1 %.
 pub fn width(text: &str, size: f64) -> f64 {
     let cached_advance = |character: char| {
         ADVANCES
@@ -38,7 +40,8 @@ pub fn width(text: &str, size: f64) -> f64 {
     printable_line(text).chars().map(cached_advance).sum::<f64>() * size
 }
 
-/// Returns the first character of a text for which the font has no glyph; `None` if it has all glyphs.
+/// Returns the first character of a text for which the font has no glyph; `None` if the font has glyphs for all
+/// characters.
 pub fn missing_glyph(text: &str) -> Option<char> {
     printable_line(text).chars().find(|character| advance(*character).is_none())
 }

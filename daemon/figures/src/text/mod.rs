@@ -6,4 +6,4 @@ mod panel;
 
 pub use fit::{shorten, shorten_distinctly, wrap};
 pub use font::{FAMILY, FONT, missing_glyph, width};
-pub use panel::{WIDTH_STEPS, rem, width_step};
+pub use panel::{WIDTH_STEPS, width_rem, width_step};

@@ -1,7 +1,7 @@
 //! Minimum widths of pictures at which their text fits, for pictures that grow with their panel on a page.
 //!
-//! The server does not know the width of a page. Each text therefore has the class of a minimum width, and the style sheet hides the text in
-//! narrower pictures, because a clipped number would be a wrong number.
+//! The server does not know the width of a page. Each text therefore has the class of a minimum width, and the style
+//! sheet hides the text in narrower pictures, because a clipped number would be a wrong number.
 
 use super::width;
 
@@ -10,14 +10,15 @@ pub const WIDTH_STEPS: [u16; 14] = [8, 10, 12, 15, 18, 21, 25, 30, 36, 43, 52, 6
 
 /// Type size of axes and of text in pictures, rem.
 const SIZE: f64 = 0.6875;
-/// Factor by which text in bars is wider than measured, because it has a greater weight than the embedded font.
+/// Factor by which text in bars is wider than [`width`] says, because the text has a greater weight than the embedded
+/// font.
 const WEIGHT_FACTOR: f64 = 1.03;
 /// Space around a text, rem.
 const SPACE: f64 = 0.3;
 
 /// Returns the width of a text in a picture including the space around it, rem.
-pub fn rem(words: &str) -> f64 {
-    width(words, SIZE) * WEIGHT_FACTOR + SPACE
+pub fn width_rem(text: &str) -> f64 {
+    width(text, SIZE) * WEIGHT_FACTOR + SPACE
 }
 
 /// Returns the smallest of [`WIDTH_STEPS`] that is at least `width_rem`; `None` if all steps are smaller.

@@ -162,7 +162,7 @@ pub(crate) fn place_comparisons(comparison: &Comparison) -> (Vec<PlaceComparison
             (model, values.collect())
         })
         .collect();
-    let upper_ends = rows.iter().flat_map(|(_, places)| places).map(|place| place.quartiles.top());
+    let upper_ends = rows.iter().flat_map(|(_, places)| places).map(|place| place.quartiles.largest_drawn());
     let scale = Scale::up_to(upper_ends.fold(0.0, f64::max) * 1e3, 6);
     let place_comparison = |(model, places): &(&String, Vec<PlaceValues<'_>>)| PlaceComparison {
         model: (*model).clone(),

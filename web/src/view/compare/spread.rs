@@ -21,7 +21,7 @@ pub(super) fn box_plot(stage: &str, quantity: &str, quartiles: &Quartiles, scale
     Picture::of_items(
         &quartiles.items(stage, scale),
         "stages thin boxed",
-        &format!("{quantity}: {}", quartiles.words()),
+        &format!("{quantity}: {}", quartiles.description()),
     )
 }
 
@@ -33,10 +33,12 @@ pub(crate) fn boxes(comparison: &Comparison) -> (Vec<BoxRow>, Axes) {
         .iter()
         .filter_map(|one| Some((one, Quartiles::of(one.summary(total)?)?)))
         .collect();
-    let scale =
-        Scale::up_to(measured.iter().map(|(_, quartiles)| quartiles.top()).fold(0.0, f64::max) * 1e3, 6);
+    let scale = Scale::up_to(
+        measured.iter().map(|(_, quartiles)| quartiles.largest_drawn()).fold(0.0, f64::max) * 1e3,
+        6,
+    );
     let row = |(one, quartiles): &(&Configuration, Quartiles)| {
-        let [p25, p50, p75] = quartiles.middle.map(milliseconds);
+        let [p25, p50, p75] = quartiles.values.map(milliseconds);
         BoxRow {
             name: one.name.clone(),
             median: p50,

@@ -12,48 +12,50 @@ use peernet_analysis::quality::{Quality, QualityEstimate};
 
 /// Half the width of a whisker's cap, points.
 const CAP_HALF_WIDTH: f64 = 1.4;
-/// Radius of a point, and width of the rim that separates it from its neighbours, points.
+/// Radius of a point with its rim, points.
 const RADIUS: f64 = 2.1;
+/// Width of the rim that separates a point from its neighbours, points.
 const RIM: f64 = 0.4;
 /// The axis is logarithmic if the ratio of the largest to the smallest latency is more than this.
 const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Maximum number of points that a reader can distinguish.
 pub const MAX_SCORES: usize = 24;
-/// Room that the axis of a quality has beyond the intervals, if the quality is a share; percentage points.
+/// Room beyond the intervals at each end of the axis of a quality that is a share, percentage points.
 const AXIS_MARGIN: f64 = 2.0;
-/// The horizontal whiskers of two points can overlap if the qualities of the points differ by less than this share of
-/// the axis.
-const OVERLAP_DISTANCE: f64 = 0.03;
+/// Minimum difference between the qualities of two points whose horizontal whiskers cannot overlap, as a share of the axis.
+const MIN_QUALITY_DISTANCE: f64 = 0.03;
 
 /// Quality and latency of one configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Score {
     /// Name of the configuration, for the table.
     pub label: String,
-    /// The quality.
+    /// Estimate of the quality, with its interval.
     pub estimate: QualityEstimate,
     /// Median latency of all iterations in the statistics, seconds.
     pub median: f64,
-    /// 95th percentile, seconds; `None` for few values.
+    /// 95th percentile of the latencies, seconds; `None` if there are too few values.
     pub p95: Option<f64>,
 }
 
 impl Score {
-    fn p95_latency(&self) -> Option<f64> {
+    /// Returns the 95th percentile of the latencies; `None` if it cannot be drawn.
+    fn drawable_p95(&self) -> Option<f64> {
         self.p95.filter(|p95| p95.is_finite())
     }
 }
 
 /// Presentation of a quality in the figure: texts, range and unit.
-struct Shown {
+struct Presentation {
+    /// Title of the figure.
     title: &'static str,
     /// Title of the axis.
-    axis: &'static str,
+    axis_title: &'static str,
     /// Title of the column in the table.
-    column: &'static str,
-    /// Method by which the intervals are computed: the name of its author.
+    column_title: &'static str,
+    /// Name of the author of the method by which the intervals are computed.
     method: &'static str,
-    /// Factor from the value to the shown value: shares are shown in per cent.
+    /// Factor from a value to the number shown: 100 for shares, which are shown in per cent.
     factor: f64,
     /// Lowest and highest possible value, after multiplication by `factor`.
     range: (f64, f64),
@@ -61,35 +63,37 @@ struct Shown {
     symbol: &'static str,
 }
 
-impl Shown {
+impl Presentation {
     fn of(quality: Quality) -> Self {
-        let share = |title, axis, column, method| Self {
+        let of_share = |title, axis_title, column_title, method| Self {
             title,
-            axis,
-            column,
+            axis_title,
+            column_title,
             method,
             factor: 100.0,
             range: (0.0, 100.0),
             symbol: "%",
         };
         match quality {
-            Quality::Top1 => share("Accuracy against latency", "Top-1 accuracy, %", "accuracy, %", "Wilson"),
-            Quality::Map50 => share(
+            Quality::Top1 => {
+                of_share("Accuracy against latency", "Top-1 accuracy, %", "accuracy, %", "Wilson")
+            }
+            Quality::Map50 => of_share(
                 "Mean average precision against latency",
                 "mAP@0.5 of a picture, %",
                 "mAP@0.5, %",
                 "Student",
             ),
             Quality::MeanIou => {
-                share("Mean IoU against latency", "Mean IoU of a picture, %", "mean IoU, %", "Student")
+                of_share("Mean IoU against latency", "Mean IoU of a picture, %", "mean IoU, %", "Student")
             }
             Quality::Success => {
-                share("Success against latency", "Successful episodes, %", "success, %", "Wilson")
+                of_share("Success against latency", "Successful episodes, %", "success, %", "Wilson")
             }
             Quality::Return => Self {
                 title: "Return against latency",
-                axis: "Return of an episode",
-                column: "return",
+                axis_title: "Return of an episode",
+                column_title: "return",
                 method: "Student",
                 factor: 1.0,
                 range: (f64::NEG_INFINITY, f64::INFINITY),
@@ -99,14 +103,14 @@ impl Shown {
     }
 }
 
-/// Figure with a numbered point for each configuration, at most [`MAX_SCORES`], and a table below that explains the numbers.
+/// Figure with a numbered point for each configuration and a table that explains the numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Accuracy {
-    /// Quantity of the vertical axis.
+    /// Quality that the vertical axis shows.
     pub quality: Quality,
-    /// Unit of the horizontal axis: a latency.
+    /// Quantity and unit of the horizontal axis: a latency.
     pub unit: Unit,
-    /// Points of the figure. Points without a latency are not drawn.
+    /// Scores that the points show, at most [`MAX_SCORES`]. A score without a latency is not drawn.
     pub scores: Vec<Score>,
     /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
@@ -124,26 +128,26 @@ struct Spot {
 impl Accuracy {
     /// Returns the title of the figure.
     pub fn title(&self) -> &'static str {
-        Shown::of(self.quality).title
+        Presentation::of(self.quality).title
     }
 
-    /// Returns the method by which the intervals are computed: the name of its author.
+    /// Returns the name of the author of the method by which the intervals are computed.
     pub fn interval_method(&self) -> &'static str {
-        Shown::of(self.quality).method
+        Presentation::of(self.quality).method
     }
 
-    /// Returns the scores that are drawn, each with its quality as it is shown: lower end of the interval, estimate,
-    /// upper end.
+    /// Returns the scores that are drawn, each with the numbers that are shown: the lower end of the quality's interval, the
+    /// estimate, the upper end of the interval.
     fn shown_scores(&self) -> impl Iterator<Item = (&Score, [f64; 3])> {
-        let factor = Shown::of(self.quality).factor;
-        let finite = self.scores.iter().filter(|score| score.median.is_finite() && score.median > 0.0);
-        finite.map(move |score| {
+        let factor = Presentation::of(self.quality).factor;
+        let drawable = self.scores.iter().filter(|score| score.median.is_finite() && score.median > 0.0);
+        drawable.map(move |score| {
             let QualityEstimate { value, interval: (low, high), .. } = score.estimate;
             (score, [low, value, high].map(|value| value * factor))
         })
     }
 
-    /// Returns the room that the vertical axis has beyond these ends of the intervals.
+    /// Returns the room of the vertical axis beyond the lowest and the highest end of the intervals.
     fn margin(&self, (low, high): (f64, f64)) -> f64 {
         if self.quality == Quality::Return {
             (high - low).max(low.abs() * 0.01).max(1e-9) * 0.1
@@ -158,83 +162,89 @@ impl Accuracy {
     }
 
     /// Returns whether points have horizontal whiskers. If two whiskers would overlap, no point has one.
-    fn has_whiskers(&self) -> bool {
+    fn has_horizontal_whiskers(&self) -> bool {
         let Some((low, high)) = self.interval_range() else { return false };
-        let min_distance = (high - low + 2.0 * self.margin((low, high))) * OVERLAP_DISTANCE;
-        let latency_range = |score: &Score| (score.median, score.p95_latency().unwrap_or(score.median));
+        let min_distance = (high - low + 2.0 * self.margin((low, high))) * MIN_QUALITY_DISTANCE;
+        let latency_range = |score: &Score| (score.median, score.drawable_p95().unwrap_or(score.median));
         // For each point: the ends of its horizontal whisker, and its quality.
         let whiskers: Vec<((f64, f64), f64)> =
-            self.shown_scores().map(|(score, [_, share, _])| (latency_range(score), share)).collect();
-        let overlap = |((from_a, to_a), share_a): &((f64, f64), f64),
-                       ((from_b, to_b), share_b): &((f64, f64), f64)| {
-            (share_a - share_b).abs() < min_distance && from_a <= to_b && from_b <= to_a
+            self.shown_scores().map(|(score, [_, quality, _])| (latency_range(score), quality)).collect();
+        let overlap = |((from_a, to_a), quality_a): &((f64, f64), f64),
+                       ((from_b, to_b), quality_b): &((f64, f64), f64)| {
+            (quality_a - quality_b).abs() < min_distance && from_a <= to_b && from_b <= to_a
         };
         let overlaps_no_later =
             |(index, whisker)| whiskers[index + 1..].iter().all(|other| !overlap(whisker, other));
         whiskers.iter().enumerate().all(overlaps_no_later)
-            && self.shown_scores().any(|(score, _)| score.p95_latency().is_some())
+            && self.shown_scores().any(|(score, _)| score.drawable_p95().is_some())
     }
 
     fn notes(&self) -> Vec<String> {
-        let across = if self.has_whiskers() { " · across: to the 95th percentile" } else { "" };
+        let horizontal_note =
+            if self.has_horizontal_whiskers() { " · across: to the 95th percentile" } else { "" };
         let method = self.interval_method();
-        let parts = format!("point: median · upright: 95 % interval ({method}){across}");
-        std::iter::once(parts).chain(self.notes.iter().cloned()).collect()
+        let explanations = format!("point: median · upright: 95 % interval ({method}){horizontal_note}");
+        std::iter::once(explanations).chain(self.notes.iter().cloned()).collect()
     }
 
-    fn axes(&self) -> Option<Plot> {
+    /// Returns an empty plot whose axes contain all points and whiskers; `None` if no score is drawn.
+    fn empty_plot(&self) -> Option<Plot> {
         let (low, high) = self.interval_range()?;
-        let right_end =
-            |score: &Score| score.p95_latency().filter(|_| self.has_whiskers()).unwrap_or(score.median);
-        let (fast, slow) = self
+        let right_end = |score: &Score| {
+            score.drawable_p95().filter(|_| self.has_horizontal_whiskers()).unwrap_or(score.median)
+        };
+        let (fastest, slowest) = self
             .shown_scores()
             .map(|(score, _)| (score.median * self.unit.per_si, right_end(score) * self.unit.per_si))
             .reduce(union)?;
-        let shown = Shown::of(self.quality);
-        // If shares are near 0 or 100, the axis ends a little beyond, so that points at 0 or 100 are not cut off. It
-        // ends before the next mark, which would be an impossible share.
-        let rest = (high - low).max(1.0) * 0.04;
+        let presentation = Presentation::of(self.quality);
+        // If shares are near 0 or 100, the axis ends a little beyond 0 or 100, so that points there are not cut off. The axis
+        // ends before the next mark, because this mark would be an impossible share.
+        let room_for_points = (high - low).max(1.0) * 0.04;
         let margin = self.margin((low, high));
-        let ends = ((low - margin).max(shown.range.0 - rest), (high + margin).min(shown.range.1 + rest));
-        let values = Scale::linear(ends);
-        let across = if slow > fast * LOGARITHMIC_RATIO {
-            let room = (slow / fast).powf(0.08);
-            Scale::logarithmic((fast / room, slow * room))
+        let ends = (
+            (low - margin).max(presentation.range.0 - room_for_points),
+            (high + margin).min(presentation.range.1 + room_for_points),
+        );
+        let y_scale = Scale::linear(ends);
+        let x_scale = if slowest > fastest * LOGARITHMIC_RATIO {
+            let room = (slowest / fastest).powf(0.08);
+            Scale::logarithmic((fastest / room, slowest * room))
         } else {
-            Scale::from_zero((0.0, slow * 1.04))
+            Scale::from_zero((0.0, slowest * 1.04))
         };
-        let y_axis = Axis::new(values, shown.axis, shown.symbol);
-        Some(Plot::new(self.unit.axis(across).with_grid(), y_axis.with_grid()))
+        let y_axis = Axis::new(y_scale, presentation.axis_title, presentation.symbol);
+        Some(Plot::new(self.unit.axis(x_scale).with_grid(), y_axis.with_grid()))
     }
 
     fn spots(&self, plot: &Plot) -> Vec<Spot> {
-        let across = |value: f64| plot.x.scale.at(value * self.unit.per_si);
-        let has_whiskers = self.has_whiskers();
-        let spot = |(score, [low, share, high]): (&Score, [f64; 3])| Spot {
-            at: plot.at(score.median * self.unit.per_si, share),
+        let x_position = |value: f64| plot.x.scale.at(value * self.unit.per_si);
+        let has_horizontal_whiskers = self.has_horizontal_whiskers();
+        let spot = |(score, [low, quality, high]): (&Score, [f64; 3])| Spot {
+            at: plot.at(score.median * self.unit.per_si, quality),
             interval: (plot.y_share(low), plot.y_share(high)),
-            p95: score.p95_latency().filter(|_| has_whiskers).map(across),
+            p95: score.drawable_p95().filter(|_| has_horizontal_whiskers).map(x_position),
         };
         self.shown_scores().map(spot).collect()
     }
 
     /// Returns the table that explains the numbers of the points.
     fn table(&self) -> Table {
-        let has_p95 = self.shown_scores().any(|(score, _)| score.p95_latency().is_some());
-        let show = |value: f64| significant(value * self.unit.per_si);
-        let cells = |[accuracy, median, p95]: [String; 3]| {
-            [accuracy, median].into_iter().chain(has_p95.then_some(p95)).collect::<Vec<_>>()
+        let has_p95 = self.shown_scores().any(|(score, _)| score.drawable_p95().is_some());
+        let latency_text = |value: f64| significant(value * self.unit.per_si);
+        let cells = |[quality, median, p95]: [String; 3]| {
+            [quality, median].into_iter().chain(has_p95.then_some(p95)).collect::<Vec<_>>()
         };
         let symbol = &self.unit.symbol;
         let titles = cells([
-            Shown::of(self.quality).column.to_owned(),
+            Presentation::of(self.quality).column_title.to_owned(),
             format!("median, {symbol}"),
             format!("p95, {symbol}"),
         ]);
         let lines = self.shown_scores().map(|(score, _)| {
-            let p95 = score.p95_latency().map_or_else(|| "—".to_owned(), show);
+            let p95 = score.drawable_p95().map_or_else(|| "—".to_owned(), latency_text);
             let value = score.estimate.format(self.quality, score.estimate.value);
-            (score.label.clone(), cells([value, show(score.median), p95]))
+            (score.label.clone(), cells([value, latency_text(score.median), p95]))
         });
         Table { titles, lines: lines.collect() }
     }
@@ -244,10 +254,11 @@ impl Accuracy {
         let mut figure = Figure {
             title: self.title().to_owned(),
             notes: self.notes(),
-            plots: self.axes().into_iter().collect(),
+            plots: self.empty_plot().into_iter().collect(),
             table: self.table(),
             ..Figure::default()
         };
+        // The numbers of the points are placed with the area of the plot in a file. Pages show them at the same shares.
         let areas = file::areas(&figure);
         if let (Some(plot), Some(area)) = (figure.plots.first_mut(), areas.first()) {
             let spots = self.spots(plot);

@@ -1,5 +1,5 @@
-//! Placement of the numbers of the points. Numbers do not overlap as long as there is room. If a number is not next to
-//! its point, a thin line connects the two.
+//! Placement of the numbers of the points. Numbers do not overlap as long as there is room. If a number is not next to its
+//! point, a thin line connects the number and the point.
 
 use super::{CAP_HALF_WIDTH, RADIUS, Spot};
 use crate::look::{INK_2, Style, TextStyle};
@@ -14,14 +14,14 @@ const GAP: f64 = RADIUS + 0.9;
 /// Minimum distance between two numbers side by side, so that they are not read as one number; points. The distance is
 /// generous, because on the narrowest page numbers are almost twice as wide in relation to the plot.
 const MIN_DISTANCE: f64 = 4.5;
-/// Minimum distance between a number and another above it, points.
+/// Minimum distance between two numbers above each other, points.
 const MIN_DISTANCE_ABOVE: f64 = 2.0;
-/// Two points of the figure that are closer together than this are neighbours: their numbers are on the sides away from
-/// each other. Unit: points.
+/// Two points of the figure are neighbours if their horizontal and vertical distances are less than this; points. The
+/// numbers of neighbours are on the sides that face away from each other.
 const NEIGHBOUR_DISTANCE: f64 = 13.5;
 /// Height of the space above the plot that numbers may use, beside the title of the axis, points.
 const HEIGHT_ABOVE_PLOT: f64 = 11.0;
-/// Minimum distance between a number and the limit of its area, points.
+/// Minimum distance between a number and the edge of the area for numbers, points.
 const EDGE_DISTANCE: f64 = 0.6;
 
 /// Rectangle: left, top, right and bottom, points.
@@ -37,7 +37,7 @@ struct FileSpot {
     p95: Option<f64>,
 }
 
-/// Lays the numbers out in a plot with this area and this title above it.
+/// Lays the numbers out in a plot. `area` is the area of the plot, and `title` is the text above the plot.
 pub(super) fn items(area: &Area, spots: &[Spot], title: &str) -> Vec<Item> {
     let file_spots: Vec<FileSpot> = spots.iter().map(|spot| FileSpot::of(spot, area)).collect();
     let limits = [
@@ -46,9 +46,10 @@ pub(super) fn items(area: &Area, spots: &[Spot], title: &str) -> Vec<Item> {
         WIDTH - 2.0 * EDGE_DISTANCE,
         area.top + area.height - EDGE_DISTANCE,
     ];
-    let mut occupied: Vec<Rect> = file_spots.iter().flat_map(FileSpot::boxes).collect();
+    let mut occupied: Vec<Rect> = file_spots.iter().flat_map(FileSpot::areas).collect();
+    // The title above the plot occupies the space that numbers may use beside it.
     occupied.push([0.0, 0.0, 2.0 * MIN_DISTANCE + width(title, TEXT), area.top - 2.0]);
-    let share = |x: f64, y: f64| At::new((x - area.left) / area.width, (y - area.top) / area.height);
+    let at = |x: f64, y: f64| At::new((x - area.left) / area.width, (y - area.top) / area.height);
     let mut items = Vec::new();
     for (index, spot) in file_spots.iter().enumerate() {
         let number = (index + 1).to_string();
@@ -56,6 +57,7 @@ pub(super) fn items(area: &Area, spots: &[Spot], title: &str) -> Vec<Item> {
         let is_ambiguous = |place: &Rect| spot.is_nearer_to_other(place, &file_spots);
         let Some(place) = best_place(places, (limits, &occupied), is_ambiguous) else { continue };
         let middle = (f64::midpoint(place[0], place[2]), f64::midpoint(place[1], place[3]));
+        // Point of the number's rectangle that is nearest to the point of the figure.
         let nearest = (
             spot.at.0.clamp(place[0] - EDGE_DISTANCE, place[2] + EDGE_DISTANCE),
             spot.at.1.clamp(place[1], place[3]),
@@ -63,9 +65,9 @@ pub(super) fn items(area: &Area, spots: &[Spot], title: &str) -> Vec<Item> {
         let distance = (nearest.0 - spot.at.0).abs().max((nearest.1 - spot.at.1).abs());
         if distance > GAP + EDGE_DISTANCE {
             let line_style = Style::line("faint", INK_2.light, 0.3);
-            items.push(Item::line(share(spot.at.0, spot.at.1), share(nearest.0, nearest.1), line_style));
+            items.push(Item::line(at(spot.at.0, spot.at.1), at(nearest.0, nearest.1), line_style));
         }
-        let label = Label::new(share(middle.0, middle.1), number, TextStyle::MARK);
+        let label = Label::new(at(middle.0, middle.1), number, TextStyle::MARK);
         items.push(Item::Text(label.anchored(Anchor::Middle)));
         occupied.push([
             place[0] - MIN_DISTANCE,
@@ -84,8 +86,8 @@ impl FileSpot {
         Self { at: area.point(spot.at), interval: (y(spot.interval.0), y(spot.interval.1)), p95 }
     }
 
-    /// Returns the areas of the point and its two whiskers.
-    fn boxes(&self) -> [Rect; 3] {
+    /// Returns the areas of the point, of its horizontal whisker and of its vertical whisker.
+    fn areas(&self) -> [Rect; 3] {
         let ((x, y), (bottom, top)) = (self.at, self.interval);
         [
             [x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS],
@@ -94,18 +96,18 @@ impl FileSpot {
         ]
     }
 
-    /// Returns whether a place for this point's number is at least as near to another point as to this point. The
-    /// number would then be read as the number of the other point.
+    /// Returns whether a place for this point's number is at least as near to another point as to this point. A reader would
+    /// then take the number for the number of the other point.
     fn is_nearer_to_other(&self, place: &Rect, spots: &[Self]) -> bool {
         let distance_to =
-            |spot: &Self| spot.boxes().iter().map(|area| distance(place, area)).fold(f64::INFINITY, f64::min);
-        let own = distance_to(self);
-        spots
-            .iter()
-            .any(|other| !std::ptr::eq(other, self) && other.at != self.at && distance_to(other) <= own)
+            |spot: &Self| spot.areas().iter().map(|area| distance(place, area)).fold(f64::INFINITY, f64::min);
+        let own_distance = distance_to(self);
+        spots.iter().any(|other| {
+            !std::ptr::eq(other, self) && other.at != self.at && distance_to(other) <= own_distance
+        })
     }
 
-    /// Returns the side with fewer neighbours: 1 for the right, −1 for the left.
+    /// Returns the side of the point with fewer neighbours: 1 for the right, −1 for the left.
     fn free_side(&self, spots: &[Self]) -> f64 {
         let neighbours = spots.iter().filter(|other| {
             let distance = (other.at.0 - self.at.0, other.at.1 - self.at.1);
@@ -142,9 +144,9 @@ fn distance(a: &Rect, b: &Rect) -> f64 {
     gap(0).max(gap(1))
 }
 
-/// Returns the place within the limits that overlaps the occupied rectangles least. If several places overlap equally,
-/// an unambiguous place is better than an ambiguous one, and among these the earliest place is best. `None` if no place
-/// is within the limits.
+/// Returns the place within the limits that overlaps the occupied rectangles least. If several places overlap them equally,
+/// an unambiguous place is better than an ambiguous place. Among equally good places, the first place is the best. `None`
+/// if no place is within the limits.
 fn best_place(
     places: impl Iterator<Item = Rect>,
     (limits, occupied): (Rect, &[Rect]),
@@ -167,22 +169,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn number_is_nearest_to_its_point() {
-        let spot = |x: f64, reach: f64| FileSpot {
+    fn number_is_nearer_to_its_point_than_to_others() {
+        let spot = |x: f64, half_interval: f64| FileSpot {
             at: (x, 75.0),
-            interval: (75.0 + reach, 75.0 - reach),
+            interval: (75.0 + half_interval, 75.0 - half_interval),
             p95: None,
         };
         let own = spot(75.0, 0.0);
         let neighbour = spot(75.0 + 1.8 + CAP_HALF_WIDTH, 30.0);
         let spots = [own, neighbour];
-        let occupied: Vec<Rect> = spots.iter().flat_map(FileSpot::boxes).collect();
+        let occupied: Vec<Rect> = spots.iter().flat_map(FileSpot::areas).collect();
         let places = || spots[0].places(3.0, spots[0].free_side(&spots));
         let is_ambiguous = |place: &Rect| spots[0].is_nearer_to_other(place, &spots);
         let limits_and_occupied = ([0.0, 0.0, 150.0, 150.0], occupied.as_slice());
         let place = best_place(places(), limits_and_occupied, is_ambiguous).expect("there is room");
         assert!(!is_ambiguous(&place) && place[2] < 75.0 + 1.8, "{place:?}");
-        let nearest = best_place(places(), limits_and_occupied, |_| false).expect("there is room");
-        assert!(is_ambiguous(&nearest), "the place straight above is nearer to the whisker: {nearest:?}");
+        let first = best_place(places(), limits_and_occupied, |_| false).expect("there is room");
+        assert!(is_ambiguous(&first), "the first place is not nearer to the neighbour's whisker: {first:?}");
     }
 }

@@ -10,14 +10,15 @@ pub struct Bins {
     pub from: f64,
     /// Width of a bin.
     pub width: f64,
-    /// Number of values in each bin. A value on the border of two bins is in the upper bin; the largest value is in the last bin.
+    /// Number of values in each bin. A value on the border of two bins is counted in the upper bin. A value at the upper end
+    /// of the last bin is counted in the last bin.
     pub counts: Vec<u64>,
     /// Number of values below the first bin, and number of values above the last bin.
     pub beyond: (u64, u64),
 }
 
 impl Bins {
-    /// Counts values in the bins of [`Binning`]. `None` without a finite value.
+    /// Counts values into the bins of [`Binning`]. Values that are not finite are left out. `None` without a finite value.
     pub fn of(values: &SortedValues) -> Option<Self> {
         let finite: SortedValues =
             values.values().iter().copied().filter(|value| value.is_finite()).collect();
@@ -41,25 +42,25 @@ impl Bins {
         self.from + self.width * self.counts.len() as f64
     }
 
-    /// Returns the lower end of the bin with this index. It is the upper end of the previous bin.
-    pub fn edge(&self, number: usize) -> f64 {
-        self.from + self.width * number as f64
+    /// Returns the lower end of the bin with this index, which is the upper end of the previous bin.
+    pub fn edge(&self, index: usize) -> f64 {
+        self.from + self.width * index as f64
     }
 
     /// Returns the two ends of the bin with this index.
-    pub fn bin(&self, number: usize) -> (f64, f64) {
-        (self.edge(number), self.edge(number + 1))
+    pub fn bin(&self, index: usize) -> (f64, f64) {
+        (self.edge(index), self.edge(index + 1))
     }
 
-    /// Returns the number of values in the fullest bin.
-    pub fn highest(&self) -> u64 {
+    /// Returns the number of values in the bin that has most values.
+    pub fn largest_count(&self) -> u64 {
         self.counts.iter().copied().max().unwrap_or_default()
     }
 }
 
 /// Returns the [range of the values that are shown](shown_range) on an axis; `None` without values.
-pub(in crate::drawing) fn range(all: &SortedValues) -> Option<(f64, f64)> {
-    shown_range(all.values())
+pub(in crate::drawing) fn shown_range_of(values: &SortedValues) -> Option<(f64, f64)> {
+    shown_range(values.values())
 }
 
 #[cfg(test)]
@@ -73,36 +74,37 @@ mod tests {
     #[test]
     fn uniform_values_fill_bins_evenly() {
         let bins = bins((0..1000).map(f64::from)).expect("there are values");
-        // 999 / (2 · 499.5 / 10).
+        // The width is twice the interquartile range, divided by the cube root of the number of values. There are
+        // 999 / (2 · 499.5 / 10) bins.
         assert_eq!((bins.counts.len(), bins.from, bins.to()), (10, 0.0, 999.0));
         assert_eq!((bins.counts.iter().sum::<u64>(), bins.beyond), (1000, (0, 0)));
         assert!(bins.counts.iter().all(|count| (99..=101).contains(count)), "{bins:?}");
     }
 
     #[test]
-    fn far_tail_is_counted_outside() {
+    fn far_tail_is_counted_beyond_bins() {
         let tail = bins((0..1000).map(f64::from).chain([1e5, 2e6, -7e5])).expect("there are values");
-        assert_eq!(tail.beyond, (1, 2), "no more than what lies apart");
+        assert_eq!(tail.beyond, (1, 2), "the three values far from the rest are beyond the bins");
         assert_eq!(tail.beyond.0 + tail.beyond.1 + tail.counts.iter().sum::<u64>(), 1003);
         assert!(tail.from >= 0.0 && tail.to() < 1000.0, "{tail:?}");
         let normal = bins((0..1000).map(|i| (f64::from(i) / 500.0 - 1.0).powi(3))).expect("there are values");
-        assert_eq!(normal.beyond, (0, 0), "every value that fits is in a bin");
+        assert_eq!(normal.beyond, (0, 0), "without a far tail, every value is in a bin");
         let few = bins([1.0, 1.1, 1.2, 90.0]).expect("there are values");
         assert_eq!((few.beyond, few.counts[0]), ((0, 0), 3));
     }
 
     #[test]
-    fn few_outliers_of_a_short_run_stay_outside_of_the_bins() {
+    fn outliers_of_short_run_are_beyond_bins() {
         let run = |count: u32| (0..count).map(|i| 1.3 + f64::from(i) * 0.01);
         for count in [15, 72, 150] {
             let stalled = bins(run(count).chain([101.0])).expect("there are values");
-            assert_eq!(stalled.beyond, (0, 1), "{count}");
+            assert_eq!(stalled.beyond, (0, 1), "{count} values");
             assert!(stalled.to() < 3.0 && stalled.counts.iter().filter(|count| **count > 0).count() >= 4);
         }
-        let three = bins(run(40).chain([37.0, 92.0, 101.0])).expect("there are values");
-        assert_eq!(three.beyond, (0, 3));
-        let spread = bins((1..=7).map(f64::from).chain([12.0])).expect("there are values");
-        assert_eq!(spread.beyond, (0, 0), "within the far fence");
+        let three_stalls = bins(run(40).chain([37.0, 92.0, 101.0])).expect("there are values");
+        assert_eq!(three_stalls.beyond, (0, 3));
+        let wide = bins((1..=7).map(f64::from).chain([12.0])).expect("there are values");
+        assert_eq!(wide.beyond, (0, 0), "12 is within the far fence");
         let two_modes = bins((0..50).map(|i| if i % 5 == 0 { 9.0 } else { 1.0 + f64::from(i) / 100.0 }));
         assert_eq!(
             two_modes.expect("there are values").beyond,
@@ -116,12 +118,13 @@ mod tests {
         assert_eq!(bins([]), None);
         assert_eq!(bins([f64::NAN, f64::INFINITY]), None);
         for value in [0.0, -3.0, 1e-9, 7.0] {
-            let same = bins([value; 40]).expect("there are values");
-            assert_eq!(same.counts, [40]);
-            assert!(same.from <= value && value <= same.to() && same.width > 0.0, "{same:?}");
+            let equal = bins([value; 40]).expect("there are values");
+            assert_eq!(equal.counts, [40]);
+            assert!(equal.from <= value && value <= equal.to() && equal.width > 0.0, "{equal:?}");
         }
-        let mostly = bins(std::iter::repeat_n(1.0, 97).chain([0.5, 2.0, 3.0])).expect("there are values");
-        assert_eq!(mostly.counts.len(), MAX_BINS);
+        let mostly_equal =
+            bins(std::iter::repeat_n(1.0, 97).chain([0.5, 2.0, 3.0])).expect("there are values");
+        assert_eq!(mostly_equal.counts.len(), MAX_BINS);
         let negative = bins([-3.0, -2.0, -2.0, -1.0]).expect("there are values");
         assert_eq!((negative.from, negative.to(), negative.counts.iter().sum::<u64>()), (-3.0, -1.0, 4));
     }

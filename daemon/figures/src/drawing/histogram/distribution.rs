@@ -6,48 +6,49 @@ use crate::plot::{Anchor, At, Axis, Item, Label, Plot, Unit};
 use crate::scale::Scale;
 use crate::text::width;
 
-/// Share of the plot that a single bar fills.
+/// Width of the bar of a distribution with a single bin, as a share of the plot.
 const SINGLE_BAR_WIDTH: f64 = 0.1;
 /// Minimum width and height of a bar in a file, points, so that even one iteration in ten thousand is visible.
 const MIN_BAR_SIZE: (f64, f64) = (0.4, 0.45);
 /// Distance from the line of a quantile to its label and between labels, as a multiple of the type size.
 const LABEL_GAP: f64 = 0.3;
-/// Distance between two lines of labels, as a multiple of the type size.
-const LINE_DISTANCE: f64 = 1.3;
-/// Distance from the plot to the lowest line of labels, as a multiple of the type size.
-const FIRST_LINE_DISTANCE: f64 = 0.4;
+/// Distance between two rows of labels, as a multiple of the type size.
+const ROW_DISTANCE: f64 = 1.3;
+/// Distance from the plot to the lowest row of labels, as a multiple of the type size.
+const FIRST_ROW_DISTANCE: f64 = 0.4;
 
 /// Meaning of the bars of a distribution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum View {
-    /// Samples in each bin.
+    /// A bar shows the number of samples in its bin.
     #[default]
     Counts,
-    /// Share of samples up to each bin's end.
+    /// A bar shows the share of samples up to the end of its bin.
     Cumulative,
 }
 
 /// Noun for the number of values of a distribution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Counted {
-    /// Each iteration has one value at most.
+pub enum CountNoun {
+    /// `iterations`, if each iteration has one value at most.
     Iterations,
-    /// An iteration may have several values.
+    /// `values`, if an iteration may have several values.
     Values,
 }
 
-/// Distribution with the number of samples in each bin, for pages and files. The counts come from a sketch or from [`Bins`](super::Bins).
+/// Distribution with the number of samples in each bin, for pages and files. The counts come from a sketch or from
+/// [`Bins`](super::Bins).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Distribution {
-    /// Edges of the bins, SI units: one more than there are counts.
+    /// Edges of the bins, SI units. There is one edge more than there are counts.
     pub edges: Vec<f64>,
-    /// Samples in each bin.
+    /// Number of samples in each bin.
     pub counts: Vec<u64>,
     /// Noun for the number of samples.
-    pub counted: Counted,
+    pub count_noun: CountNoun,
     /// Number of samples below the first bin, and number of samples above the last bin.
     pub beyond: (u64, u64),
-    /// Quantiles that have a line: name (`median`, `p95` or `p99`) and value in SI units.
+    /// Quantiles that have a line, each with its name (`median`, `p95` or `p99`) and its value in SI units.
     pub quantiles: Vec<(&'static str, f64)>,
     /// Quantity and unit.
     pub unit: Unit,
@@ -55,10 +56,10 @@ pub struct Distribution {
     pub stage: Stage,
     /// Meaning of the bars.
     pub view: View,
-    /// True for a logarithmic scale of counts.
+    /// True if the scale of the counts is logarithmic.
     pub is_logarithmic: bool,
     /// Minimum width of the plot, as a multiple of the type size of its labels.
-    pub ems: f64,
+    pub min_width_em: f64,
 }
 
 impl Distribution {
@@ -66,9 +67,9 @@ impl Distribution {
     pub fn plot(&self) -> Plot {
         let mut plot = Plot::new(self.value_axis(), self.count_axis().with_grid());
         plot.items = self.bars(&plot);
-        let (quantile_items, label_lines) = self.quantile_items(&plot);
+        let (quantile_items, label_rows) = self.quantile_items(&plot);
         plot.items.extend(quantile_items);
-        plot.lines_above = label_lines;
+        plot.lines_above = label_rows;
         plot.remark = self.remark();
         plot
     }
@@ -78,8 +79,7 @@ impl Distribution {
         (end(self.edges.first()), end(self.edges.last()))
     }
 
-    /// Returns the axis of values. If there is a single bin, it is in the middle of the axis and does not fill the
-    /// plot.
+    /// Returns the axis of values. A single bin lies in the middle of the axis and does not fill the plot.
     fn value_axis(&self) -> Axis {
         let ((from, to), per_si) = (self.value_range(), self.unit.per_si);
         let middle = f64::midpoint(from, to) * per_si;
@@ -92,18 +92,18 @@ impl Distribution {
     }
 
     fn count_axis(&self) -> Axis {
-        let (title, unit) = match self.counted {
-            Counted::Iterations => ("Iterations", "iterations"),
-            Counted::Values => ("Values", "values"),
+        let (title, unit) = match self.count_noun {
+            CountNoun::Iterations => ("Iterations", "iterations"),
+            CountNoun::Values => ("Values", "values"),
         };
         match self.view {
             View::Counts => {
-                let most = self.counts.iter().copied().max().unwrap_or_default() as f64;
+                let largest_count = self.counts.iter().copied().max().unwrap_or_default() as f64;
                 let scale = if self.is_logarithmic {
                     // The axis begins below 1, so that a bin of one sample is visible.
-                    Scale::logarithmic((0.5, most.max(10.0)))
+                    Scale::logarithmic((0.5, largest_count.max(10.0)))
                 } else {
-                    Scale::from_zero((0.0, most))
+                    Scale::from_zero((0.0, largest_count))
                 };
                 Axis::new(scale.whole(), title, unit)
             }
@@ -134,55 +134,59 @@ impl Distribution {
                 // The width of a single bin depends on the value, so its bar has a fixed width.
                 (from.x, to.x) = (0.5 - SINGLE_BAR_WIDTH / 2.0, 0.5 + SINGLE_BAR_WIDTH / 2.0);
             }
-            Item::Rect { from, to, least: MIN_BAR_SIZE, style: style.clone() }
+            Item::Rect { from, to, min_size: MIN_BAR_SIZE, style: style.clone() }
         };
         self.edges.windows(2).zip(self.heights()).filter(|(_, height)| *height > 0.0).map(bar).collect()
     }
 
-    /// Returns the lines of quantiles with their labels above the plot, and the number of lines of text that the labels need.
+    /// Returns the lines of quantiles with their labels above the plot, and the number of rows of labels.
     fn quantile_items(&self, plot: &Plot) -> (Vec<Item>, usize) {
         let (from, to) = self.value_range();
-        // If there is a single bin, all values are equal and have no spread. The width of the bin means nothing then.
+        // The values in a single bin are all equal, so the width of this bin says nothing about their spread.
         let spread = if self.counts.len() == 1 { 0.0 } else { to - from };
-        // Line of text and right end of each label that is already placed.
+        // Row and right end of each label that is already placed.
         let mut label_ends: Vec<(usize, f64)> = Vec::new();
         let mut placed = Vec::new();
         for (name, value) in self.quantiles.iter().filter(|(_, value)| (from..=to).contains(value)) {
             let x = plot.x.scale.at(value * self.unit.per_si);
-            let words = format!("{name} {}", self.unit.words(*value, spread));
-            let label_width = (width(&words, 1.0) + 3.0 * LABEL_GAP) / self.ems;
-            // The label of the median is at the left of its line if there is room, the other labels are at the right.
+            let text = format!("{name} {}", self.unit.format_value(*value, spread));
+            let label_width = (width(&text, 1.0) + 3.0 * LABEL_GAP) / self.min_width_em;
+            // The label of the median is at the left of its line if there is room. The other labels are at the right of
+            // their lines if there is room.
             let anchor = match *name {
                 "median" if x > label_width => Anchor::End,
                 _ if x + label_width > 1.0 => Anchor::End,
                 _ => Anchor::Start,
             };
             let left = if anchor == Anchor::End { x - label_width } else { x };
-            // A label that would overlap an earlier label moves to the next line.
+            // A label that would overlap an earlier label moves to the next row.
             let row = (0..).find(|row| !label_ends.iter().any(|(other, end)| other == row && left < *end));
             let row = row.unwrap_or_default();
             label_ends.push((row, left + label_width));
-            placed.push((*name, x, words, anchor, row));
+            placed.push((*name, x, text, anchor, row));
         }
         let mut items = Vec::new();
-        for (name, x, words, anchor, row) in placed {
+        for (name, x, text, anchor, row) in placed {
             let gap = if anchor == Anchor::End { -LABEL_GAP } else { LABEL_GAP };
             let (bottom, top) = (At::new(x, 1.0), At::new(x, 0.0));
             items.push(Item::line(bottom, top, Style::rim()));
             items.push(Item::line(bottom, top, Style::quantile(name)));
-            let label = Label::new(top, words, TextStyle::MARK).anchored(anchor);
-            items.push(Item::Text(label.shifted(gap, -FIRST_LINE_DISTANCE - LINE_DISTANCE * row as f64)));
+            let label = Label::new(top, text, TextStyle::MARK).anchored(anchor);
+            items.push(Item::Text(label.shifted(gap, -FIRST_ROW_DISTANCE - ROW_DISTANCE * row as f64)));
         }
         let rows = label_ends.iter().map(|(row, _)| row + 1).max().unwrap_or_default();
         (items, rows)
     }
 
-    /// Returns the numbers of values outside of the bins: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`. `None` if there are none.
+    /// Returns the numbers of values outside of the bins: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`. `None` if all values
+    /// are in bins.
     fn remark(&self) -> Option<String> {
         let ((below, above), (from, to)) = (self.beyond, self.value_range());
-        let below = (below > 0).then(|| format!("← {} below {}", count(below), self.unit.words(from, 0.0)));
-        let above = (above > 0).then(|| format!("{} beyond {} →", count(above), self.unit.words(to, 0.0)));
-        let parts: Vec<String> = below.into_iter().chain(above).collect();
-        (!parts.is_empty()).then(|| parts.join(" · "))
+        let below =
+            (below > 0).then(|| format!("← {} below {}", count(below), self.unit.format_value(from, 0.0)));
+        let above =
+            (above > 0).then(|| format!("{} beyond {} →", count(above), self.unit.format_value(to, 0.0)));
+        let counts: Vec<String> = below.into_iter().chain(above).collect();
+        (!counts.is_empty()).then(|| counts.join(" · "))
     }
 }

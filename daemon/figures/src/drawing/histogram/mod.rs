@@ -4,9 +4,9 @@ mod bins;
 mod distribution;
 
 pub use bins::Bins;
-pub use distribution::{Counted, Distribution, View};
+pub use distribution::{CountNoun, Distribution, View};
 
-pub(super) use bins::range;
+pub(super) use bins::shown_range_of;
 
 use peernet_statistics::number::count;
 
@@ -44,17 +44,17 @@ impl Histogram {
         let quantiles =
             [("median", self.values.median()), ("p95", self.values.p95()), ("p99", self.values.p99())];
         Distribution {
-            edges: (0..=bins.counts.len()).map(|number| bins.edge(number)).collect(),
+            edges: (0..=bins.counts.len()).map(|index| bins.edge(index)).collect(),
             counts: bins.counts.clone(),
-            // A column has one value in each iteration.
-            counted: Counted::Iterations,
+            // A column has at most one value in each iteration.
+            count_noun: CountNoun::Iterations,
             beyond: bins.beyond,
             quantiles: quantiles.into_iter().filter_map(|(name, value)| Some((name, value?))).collect(),
             unit: self.unit.clone(),
             stage: stage(self.stage.trim_end_matches("-throughput")),
             view: View::Counts,
             is_logarithmic: false,
-            ems: WIDTH_EM,
+            min_width_em: WIDTH_EM,
         }
     }
 }

@@ -4,7 +4,7 @@ mod density;
 
 use peernet_statistics::number::{counted, fixed, significant};
 
-use super::histogram::range;
+use super::histogram::shown_range_of;
 use crate::look::{Fill, INK_2, Style, TextStyle, WHITE, series};
 use crate::plot::{Anchor, At, Axis, Figure, Item, Key, Label, Marks, Path, Plot, Swatch, Unit};
 use crate::render::file::{SMALL, TEXT};
@@ -47,7 +47,7 @@ pub struct Paired {
     /// Unit of the vertical axis.
     pub unit: Unit,
     /// Names of the placements, in the order of the distributions in each group: at most four.
-    pub sides: Vec<String>,
+    pub placements: Vec<String>,
     /// One group for each model: at most twelve.
     pub groups: Vec<Group>,
     /// Notes below the figure, such as what is left out.
@@ -91,7 +91,7 @@ impl Paired {
             ));
         }
         if self.groups.iter().any(|group| group.ratio().is_some()) {
-            notes.push(format!("above a pair: median {} ÷ {}", self.sides[0], self.sides[1]));
+            notes.push(format!("above a pair: median {} ÷ {}", self.placements[0], self.placements[1]));
         }
         if self.groups.iter().flat_map(|group| &group.values).any(|values| self.count_above(values) > 0) {
             notes.push("+ and a number: number of values above the axis".to_owned());
@@ -120,7 +120,7 @@ impl Paired {
     /// space for the rest. `None` without finite values.
     fn shown_range(&self) -> Option<(f64, f64)> {
         let ends = |values: &SortedValues| {
-            let (lo, hi) = range(values)?;
+            let (lo, hi) = shown_range_of(values)?;
             // If values are drawn as points, all points above zero are shown, even if one is far below the others.
             let smallest = values.values().first().copied().filter(|smallest| *smallest > 0.0);
             Some((smallest.filter(|_| values.len() <= MAX_POINTS).unwrap_or(lo), hi))
@@ -141,7 +141,7 @@ impl Paired {
     /// Returns the largest of these values that is drawn. If they are drawn as points, it is the largest value that
     /// fits on the axis. If they are drawn as a shape, it is the largest value that is not in the tail.
     fn highest_shown(&self, values: &SortedValues) -> Option<f64> {
-        let (_, hi) = range(values)?;
+        let (_, hi) = shown_range_of(values)?;
         if values.len() > MAX_POINTS {
             return Some(hi);
         }
@@ -157,7 +157,7 @@ impl Paired {
 
     /// Returns the number of values below the shown range.
     fn count_below(&self, values: &SortedValues) -> usize {
-        let lowest = if values.len() > MAX_POINTS { range(values) } else { self.shown_range() };
+        let lowest = if values.len() > MAX_POINTS { shown_range_of(values) } else { self.shown_range() };
         let count = |(lowest, _)| values.values().iter().filter(|value| **value < lowest).count();
         lowest.map_or(0, count)
     }
@@ -165,7 +165,7 @@ impl Paired {
     /// Returns the outline of a distribution: values, each with its density from 0 to 1. Empty if the values have no
     /// spread.
     fn shape(&self, values: &SortedValues) -> Vec<(f64, f64)> {
-        let Some(ends) = range(values) else { return Vec::new() };
+        let Some(ends) = shown_range_of(values) else { return Vec::new() };
         if self.is_logarithmic() { log_density(values, ends) } else { density(values, ends) }
     }
 
@@ -185,7 +185,7 @@ impl Paired {
     ) -> Vec<Item> {
         let look = series(side);
         let y = |value: f64| plot.y_share(value * self.unit.per_si);
-        let Some((lo, _)) = range(values) else { return Vec::new() };
+        let Some((lo, _)) = shown_range_of(values) else { return Vec::new() };
         let highest = self.highest_shown(values);
         let mut items = Vec::new();
         if !self.is_drawn_as_points(values) {
@@ -258,7 +258,7 @@ impl Paired {
         };
         Figure {
             title: self.title.clone(),
-            legend: self.sides.iter().enumerate().map(key).collect(),
+            legend: self.placements.iter().enumerate().map(key).collect(),
             notes: self.reading_notes(),
             plots: self.shown_range().map(|shown| self.plot(shown)).into_iter().collect(),
             ..Figure::default()

@@ -6,14 +6,14 @@ fn time_series(total: Vec<(f64, f64)>) -> TimeSeries {
     let half = total.iter().map(|(at, value)| (*at, value / 2.0)).collect();
     TimeSeries {
         title: "Latency over time".to_owned(),
-        x: "Time since the start, s".to_owned(),
+        x_title: "Time since the start, s".to_owned(),
         x_is_iteration: false,
         unit: Unit::milliseconds("Latency"),
         total: Line { name: "total".to_owned(), values: total },
         stages: vec![Line { name: "upload".to_owned(), values: half }],
         warm_up: vec![(0.0, 5.0)],
-        episodes: vec![40.0, 70.0],
-        failed: vec![20.0, 55.0, 55.001],
+        episode_starts: vec![40.0, 70.0],
+        failure_times: vec![20.0, 55.0, 55.001],
         notes: vec!["n = 9".to_owned()],
     }
 }
@@ -62,8 +62,12 @@ fn single_stall_does_not_hide_the_run() {
 fn lines_stop_where_nothing_was_measured() {
     let with_gap = |i: u32| f64::from(i) + if i < 500 { 0.0 } else { 3000.0 };
     let lines = |total: Vec<(f64, f64)>| {
-        let figure =
-            TimeSeries { stages: Vec::new(), episodes: Vec::new(), failed: Vec::new(), ..time_series(total) };
+        let figure = TimeSeries {
+            stages: Vec::new(),
+            episode_starts: Vec::new(),
+            failure_times: Vec::new(),
+            ..time_series(total)
+        };
         Elements::of(&figure.svg(), "path").with("fill-opacity", "0.25").0[0]["d"].matches('Z').count()
     };
     assert_eq!(lines((0..1000).map(|i| (f64::from(i), 0.05)).collect()), 1);
@@ -78,8 +82,8 @@ fn unusual_runs_give_valid_figure() {
     {
         let figure = TimeSeries {
             warm_up: Vec::new(),
-            episodes: Vec::new(),
-            failed: Vec::new(),
+            episode_starts: Vec::new(),
+            failure_times: Vec::new(),
             ..time_series(values.clone())
         };
         let svg = figure.svg();
@@ -87,7 +91,7 @@ fn unusual_runs_give_valid_figure() {
         assert_within_paper(&svg);
     }
     let many = TimeSeries {
-        episodes: (0..500).map(f64::from).collect(),
+        episode_starts: (0..500).map(f64::from).collect(),
         ..time_series(vec![(0.0, 0.1), (500.0, 0.1)])
     };
     assert!(!has(&many.svg(), "new episode"), "borders alone would be seen");

@@ -15,7 +15,7 @@ fn assert_valid_for_page(html: &str) {
 #[test]
 fn page_distribution_has_bars_and_lines() {
     let figure = bars::histogram(millis((0..1000).map(f64::from).chain([9e5, 1e6]))).figure();
-    let html = page::plot(&figure.plots[0], "histogram", "in words");
+    let html = page::plot(&figure.plots[0], "histogram", "a description");
     assert_valid_for_page(&html);
     assert!(html.matches("class=\"bin f-upload\"").count() >= 8, "{html}");
     for part in ["class=\"mark median\"", "class=\"mark p95\"", ">median 500 ms<", "2 beyond 999 ms →"] {
@@ -30,16 +30,20 @@ fn lengths_and_scaling_are_drawn_on_page() {
     let (title, notes, stage) = (String::new(), Vec::new(), "inference".to_owned());
     let lengths =
         Lengths { title, x: unit, y: Unit::milliseconds("Inference"), stage, points, line: None, notes };
-    let html = page::plot(&lengths.figure().plots[0], "joint", "in words");
+    let html = page::plot(&lengths.figure().plots[0], "joint", "a description");
     assert_valid_for_page(&html.replace("fill-opacity=\"", ""));
     assert!(html.contains("class=\"over\"") && html.contains("class=\"beside\""), "{html}");
     assert!(html.contains("<path class=\"f-inference\""), "{html}");
-    let value =
-        |bytes: f64| Value { bytes, value: bytes * 1e-7, spread: None, bounds: Some((bytes * 6e-8, None)) };
+    let value = |bytes: f64| Value {
+        bytes,
+        value: bytes * 1e-7,
+        p5_and_p95: None,
+        bounds: Some((bytes * 6e-8, None)),
+    };
     let scaling = Scaling {
         title: String::new(),
         unit: Unit::milliseconds("Delay"),
-        parts: Parts { point: "a", whisker: "b", line: "c" },
+        explanations: Explanations { point: "a", whisker: "b", line: "c" },
         notes: Vec::new(),
         series: vec![Series {
             name: "upload".to_owned(),
@@ -50,7 +54,7 @@ fn lengths_and_scaling_are_drawn_on_page() {
         }],
     };
     let figure = scaling.figure();
-    let html = page::plot(&figure.plots[0], "histogram", "in words");
+    let html = page::plot(&figure.plots[0], "histogram", "a description");
     assert_valid_for_page(&html);
     assert!(html.contains("<path class=\"g-upload fit\" d=\"M"), "{html}");
     assert_eq!(html.matches("class=\"f-upload\"").count(), 2, "{html}");
@@ -75,7 +79,7 @@ fn stack_values_are_labelled_if_they_fit() {
         4.0,
         &Style::whisker(),
     ));
-    let html = page::picture(&items, "stages", "in words");
+    let html = page::picture(&items, "stages", "a description");
     assert_valid_for_page(&html);
     assert!(html.contains("<rect class=\"f-encode edge\""), "{html}");
     assert!(html.contains("<text class=\"o-upload fits w") && !html.contains(">0.0<"), "{html}");

@@ -13,7 +13,7 @@ fn paired(groups: Vec<Vec<SortedValues>>) -> Paired {
     Paired {
         title: "Inference by model".to_owned(),
         unit: Unit::milliseconds("Inference"),
-        sides: ["local", "remote"].map(str::to_owned).to_vec(),
+        placements: ["local", "remote"].map(str::to_owned).to_vec(),
         groups: groups.into_iter().enumerate().map(group).collect(),
         notes: vec!["n = 7".to_owned()],
     }
@@ -132,7 +132,7 @@ fn spaced_points_are_drawn_without_overlapping_counts() {
     let figure = paired(vec![vec![late(40.0), hill(60.0, 30)], vec![late(90.0), hill(50.0, 30)]]);
     let svg = figure.svg();
     assert!(has(&svg, "+1") && !has(&svg, "+2"), "the one at 40 ms has room: {:?}", texts(&svg));
-    let discs = Elements::of(&svg, "circle").with("fill", &series(0).ground.to_string()).numbers("cy");
+    let discs = Elements::of(&svg, "circle").with("fill", &series(0).fill.to_string()).numbers("cy");
     assert_eq!(discs.len(), 31 + 30, "{discs:?}");
     let second = discs[31..].iter().copied().fold(f64::INFINITY, f64::min);
     assert!(height(&svg, "+1") <= second - 1.8, "{} {second}", height(&svg, "+1"));

@@ -8,13 +8,17 @@ fn scaling(line: Option<(f64, f64)>, whisker: Option<f64>) -> Scaling {
     let value = |bytes: f64| Value {
         bytes,
         value: bytes * 1e3,
-        spread: None,
+        p5_and_p95: None,
         bounds: whisker.map(|share| (bytes * 1e3 * (1.0 - share), Some(bytes * 1e3 * (1.0 + share)))),
     };
     Scaling {
         title: "Throughput against payload".to_owned(),
         unit: Unit { title: "Throughput, bit/s".to_owned(), symbol: "".into(), per_si: 1.0 },
-        parts: Parts { point: "size ÷ median delay", whisker: "by clock bounds", line: "by slope" },
+        explanations: Explanations {
+            point: "size ÷ median delay",
+            whisker: "by clock bounds",
+            line: "by slope",
+        },
         notes: Vec::new(),
         series: vec![Series {
             name: "upload: 7 MB/s".to_owned(),

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use super::*;
 
 fn point(edges: usize, median: f64, fairness: Option<f64>) -> SharingPoint {
-    let each = vec![median * 0.9, median * 1.1];
-    SharingPoint { edges, median, p95: Some(median * 1.5), each, fairness }
+    let edge_medians = vec![median * 0.9, median * 1.1];
+    SharingPoint { edges, median, p95: Some(median * 1.5), edge_medians, fairness }
 }
 
 fn sharing(curves: Vec<(&str, Vec<SharingPoint>)>) -> Sharing {
@@ -61,7 +61,7 @@ fn curves_differ_by_mark_and_line() {
 #[test]
 fn missing_and_extreme_points_give_valid_figure() {
     let unjudged =
-        |edges, median| SharingPoint { p95: None, each: vec![median], ..point(edges, median, None) };
+        |edges, median| SharingPoint { p95: None, edge_medians: vec![median], ..point(edges, median, None) };
     let cases = [
         vec![],
         vec![("", vec![])],

@@ -3,7 +3,7 @@
 use peernet_statistics::Summary;
 use peernet_statistics::histogram::{Binning, MAX_BINS};
 
-use super::super::{BinnedAxis, Counted, Distribution, Joint, Quartiles, View};
+use super::super::{BinnedAxis, CountNoun, Distribution, Joint, Quartiles, View};
 use crate::look::stage;
 use crate::plot::{Anchor, Item, Plot, Unit};
 use crate::render::page;
@@ -46,7 +46,7 @@ fn a_box_lies_where_its_quantiles_are() {
         assert!((summary - expected).abs() < 0.011 * expected, "{summary} {expected} {html}");
     }
     assert!((number("<circle", " cx=\"") - 51.0).abs() < 1e-9, "{html}");
-    assert!(five.words().starts_with("median 5"), "{}", five.words());
+    assert!(five.description().starts_with("median 5"), "{}", five.description());
 }
 
 #[test]
@@ -198,14 +198,14 @@ fn distribution() -> Distribution {
     Distribution {
         edges: vec![0.0, 0.5, 1.0, 2.0],
         counts: vec![40, 900, 25],
-        counted: Counted::Iterations,
+        count_noun: CountNoun::Iterations,
         beyond: (0, 35),
         quantiles: vec![("median", 0.8), ("p95", 1.03), ("p99", 2.5)],
         unit: Unit::symbol("ms", 1e3),
         stage: stage("total"),
         view: View::Counts,
         is_logarithmic: false,
-        ems: 19.6,
+        min_width_em: 19.6,
     }
 }
 
@@ -234,9 +234,9 @@ fn cumulative_bars_rise_to_share_within_bins() {
     let few = Distribution { counts: vec![1, 0, 0], beyond: (0, 0), ..distribution() };
     let labels: Vec<String> = few.plot().y.ticks(9).into_iter().map(|tick| tick.text).collect();
     assert_eq!(labels, ["0", "1"]);
-    let titles = [Counted::Iterations, Counted::Values].map(|counted| {
+    let titles = [CountNoun::Iterations, CountNoun::Values].map(|count_noun| {
         [View::Counts, View::Cumulative]
-            .map(|view| Distribution { counted, view, ..distribution() }.plot().y.title)
+            .map(|view| Distribution { count_noun, view, ..distribution() }.plot().y.title)
     });
     assert_eq!(titles[0], ["Iterations", "Iterations up to here, %"]);
     assert_eq!(titles[1], ["Values", "Values up to here, %"]);

@@ -75,7 +75,7 @@ fn clock_bounds_are_drawn_at_boundary_to_other_host() {
 #[test]
 fn the_totals_whisker_crosses_no_value() {
     let parts = [part("sensing", 10.0), part("inference", 10.0)];
-    let with = |spread| StageBar { spread, ..StageBar::new(&parts, Scale::up_to(30.0, 6)) };
+    let with = |mean_and_std| StageBar { mean_and_std, ..StageBar::new(&parts, Scale::up_to(30.0, 6)) };
     assert_eq!(widths(&with(None)), [Some(8), Some(8)]);
     assert_eq!(widths(&with(Some((0.020, 0.001)))), [Some(8), Some(8)]);
     let near = widths(&with(Some((0.020, 0.004))));
@@ -87,9 +87,9 @@ fn the_totals_whisker_crosses_no_value() {
 #[test]
 fn a_whole_bar_fills_its_panel() {
     let parts = [part("sensing", 5.0), part("inference", 15.0)];
-    let bar = html(&StageBar::whole(&parts));
+    let bar = html(&StageBar::full_width(&parts));
     assert!(bar.contains("<rect class=\"f-inference\" x=\"25%\" y=\"15%\" width=\"75%\""), "{bar}");
-    assert!(!bar.contains("gridl") && !html(&StageBar::whole(&[])).contains("NaN"), "{bar}");
+    assert!(!bar.contains("gridl") && !html(&StageBar::full_width(&[])).contains("NaN"), "{bar}");
 }
 
 #[test]

@@ -4,7 +4,7 @@ mod columns;
 
 use peernet_statistics::number::fixed;
 
-use super::histogram::range;
+use super::histogram::shown_range_of;
 use crate::look::{INK, Mark, Style, stage};
 use crate::plot::{At, Axis, Figure, Item, Key, Path, Plot, Strip, Swatch, Unit};
 use crate::scale::Scale;
@@ -14,18 +14,18 @@ use peernet_analysis::warm_up::MAX_EPISODE_BORDERS;
 
 /// Maximum number of columns of a line.
 const MAX_COLUMNS: usize = 290;
-/// Height of the rail that shows failed iterations, points.
-const RAIL_HEIGHT: f64 = 6.0;
-/// Half the width of a cross on the rail, points.
+/// Height of the strip that shows failed iterations, points.
+const STRIP_HEIGHT: f64 = 6.0;
+/// Half the width of the cross of a failed iteration, points.
 const CROSS_HALF_WIDTH: f64 = 1.7;
-/// Half the width of a mark on a line, points.
+/// Radius of a mark on a line, points.
 const RADIUS: f64 = 1.7;
 /// Maximum number of marks on a line.
 const MAX_MARKS: usize = 7;
-/// Number of different positions that the marks of a line can have. Each line has its own position, so that the marks
-/// of different lines do not overlap.
+/// Number of different positions of a mark among the columns that share the mark. Each line has a different position, so
+/// that the marks of different lines do not overlap.
 const MARK_POSITIONS: usize = 4;
-/// A line is interrupted between two values only if they are more than this number of columns apart.
+/// A line is interrupted between two values only if the distance of the values is more than this number of columns.
 const MIN_GAP_COLUMNS: f64 = 12.0;
 /// Minimum width of a period of warm-up, points.
 const MIN_WARM_UP_WIDTH: f64 = 0.6;
@@ -35,22 +35,22 @@ const MIN_WARM_UP_WIDTH: f64 = 0.6;
 pub struct TimeSeries {
     /// Title of the figure.
     pub title: String,
-    /// Title of the horizontal axis: `Time since the start, s`, `Iteration`.
-    pub x: String,
+    /// Title of the horizontal axis: `Time since the start, s` or `Iteration`.
+    pub x_title: String,
     /// True if the horizontal axis shows the numbers of iterations instead of times.
     pub x_is_iteration: bool,
     /// Unit of the vertical axis.
     pub unit: Unit,
-    /// The total, shown as the median and the range of each column.
+    /// Line of the total, drawn as the median and the range of each column.
     pub total: Line,
-    /// Stages, shown as medians.
+    /// Lines of stages, drawn as the median of each column.
     pub stages: Vec<Line>,
     /// Periods of warm-up, each with its beginning and end.
     pub warm_up: Vec<(f64, f64)>,
     /// Start times of all episodes except the first.
-    pub episodes: Vec<f64>,
+    pub episode_starts: Vec<f64>,
     /// Times of failed iterations.
-    pub failed: Vec<f64>,
+    pub failure_times: Vec<f64>,
     /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
@@ -58,17 +58,19 @@ pub struct TimeSeries {
 /// Line of a quantity over time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
-    /// Name of the stage, or `total`.
+    /// Name of the stage or of the total's column.
     pub name: String,
-    /// Time and value.
+    /// Values, each with its time before it.
     pub values: Vec<(f64, f64)>,
 }
 
 impl TimeSeries {
-    fn times(&self) -> Option<(f64, f64)> {
+    /// Returns the first and the last time of all values and failed iterations; `None` if there are none.
+    fn time_range(&self) -> Option<(f64, f64)> {
         let lines = self.stages.iter().chain([&self.total]);
-        let times =
-            lines.flat_map(|line| line.values.iter().map(|(at, _)| *at)).chain(self.failed.iter().copied());
+        let times = lines
+            .flat_map(|line| line.values.iter().map(|(at, _)| *at))
+            .chain(self.failure_times.iter().copied());
         times.filter(|at| at.is_finite()).fold(None, |range: Option<(f64, f64)>, at| {
             Some(range.map_or((at, at), |(lo, hi)| (lo.min(at), hi.max(at))))
         })
@@ -77,7 +79,7 @@ impl TimeSeries {
     /// Returns the range of latencies that is shown: all latencies of the total and the stages except outliers.
     fn shown_range(&self) -> Option<(f64, f64)> {
         let line_range = |line: &Line| {
-            range(
+            shown_range_of(
                 &line
                     .values
                     .iter()
@@ -87,29 +89,30 @@ impl TimeSeries {
             )
         };
         let total = line_range(&self.total);
-        // A stage is a part of the total, so its values above the total's range are outliers as well.
+        // A stage is a part of the total, so values of a stage above the total's range are outliers, too.
         let max_total = total.map_or(f64::INFINITY, |(_, max)| max);
         let stages = self.stages.iter().filter_map(line_range).map(|(lo, hi)| (lo, hi.min(max_total)));
         stages.chain(total).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 
+    /// Returns whether the borders between episodes are drawn. Too many borders would hide the lines.
     fn has_borders(&self) -> bool {
-        !self.episodes.is_empty() && self.episodes.len() <= MAX_EPISODE_BORDERS as usize
+        !self.episode_starts.is_empty() && self.episode_starts.len() <= MAX_EPISODE_BORDERS as usize
     }
 
     fn legend(&self) -> Vec<Key> {
         let total = Swatch::Line(Style::line("strong", INK.light, 0.75));
         let mut keys = vec![Key::new(total, format!("{} (band: range)", self.total.name))];
-        let stages = self.stages.iter().enumerate().map(|(number, line)| {
+        let stages = self.stages.iter().enumerate().map(|(index, line)| {
             let look = stage(&line.name);
-            Key::new(Swatch::Curve(look.line(0.9), mark(number), look.mark()), line.name.clone())
+            Key::new(Swatch::Curve(look.line(0.9), mark(index), look.mark()), line.name.clone())
         });
         keys.extend(stages);
         if !self.warm_up.is_empty() {
             keys.push(Key::new(Swatch::Area(Style::shade()), "warm-up"));
         }
-        if !self.failed.is_empty() {
-            let text = format!("failed ({})", fixed(self.failed.len() as f64, 0));
+        if !self.failure_times.is_empty() {
+            let text = format!("failed ({})", fixed(self.failure_times.len() as f64, 0));
             keys.push(Key::new(Swatch::Mark(Mark::Cross, Style::lost()), text));
         }
         if self.has_borders() {
@@ -120,7 +123,8 @@ impl TimeSeries {
 
     /// Lays the figure out.
     pub fn figure(&self) -> Figure {
-        let plots = self.times().zip(self.shown_range()).map(|(times, shown)| self.plot(times, shown));
+        let plots =
+            self.time_range().zip(self.shown_range()).map(|(times, latencies)| self.plot(times, latencies));
         let (title, notes) = (self.title.clone(), self.notes.clone());
         Figure {
             title,
@@ -131,18 +135,20 @@ impl TimeSeries {
         }
     }
 
-    fn plot(&self, times: (f64, f64), shown: (f64, f64)) -> Plot {
-        let x = Scale::linear(times);
-        let x = Axis::new(if self.x_is_iteration { x.whole() } else { x }, self.x.clone(), "");
-        let y_scale = Scale::from_zero((shown.0 * self.unit.per_si, shown.1 * self.unit.per_si));
+    /// Lays the plot out. Its axes show these times, and these latencies in seconds.
+    fn plot(&self, times: (f64, f64), latencies: (f64, f64)) -> Plot {
+        let x_scale = Scale::linear(times);
+        let x =
+            Axis::new(if self.x_is_iteration { x_scale.whole() } else { x_scale }, self.x_title.clone(), "");
+        let y_scale = Scale::from_zero((latencies.0 * self.unit.per_si, latencies.1 * self.unit.per_si));
         let mut plot = Plot::new(x, self.unit.axis(y_scale).with_grid());
         let mut items = self.background_items(&plot);
         items.extend(self.line_items(&plot, &self.total, None));
-        for (number, line) in self.stages.iter().enumerate() {
-            items.extend(self.line_items(&plot, line, Some(number)));
+        for (index, line) in self.stages.iter().enumerate() {
+            items.extend(self.line_items(&plot, line, Some(index)));
         }
         plot.items = items;
-        plot.top_strip = self.rail(&plot);
+        plot.top_strip = self.failures_strip(&plot);
         plot.remark = self.remark(y_scale.ends().1);
         plot
     }
@@ -153,31 +159,31 @@ impl TimeSeries {
         let warm_up = self.warm_up.iter().map(|(from, to)| Item::Rect {
             from: At::new(x(*from), 0.0),
             to: At::new(x(*to), 1.0),
-            least: (MIN_WARM_UP_WIDTH, 0.0),
+            min_size: (MIN_WARM_UP_WIDTH, 0.0),
             style: Style::shade(),
         });
-        let borders = self.episodes.iter().filter(|_| self.has_borders());
+        let borders = self.episode_starts.iter().filter(|_| self.has_borders());
         let borders =
             borders.map(|at| Item::line(At::new(x(*at), 1.0), At::new(x(*at), 0.0), Style::border()));
         warm_up.chain(borders).collect()
     }
 
-    /// Returns the medians of a stage as a line with marks; `number` is the index of the stage. For the total, `number`
-    /// is `None`, and the line has no marks, but a band that shows the range of the values.
-    fn line_items(&self, plot: &Plot, line: &Line, number: Option<usize>) -> Vec<Item> {
+    /// Returns the medians of a stage as a line with marks. `stage_index` is the index of the stage. For the total,
+    /// `stage_index` is `None`. The line of the total has no marks, but a band that shows the range of the values.
+    fn line_items(&self, plot: &Plot, line: &Line, stage_index: Option<usize>) -> Vec<Item> {
         let columns = columns(&line.values, plot.x.scale.ends(), MAX_COLUMNS);
-        let x = |column: &Column| (column.number as f64 + 0.5) / MAX_COLUMNS as f64;
+        let x = |column: &Column| (column.index as f64 + 0.5) / MAX_COLUMNS as f64;
         let y = |value: f64| plot.y_share(value * self.unit.per_si);
         let steps: SortedValues =
-            columns.windows(2).map(|pair| (pair[1].number - pair[0].number) as f64).collect();
-        // If there are few values, their columns are far apart even without a gap in time. The limit therefore grows
-        // with the median distance.
+            columns.windows(2).map(|pair| (pair[1].index - pair[0].index) as f64).collect();
+        // If there are few values, their columns are far apart even without a gap in time. The maximum distance within a
+        // line therefore grows with the median distance.
         let max_step = (4.0 * steps.median().unwrap_or_default()).max(MIN_GAP_COLUMNS);
-        let pieces = || columns.chunk_by(|a, b| (b.number - a.number) as f64 <= max_step);
+        let pieces = || columns.chunk_by(|a, b| (b.index - a.index) as f64 <= max_step);
         let medians = pieces()
             .flat_map(|piece| piece.iter().map(|column| Some((x(column), y(column.median)))).chain([None]));
         let medians = Path::line(medians);
-        let Some(number) = number else {
+        let Some(stage_index) = stage_index else {
             let band = pieces().flat_map(|piece| {
                 piece.iter().map(|column| Some((x(column), y(column.max), y(column.min)))).chain([None])
             });
@@ -186,13 +192,14 @@ impl TimeSeries {
         };
         let look = stage(&line.name);
         let mut items = vec![Item::path(medians, look.line(0.9))];
-        // Marks of different stages are shifted against each other, so that no mark hides another.
+        // Consecutive columns share a mark. The position of the mark among these columns depends on the stage, so that no
+        // mark hides another.
         let columns_per_mark = (MAX_COLUMNS / MAX_MARKS).max(1);
-        for group in columns.chunk_by(|a, b| a.number / columns_per_mark == b.number / columns_per_mark) {
-            if let Some(column) = group.get(group.len() * (number + 1) / (MARK_POSITIONS + 1)) {
+        for group in columns.chunk_by(|a, b| a.index / columns_per_mark == b.index / columns_per_mark) {
+            if let Some(column) = group.get(group.len() * (stage_index + 1) / (MARK_POSITIONS + 1)) {
                 items.push(Item::mark(
                     At::new(x(column), y(column.median)),
-                    mark(number),
+                    mark(stage_index),
                     RADIUS,
                     look.mark(),
                 ));
@@ -201,15 +208,15 @@ impl TimeSeries {
         items
     }
 
-    /// Returns the strip above the plot with the failed iterations.
-    fn rail(&self, plot: &Plot) -> Option<Strip> {
-        if self.failed.is_empty() {
+    /// Returns the strip above the plot with a cross for each failed iteration; `None` if no iteration failed.
+    fn failures_strip(&self, plot: &Plot) -> Option<Strip> {
+        if self.failure_times.is_empty() {
             return None;
         }
         let mut items = vec![Item::line(At::new(0.0, 0.5), At::new(1.0, 0.5), Style::grid())];
-        // Failed iterations in the same column become one mark.
+        // Failed iterations in the same column share a cross.
         let column = |at: &f64| (plot.x.scale.at(*at) * MAX_COLUMNS as f64) as usize;
-        let mut columns: Vec<usize> = self.failed.iter().map(column).collect();
+        let mut columns: Vec<usize> = self.failure_times.iter().map(column).collect();
         columns.sort_unstable();
         columns.dedup();
         let cross = |column: usize| {
@@ -221,19 +228,20 @@ impl TimeSeries {
             )
         };
         items.extend(columns.into_iter().map(cross));
-        Some(Strip { items, size: RAIL_HEIGHT })
+        Some(Strip { items, size: STRIP_HEIGHT })
     }
 
-    /// Returns the number of totals above the end of the axis: `12 beyond 90 ms`. `None` if there are none.
+    /// Returns the number of totals above the end of the axis as text: `12 beyond 90 ms`. `None` if no total is above the
+    /// end. `end` is in the unit that is shown.
     fn remark(&self, end: f64) -> Option<String> {
         let max_shown = end / self.unit.per_si;
         let beyond = self.total.values.iter().filter(|(_, value)| *value > max_shown).count();
         let count = fixed(beyond as f64, 0);
-        (beyond > 0).then(|| format!("{count} beyond {}", self.unit.words(max_shown, 0.0)))
+        (beyond > 0).then(|| format!("{count} beyond {}", self.unit.format_value(max_shown, 0.0)))
     }
 }
 
 /// Returns the mark of the stage with this index.
-fn mark(number: usize) -> Mark {
-    Mark::ALL[number % Mark::ALL.len()]
+fn mark(stage_index: usize) -> Mark {
+    Mark::ALL[stage_index % Mark::ALL.len()]
 }

@@ -71,8 +71,8 @@ fn assert_equal_figures(
     let drawn: Vec<Scaling> = drawn.collect();
     for (drawn, study) in drawn.iter().zip([study.latency(), study.throughput()]) {
         assert_eq!(
-            (&drawn.series[0], &drawn.parts, &drawn.title),
-            (&study.series[0], &study.parts, &study.title)
+            (&drawn.series[0], &drawn.explanations, &drawn.title),
+            (&study.series[0], &study.explanations, &study.title)
         );
         assert_eq!(drawn.notes[1..], study.notes);
     }

@@ -50,7 +50,7 @@ fn replayed_placement_or_model_is_marked_in_pairs() {
     let AnyFigure::Paired(figure) = &drawings[0].figure else { panic!("pairs") };
     let names: Vec<&str> = figure.groups.iter().map(|group| group.name.as_str()).collect();
     assert_eq!(
-        (figure.sides.as_slice(), names.as_slice()),
+        (figure.placements.as_slice(), names.as_slice()),
         (["local", "cloud"].map(str::to_owned).as_slice(), ["s (replayed)", "m"].as_slice(),)
     );
 }

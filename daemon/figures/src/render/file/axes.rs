@@ -1,4 +1,4 @@
-//! Axes of a plot.
+//! Draws the axes of a plot in a file.
 
 use super::draw::{line, text};
 use super::places::{Area, x_label_lines, y_label_size, y_ticks};
@@ -17,7 +17,7 @@ const MIDDLE: f64 = 0.36;
 /// Distance from the plot to the baseline of the title above it, points.
 const TITLE_DISTANCE: f64 = 5.5;
 
-/// Draws the lines that go through the plot.
+/// Draws the grid lines of both axes.
 pub(super) fn draw_grid(svg: &mut Writer, plot: &Plot, area: &Area) {
     for tick in y_ticks(plot, area.height).iter().filter(|_| plot.y.has_grid) {
         let y = area.bottom() - area.height * tick.at;
@@ -45,8 +45,7 @@ pub(super) fn draw(svg: &mut Writer, plot: &Plot, area: &Area) {
     text(svg, &title, (EDGE, baseline), (TEXT, INK_2.light, Anchor::Start));
 }
 
-/// Returns the full title of the vertical axis. If the full title is too wide, its note on a logarithmic scale is
-/// shortened.
+/// Returns the full title of the vertical axis. If the full title is too wide, `(log scale)` is shortened to `(log)`.
 fn y_title(axis: &Axis, room: f64) -> String {
     let full = axis.full_title();
     if width(&full, TEXT) > room && axis.scale.is_logarithmic() {
@@ -62,6 +61,7 @@ fn draw_y_labels(svg: &mut Writer, plot: &Plot, area: &Area) {
     let labels: Vec<&str> = ticks.iter().map(|tick| tick.text.as_str()).collect();
     let room = area.left - EDGE - GAP;
     let labels = if has_names {
+        // The widest name is as wide as the room. The tolerance keeps this name whole in spite of rounding.
         shorten_distinctly(&labels, size, room + 0.1)
     } else {
         labels.into_iter().map(str::to_owned).collect()

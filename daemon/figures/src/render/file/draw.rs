@@ -15,8 +15,8 @@ const RIM: f64 = 1.6;
 pub(super) fn items(svg: &mut Writer, items: &[Item], area: &Area) {
     for item in items {
         match item {
-            Item::Rect { from, to, least, style } => {
-                rect(svg, with_min_size([area.point(*from), area.point(*to)], *least), style);
+            Item::Rect { from, to, min_size, style } => {
+                rect(svg, with_min_size([area.point(*from), area.point(*to)], *min_size), style);
             }
             Item::Line { from, to, style } => line(svg, [area.point(*from), area.point(*to)], style),
             Item::Path { path, style } if !path.is_empty() => {
@@ -30,8 +30,8 @@ pub(super) fn items(svg: &mut Writer, items: &[Item], area: &Area) {
     }
 }
 
-/// Returns the left upper and the right lower corner of a rectangle. If the rectangle is narrower or lower than the
-/// minimum, it is extended to the right or upwards.
+/// Returns the left upper and the right lower corner of a rectangle. A rectangle that is narrower than the minimum is
+/// extended to the right. A rectangle that is lower than the minimum is extended upwards.
 fn with_min_size([a, b]: [(f64, f64); 2], (min_width, min_height): (f64, f64)) -> [(f64, f64); 2] {
     let (left, right) = (a.0.min(b.0), a.0.max(b.0));
     let (top, bottom) = (a.1.min(b.1), a.1.max(b.1));
@@ -44,11 +44,11 @@ pub(super) fn rect(svg: &mut Writer, corners: [(f64, f64); 2], style: &Style) {
     let background = styled(svg.element(Tag::Rect), style).set("x", left).set("y", top);
     background.set("width", right - left).set("height", bottom - top).leaf();
     if let Some((hatch, colour)) = style.fill.and_then(|fill| fill.hatch) {
-        let strokes = lines(corners, hatch);
-        if !strokes.is_empty() {
-            let path_data: String = strokes.into_iter().map(|line| line_data(&line)).collect();
-            let hatch_lines = svg.element(Tag::Path).set("d", path_data).set("fill", "none");
-            hatch_lines.set("stroke", colour).set("stroke-width", HATCH_LINE_WIDTH).leaf();
+        let hatch_lines = lines(corners, hatch);
+        if !hatch_lines.is_empty() {
+            let path_data: String = hatch_lines.into_iter().map(|line| line_data(&line)).collect();
+            let path = svg.element(Tag::Path).set("d", path_data).set("fill", "none");
+            path.set("stroke", colour).set("stroke-width", HATCH_LINE_WIDTH).leaf();
         }
     }
 }
@@ -78,31 +78,32 @@ pub(super) fn point(svg: &mut Writer, (x, y): (f64, f64), (mark, radius): (Mark,
 fn draw_label(svg: &mut Writer, label: &Label, area: &Area) {
     let (x, y) = area.point(label.at);
     let (x, y) = (x + label.shift.0 * SMALL, y + label.shift.1 * SMALL);
-    let text = svg.element(Tag::Text).set("x", x).set("y", y).set("font-size", SMALL);
-    let mut text = text.set("fill", label.style.colour);
+    let element = svg.element(Tag::Text).set("x", x).set("y", y).set("font-size", SMALL);
+    let mut element = element.set("fill", label.style.colour);
     if label.style.halo {
-        text = text.set("stroke", WHITE).set("stroke-width", RIM).set("stroke-linejoin", "round");
-        text = text.set("paint-order", "stroke");
+        element = element.set("stroke", WHITE).set("stroke-width", RIM).set("stroke-linejoin", "round");
+        // The rim is painted first, so that it does not cover the letters.
+        element = element.set("paint-order", "stroke");
     }
-    anchored(text, label.anchor).words(&label.words);
+    anchored(element, label.anchor).text(&label.text);
 }
 
 /// Writes a line of text. The start, the middle or the end of its baseline lies at a point.
 pub(super) fn text(
     svg: &mut Writer,
-    words: &str,
+    content: &str,
     (x, y): (f64, f64),
     (size, colour, anchor): (f64, Rgb, Anchor),
 ) {
-    let text = svg.element(Tag::Text).set("x", x).set("y", y).set("font-size", size).set("fill", colour);
-    anchored(text, anchor).words(words);
+    let element = svg.element(Tag::Text).set("x", x).set("y", y).set("font-size", size).set("fill", colour);
+    anchored(element, anchor).text(content);
 }
 
-fn anchored(text: Attributes<'_>, anchor: Anchor) -> Attributes<'_> {
-    text.set_optional("text-anchor", (anchor != Anchor::Start).then_some(anchor.name()))
+fn anchored(element: Attributes<'_>, anchor: Anchor) -> Attributes<'_> {
+    element.set_optional("text-anchor", (anchor != Anchor::Start).then_some(anchor.name()))
 }
 
-/// Adds fill and stroke of a shape.
+/// Adds the fill and the stroke of a shape.
 fn styled<'a>(element: Attributes<'a>, style: &Style) -> Attributes<'a> {
     let element = match style.fill {
         Some(fill) => {

@@ -1,7 +1,7 @@
 //! SVG for files: a picture as wide as a column of a paper, with lengths in points and literal attributes.
 //!
-//! The picture has one line of caption, the legend, the plots from top to bottom, and a table that explains the numbers in the plots. All
-//! other text is in the caption's file ([`Figure::caption_text`]).
+//! The picture has a caption of one line, the legend, the plots from top to bottom, and a table that explains the numbers
+//! beside points. All other text is in the caption's file ([`Figure::caption_text`]).
 
 mod axes;
 mod draw;
@@ -22,9 +22,9 @@ use crate::text::FAMILY;
 pub const WIDTH: f64 = 252.0;
 /// Standard height of a figure, points.
 pub const HEIGHT: f64 = 189.0;
-/// Size of captions, legends and axes, points.
+/// Type size of captions, legends and axes, points.
 pub const TEXT: f64 = 7.5;
-/// Size of all other text, points. No text is smaller.
+/// Type size of all other text, points. No text is smaller.
 pub const SMALL: f64 = 7.0;
 
 /// Distance of texts and axes from the edge of the picture, points.
@@ -46,7 +46,8 @@ pub fn svg(figure: &Figure) -> String {
     let root = svg.element(Tag::Svg).set("xmlns", "http://www.w3.org/2000/svg");
     let root = root.set("width", inches(width)).set("height", inches(height));
     let root = root.set("viewBox", format!("0 0 {width} {height}"));
-    // A program that does not have the font uses one of the substitutes, whose letters are at most as wide.
+    // A program that does not have the font uses one of the substitutes. Their letters are at most as wide as those of
+    // the font, so text does not overlap.
     root.set("font-family", format!("{FAMILY}, Helvetica, Arial, sans-serif")).open();
     svg.element(Tag::Rect).set("width", width).set("height", height).set("fill", WHITE).leaf();
     header::draw(&mut svg, figure);

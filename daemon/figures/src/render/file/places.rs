@@ -8,14 +8,14 @@ use crate::text::width;
 /// Room above a plot for the title of its vertical axis, points.
 const TITLE_HEIGHT: f64 = 13.5;
 /// Room below a plot in addition to the room for labels and title, points.
-const BELOW: f64 = 3.0;
+const MARGIN_BELOW: f64 = 3.0;
 /// Distance between two plots, points.
 const PLOT_DISTANCE: f64 = 5.0;
 /// Minimum distance of the marks of a vertical axis, so that their labels do not overlap, points.
 const MIN_MARK_DISTANCE: f64 = 12.0;
 /// Maximum width of names at a vertical axis, points.
 pub const MAX_NAME_WIDTH: f64 = WIDTH * 0.47;
-/// Names at a vertical axis have small type if they are closer together than this, points.
+/// Names at a vertical axis have small type if their distance is less than this, points.
 const MIN_NAME_DISTANCE: f64 = 12.0;
 /// Minimum height of a plot, points.
 const MIN_HEIGHT: f64 = 30.0;
@@ -60,12 +60,14 @@ impl Area {
 
 /// Areas of all plots, and the height of the picture.
 pub(super) struct Places {
+    /// Height of the picture, points.
     pub(super) height: f64,
+    /// Areas of the plots, from top to bottom.
     pub(super) plots: Vec<Area>,
 }
 
-/// Returns the areas of the plots of a figure. A kind of figure that searches for free places needs the areas before it
-/// adds items.
+/// Returns the areas of the plots of a figure. A kind of figure that searches for free places in a plot needs the areas
+/// before it adds the items.
 pub fn areas(figure: &Figure) -> Vec<Area> {
     Places::of(figure).plots
 }
@@ -73,15 +75,15 @@ pub fn areas(figure: &Figure) -> Vec<Area> {
 impl Places {
     pub(super) fn of(figure: &Figure) -> Self {
         let top = header::height(figure);
-        // Heights of the titles, labels and strips of all plots, of the distances between plots, and of the plots with a fixed height.
+        // Height of the titles, labels and strips of all plots.
         let surroundings: f64 = figure.plots.iter().map(|plot| height_above(plot) + height_below(plot)).sum();
         let distances = PLOT_DISTANCE * figure.plots.len().saturating_sub(1) as f64;
         let fixed_heights: f64 = figure.plots.iter().map(|plot| fixed_height(plot.height)).sum();
-        let flexible_plots = figure.plots.iter().filter(|plot| plot.height == Height::Rest).count();
-        // A figure with a flexible plot has the standard height, plus the heights of its plots with a fixed height. A figure that has only
-        // plots with a fixed height is as high as they need.
+        let flexible_plots = figure.plots.iter().filter(|plot| plot.height == Height::Flexible).count();
+        // A figure with a flexible plot has the standard height, plus the heights of its plots with a fixed height. A
+        // figure whose plots all have a fixed height is as high as these plots need.
         let content_height = if flexible_plots > 0 || figure.plots.is_empty() {
-            let fixed_plots = figure.plots.iter().filter(|plot| plot.height != Height::Rest);
+            let fixed_plots = figure.plots.iter().filter(|plot| plot.height != Height::Flexible);
             HEIGHT + fixed_plots.map(height_with_surroundings).sum::<f64>()
         } else {
             top + surroundings + distances + fixed_heights
@@ -94,7 +96,7 @@ impl Places {
         for plot in &figure.plots {
             y += height_above(plot);
             let height = match plot.height {
-                Height::Rest => flexible_height.max(MIN_HEIGHT),
+                Height::Flexible => flexible_height.max(MIN_HEIGHT),
                 Height::Points(points) => points,
             };
             let strip_width = plot.right_strip.as_ref().map_or(0.0, |strip| strip.size + STRIP_GAP);
@@ -127,10 +129,11 @@ fn height_above(plot: &Plot) -> f64 {
 fn height_below(plot: &Plot) -> f64 {
     let label_height = if has_x_labels(plot) { LINE } else { 0.0 };
     let title_height = if plot.x.title.is_empty() { 0.0 } else { LINE };
-    BELOW + label_height * x_label_lines(plot) as f64 + title_height
+    MARGIN_BELOW + label_height * x_label_lines(plot) as f64 + title_height
 }
 
-/// Returns whether the horizontal axis has labels. If several plots share this axis, only the lowest plot has labels.
+/// Returns whether the horizontal axis has labels. If several plots share a horizontal axis, only the lowest plot has
+/// labels.
 fn has_x_labels(plot: &Plot) -> bool {
     match &plot.x.marks {
         Marks::Round(_) => true,
@@ -163,7 +166,7 @@ pub(super) fn y_label_size(plot: &Plot) -> f64 {
 /// Returns the width of the labels of the vertical axis, including their distance from the axis.
 fn y_labels_width(plot: &Plot) -> f64 {
     let size = y_label_size(plot);
-    // The height of a flexible plot depends on the labels, so half of the figure's height is assumed here.
+    // The height of a flexible plot is not known yet, so half of the standard height of a figure is assumed.
     let ticks = y_ticks(plot, if let Height::Points(points) = plot.height { points } else { HEIGHT / 2.0 });
     let widest = ticks.iter().map(|tick| width(&tick.text, size)).fold(0.0, f64::max);
     let max_width = if matches!(plot.y.marks, Marks::Names(_)) { MAX_NAME_WIDTH } else { f64::INFINITY };

@@ -1,4 +1,4 @@
-//! Table below the plots, which explains the numbers in the plots.
+//! Table below the plots, which explains the numbers beside points.
 
 use super::draw::text;
 use super::{EDGE, SMALL, WIDTH};
@@ -19,7 +19,7 @@ pub(super) fn height(table: &Table) -> f64 {
     if table.lines.is_empty() { 0.0 } else { (table.lines.len() + 1) as f64 * LINE + EDGE }
 }
 
-/// Draws numbered lines with their names at the left and their cells at the right.
+/// Draws numbered lines. Each line has its name at the left and its cells at the right.
 pub(super) fn draw(svg: &mut Writer, table: &Table, top: f64) {
     if table.lines.is_empty() {
         return;
@@ -29,7 +29,7 @@ pub(super) fn draw(svg: &mut Writer, table: &Table, top: f64) {
         let cells = table.lines.iter().filter_map(move |(_, cells)| cells.get(column));
         cells.chain(table.titles.get(column)).map(|cell| width(cell, SMALL)).fold(0.0, f64::max)
     };
-    // Right ends of the columns. They are computed from the last column to the first.
+    // Right ends of the columns, computed from the last column to the first.
     let mut ends = vec![WIDTH - EDGE; columns];
     for column in (0..columns.saturating_sub(1)).rev() {
         ends[column] = ends[column + 1] - column_width(column + 1) - GAP;

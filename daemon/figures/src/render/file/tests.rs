@@ -1,4 +1,4 @@
-//! Figures as files get them.
+//! Tests of figures in files.
 
 use super::super::export::ParsedFigure;
 use super::*;
@@ -41,15 +41,15 @@ fn figure_has_column_width_and_one_line_caption() {
     assert!(svg.contains(">Upload time · robot → cloud · n = 1,200 (600 each)<"), "{svg}");
     assert!(svg.contains(">Iterations (log scale)<") && svg.contains(">&lt;5&gt;<"), "{svg}");
     assert!(!svg.contains("left out") && !svg.contains("class="), "{svg}");
-    let words = figure().caption_text();
+    let caption = figure().caption_text();
     for line in ["Upload time · robot → cloud", "left out: 5 warm-up", "Legend: queue", "3 beyond 10 ms →"]
     {
-        assert!(words.lines().any(|known| known == line), "{line} is not in {words}");
+        assert!(caption.lines().any(|other| other == line), "{line} is not in {caption}");
     }
 }
 
 #[test]
-fn text_has_at_least_seven_points() {
+fn no_text_is_smaller_than_seven_points() {
     let svg = svg(&figure());
     let sizes: Vec<f64> = svg
         .split("font-size=\"")
@@ -60,21 +60,21 @@ fn text_has_at_least_seven_points() {
 }
 
 #[test]
-fn plots_are_below_each_other_in_the_picture() {
+fn second_plot_lies_below_the_first() {
     let mut figure = figure();
     let mut lower = figure.plots[0].clone();
     (lower.height, lower.top_strip) = (Height::Points(30.0), None);
     figure.plots.push(lower);
     let areas = areas(&figure);
-    assert_eq!(areas[0].left, areas[1].left, "both begin at the same position");
+    assert_eq!(areas[0].left, areas[1].left, "both plots have the same left end");
     assert_eq!(areas[1].height, 30.0);
     assert!(areas[0].bottom() + 20.0 < areas[1].top && areas[0].height > 60.0, "{areas:?}");
-    let high = places::Places::of(&figure).height;
-    assert!(areas[1].bottom() + 20.0 < high - table::height(&figure.table), "{areas:?} {high}");
+    let height = places::Places::of(&figure).height;
+    assert!(areas[1].bottom() + 20.0 < height - table::height(&figure.table), "{areas:?} {height}");
 }
 
 #[test]
-fn height_of_plot_adds_to_height_of_picture() {
+fn picture_grows_with_fixed_height_of_plot() {
     let names = |count: usize| {
         let tick = |row: usize| Tick {
             value: 0.0,
@@ -83,27 +83,27 @@ fn height_of_plot_adds_to_height_of_picture() {
         };
         Marks::Names((0..count).map(tick).collect())
     };
-    let high = |count: usize| {
+    let picture_height = |count: usize| {
         let scale = Scale::linear((0.0, 1.0));
         let mut plot =
             Plot::new(Axis::new(scale, "Latency, ms", "ms"), Axis::new(scale, "", "").marked(names(count)));
         plot.height = Height::Points(count as f64 * 14.0);
         places::Places::of(&Figure { plots: vec![plot], ..Figure::default() }).height
     };
-    assert_eq!(high(20) - high(10), 140.0);
+    assert_eq!(picture_height(20) - picture_height(10), 140.0);
 }
 
 #[test]
-fn png_and_pdf_show_the_same_figure() {
-    let exported = ParsedFigure::of(&svg(&figure())).expect("an SVG");
-    let pixels = exported.pixels().expect("drawn");
+fn png_states_resolution_and_pdf_contains_font() {
+    let parsed = ParsedFigure::of(&svg(&figure())).expect("an SVG");
+    let pixels = parsed.pixels().expect("drawn");
     assert_eq!(pixels.width, 1_680);
-    let dark = pixels.rgb.chunks(3).filter(|pixel| pixel.iter().all(|part| *part < 0x50)).count();
-    assert!(dark > 2_000, "the text is there: {dark}");
-    let png = exported.png().expect("made");
+    let dark = pixels.rgb.chunks(3).filter(|pixel| pixel.iter().all(|channel| *channel < 0x50)).count();
+    assert!(dark > 2_000, "text is missing: {dark} dark pixels");
+    let png = parsed.png().expect("made");
     assert!(png.starts_with(b"\x89PNG") && png[33..].starts_with(b"\0\0\0\x09pHYs"));
-    let pdf = exported.pdf().expect("made");
-    let has = |what: &[u8]| pdf.windows(what.len()).any(|part| part == what);
-    assert!(pdf.starts_with(b"%PDF") && has(b"Inter"), "the font is in it");
-    assert!(has(b"/MediaBox [0 0 252"), "in points");
+    let pdf = parsed.pdf().expect("made");
+    let has = |wanted: &[u8]| pdf.windows(wanted.len()).any(|bytes| bytes == wanted);
+    assert!(pdf.starts_with(b"%PDF") && has(b"Inter"), "the font is missing");
+    assert!(has(b"/MediaBox [0 0 252"), "the page is not 252 points wide");
 }

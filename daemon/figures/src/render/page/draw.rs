@@ -21,7 +21,8 @@ pub(super) fn draw_items(svg: &mut Writer, items: &[Item]) {
     }
 }
 
-/// Draws paths in a nested `<svg>` whose `viewBox` is stretched over the plot, because the attribute `d` cannot contain percentages.
+/// Draws paths in a nested `<svg>` whose `viewBox` is stretched over the plot, because the attribute `d` cannot contain
+/// percentages.
 fn draw_paths(svg: &mut Writer, paths: &[Item]) {
     let nested =
         svg.element(Tag::Svg).set("class", "sheet").set("width", Share(1.0)).set("height", Share(1.0));
@@ -75,14 +76,14 @@ fn draw_item(svg: &mut Writer, item: &Item) {
 }
 
 /// Opens a nested `<svg>` whose origin is at a place, which is given as shares of the plot. Lengths in the nested
-/// `<svg>` are pixels, and items beyond its ends are visible.
+/// `<svg>` are pixels. Items that extend beyond the nested `<svg>` are visible.
 fn open_at(svg: &mut Writer, x: f64, y: f64) {
     svg.element(Tag::Svg).set("class", "at").set("x", Share(x)).set("y", Share(y)).open();
 }
 
 /// Draws a line. If an end has an offset in points (`dx`, `dy`), the line is drawn in a nested `<svg>`, because one
-/// attribute cannot add a share and an offset. Offsets along an upright or a horizontal line, and all offsets of a
-/// slanted line, are ignored.
+/// attribute cannot add a share and an offset. Offsets in the direction of an upright or horizontal line are ignored. All
+/// offsets of a slanted line are ignored.
 fn draw_line(svg: &mut Writer, [from, to]: [At; 2], style: &Style) {
     let has_offset = [from, to].iter().any(|at| at.dx != 0.0 || at.dy != 0.0);
     if !has_offset {
@@ -90,15 +91,15 @@ fn draw_line(svg: &mut Writer, [from, to]: [At; 2], style: &Style) {
         line.set("y1", Share(from.y)).set("y2", Share(to.y)).leaf();
         return;
     }
-    let (upright, level) = (from.x == to.x, from.y == to.y);
-    open_at(svg, if upright { from.x } else { 0.0 }, if level { from.y } else { 0.0 });
+    let (upright, horizontal) = (from.x == to.x, from.y == to.y);
+    open_at(svg, if upright { from.x } else { 0.0 }, if horizontal { from.y } else { 0.0 });
     let mut line = styled(svg.element(Tag::Line), style);
     line = if upright {
         line.set("x1", from.dx * PIXELS_PER_POINT).set("x2", to.dx * PIXELS_PER_POINT)
     } else {
         line.set("x1", Share(from.x)).set("x2", Share(to.x))
     };
-    line = if level {
+    line = if horizontal {
         line.set("y1", from.dy * PIXELS_PER_POINT).set("y2", to.dy * PIXELS_PER_POINT)
     } else {
         line.set("y1", Share(from.y)).set("y2", Share(to.y))
@@ -143,18 +144,18 @@ pub(super) fn draw_label(svg: &mut Writer, label: &Label) {
     };
     text = text.set_optional("dx", (label.shift.0 != 0.0).then_some(Em(label.shift.0)));
     text.set("dy", Em(label.shift.1)).set("text-anchor", label.anchor.name()).open();
-    if let Some((lead, Some(min_width))) = &label.lead {
-        svg.element(Tag::Tspan).set("class", width_class(*min_width)).words(lead);
+    if let Some((prefix, Some(min_width))) = &label.prefix {
+        svg.element(Tag::Tspan).set("class", width_class(*min_width)).text(prefix);
     }
-    svg.words(&label.words);
+    svg.text(&label.text);
     svg.close();
     if has_offset {
         svg.close();
     }
 }
 
-/// Adds the class of a style and, if it is below 1, the opacity of the style's fill. The opacity represents a number,
-/// so that no class can set it.
+/// Adds the class of a style and, unless it is 1, the opacity of the style's fill. The opacity represents a number, so no
+/// class can set the opacity.
 fn styled<'a>(element: Attributes<'a>, style: &Style) -> Attributes<'a> {
     let opacity = style.fill.map(|fill| fill.opacity).filter(|opacity| *opacity < 1.0);
     element.set("class", &*style.class).set_optional("fill-opacity", opacity)

@@ -1,4 +1,4 @@
-//! Plots as pages get them.
+//! Tests of plots on pages.
 
 use super::*;
 use crate::look::{Mark, Style, TextStyle, stage};
@@ -20,7 +20,7 @@ fn shown_at(html: &str, width: u16) -> Vec<&str> {
 }
 
 #[test]
-fn labels_are_hidden_before_they_touch() {
+fn labels_that_would_touch_are_hidden() {
     let ticks: Vec<Tick> = (1..=4).map(|n| tick(f64::from(n) * 0.2, &format!("{n}00,000"))).collect();
     let html = axis("xaxis", &ticks);
     assert_eq!(shown_at(&html, 18), ["100,000", "200,000", "300,000", "400,000"]);
@@ -32,7 +32,7 @@ fn labels_are_hidden_before_they_touch() {
 }
 
 #[test]
-fn page_has_classes_and_shares_without_colours() {
+fn page_has_classes_and_percentages_without_colours() {
     let x = Axis::new(Scale::linear((0.0, 10.0)).widened(5), "Upload, ms", "ms");
     let y = Axis::new(Scale::logarithmic((1.0, 100.0)), "Iterations", "").with_grid();
     let mut plot = Plot::new(x, y);
@@ -46,9 +46,9 @@ fn page_has_classes_and_shares_without_colours() {
     ));
     plot.items.push(Item::Text(Label::new(plot.at(5.0, 10.0), "<5>", TextStyle::MARK).shifted(0.7, 0.36)));
     plot.remark = Some("3 beyond".to_owned());
-    let html = super::plot(&plot, "histogram", "in words");
+    let html = super::plot(&plot, "histogram", "a description");
     for part in [
-        "<div class=\"histogram\" role=\"img\" aria-label=\"in words\">",
+        "<div class=\"histogram\" role=\"img\" aria-label=\"a description\">",
         "<span class=\"above\" aria-hidden=\"true\">logarithmic</span>",
         "<rect class=\"bin f-upload\" x=\"20%\" y=\"50%\" width=\"20%\" height=\"50%\"/>",
         "<path class=\"halo\" d=\"M0 500L1000 250\"/>",
@@ -64,9 +64,9 @@ fn page_has_classes_and_shares_without_colours() {
 }
 
 #[test]
-fn text_appears_at_width_where_it_fits() {
-    let min_width = |share: f64, words: &str| {
-        Label::new(At::new(0.5, 0.5), words, TextStyle::ON_PALE).with_max_width(share).min_width
+fn text_is_shown_only_where_it_fits() {
+    let min_width = |share: f64, text: &str| {
+        Label::new(At::new(0.5, 0.5), text, TextStyle::ON_PALE).with_max_width(share).min_width
     };
     assert_eq!((min_width(0.2, "2.6"), min_width(0.001, "2.6")), (Some(8), None));
     assert!(min_width(0.075, "2.6") > min_width(0.2, "2.6"));
