@@ -1,5 +1,5 @@
-"""Makes inter.ttf from the dashboard's font (web/assets/inter.woff2): one weight, no layout tables but kerning, because
-figures are drawn without system fonts. The result is committed; the build does not need Python.
+"""Makes inter.ttf from the dashboard's font (web/assets/inter.woff2), because figures are drawn without system fonts. The
+result has one weight, and kerning is its only layout feature. The result is committed, so the build does not need Python.
 
     pip install fonttools brotli && python instance.py
 """
@@ -21,8 +21,8 @@ def main() -> None:
     font = TTFont(here.parents[2] / "web/assets/inter.woff2")
     font.flavor = None
     font = instancer.instantiateVariableFont(font, {"wght": 450})
-    plain = io.BytesIO()
-    font.save(plain)
+    single_weight = io.BytesIO()
+    font.save(single_weight)
     options = subset.Options()
     options.layout_features = ["kern"]
     options.legacy_kern = True
@@ -30,12 +30,13 @@ def main() -> None:
     options.notdef_outline = True
     subsetter = subset.Subsetter(options)
     subsetter.populate(unicodes=TEXT + SIGNS)
-    font = TTFont(plain)
+    font = TTFont(single_weight)
     subsetter.subset(font)
-    # SVG figures name the font by its family, so that a reader's installed Inter is used. This font has the same name.
-    for number in (1, 4, 16):
-        if font["name"].getDebugName(number):
-            font["name"].setName(FAMILY, number, 3, 1, 0x409)
+    # SVG figures name the font by its family, so that a program draws them with Inter if Inter is installed. This font gets the
+    # same name, so that figures are drawn with this font here.
+    for name_id in (1, 4, 16):
+        if font["name"].getDebugName(name_id):
+            font["name"].setName(FAMILY, name_id, 3, 1, 0x409)
     font["name"].setName(FAMILY, 6, 3, 1, 0x409)
     target = here / "inter.ttf"
     font.save(target)

@@ -7,23 +7,23 @@ use crate::render::export;
 use peernet_analysis::WriteError;
 use peernet_analysis::calibration::Study;
 
-/// Draws the figures `latency` and `throughput` of a study into an existing folder, each as `.png`, `.svg`, `.pdf` and
-/// `-caption.txt`. Returns the paths of the files. A figure without data is left out.
+/// Draws the figures `latency` and `throughput` of a calibration into an existing folder, each as `.png`, `.svg`, `.pdf`
+/// and `-caption.txt`. Returns the paths of the files. A figure without data is left out.
 ///
 /// # Errors
 /// If a file cannot be written.
 pub fn draw_calibration(study: &Study, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let messages = messages(study);
-    let mut written = Vec::new();
+    let mut files = Vec::new();
     for (stem, figure) in [("latency", messages.latency()), ("throughput", messages.throughput())] {
         if figure.series.iter().any(|series| !series.values.is_empty()) {
-            written.extend(export::write(&figure.figure(), folder, stem)?);
+            files.extend(export::write(&figure.figure(), folder, stem)?);
         }
     }
-    Ok(written)
+    Ok(files)
 }
 
-/// Returns the messages of a study.
+/// Returns the messages of a calibration.
 pub(crate) fn messages(study: &Study) -> MessageFigures {
     let directions = study.directions().into_iter();
     let directions =
@@ -39,7 +39,8 @@ mod tests {
 
     use super::*;
 
-    /// Returns the passage of a message that takes 60 µs plus 1 ns for each byte. Its bounds are 50 µs below and above the true delay.
+    /// Returns the passage of a message that takes 60 µs plus 1 ns for each byte plus up to 6 µs. The bounds are 50 µs below
+    /// and 50 µs above the true delay.
     fn passage(payload_bytes: u64, number: u64) -> Passage {
         let true_delay = 60e-6 + 1e-9 * payload_bytes as f64 + (number % 7) as f64 * 1e-6;
         let span = Span::from_seconds_f64;
@@ -75,8 +76,8 @@ mod tests {
     #[test]
     fn calibration_figures_have_texts_and_colours() {
         let folder = tempfile::tempdir().expect("a folder");
-        let written = draw_calibration(&study(), folder.path()).expect("writable");
-        let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
+        let files = draw_calibration(&study(), folder.path()).expect("writable");
+        let names: Vec<_> = files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
         assert_eq!(
             names,
             [
@@ -100,13 +101,13 @@ mod tests {
             }
         }
         for name in ["latency-caption.txt", "throughput-caption.txt"] {
-            let words = std::fs::read_to_string(folder.path().join(name)).expect("written");
-            assert!(words.contains("clock bounds"), "{words}");
+            let caption = std::fs::read_to_string(folder.path().join(name)).expect("written");
+            assert!(caption.contains("clock bounds"), "{caption}");
         }
         for name in ["latency.png", "throughput.png"] {
             let picture = image::open(folder.path().join(name)).expect("a picture").to_rgb8();
-            let ink = picture.pixels().filter(|pixel| pixel.0.iter().all(|part| *part < 0x40)).count();
-            assert!(ink > 1_000, "{name} has no text: {ink} dark pixels");
+            let dark = picture.pixels().filter(|pixel| pixel.0.iter().all(|channel| *channel < 0x40)).count();
+            assert!(dark > 1_000, "{name} has no text: {dark} dark pixels");
         }
     }
 }

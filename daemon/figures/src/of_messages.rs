@@ -1,4 +1,5 @@
-//! Figures of delay and throughput against the size of messages, for a calibration and for the payload study of recorded runs.
+//! Figures of delay and throughput against the size of messages, for a calibration and for the payload study of recorded
+//! runs.
 
 use peernet_statistics::number::{mean_std, throughput_with_margin};
 
@@ -13,16 +14,16 @@ use peernet_analysis::payload_study::{DirectionMessages, PayloadStudy};
 pub(crate) struct MessageSeries {
     /// `upload` or `download`.
     pub name: &'static str,
-    /// Sizes, the smallest first.
+    /// Summaries of the sizes, in ascending order of size.
     pub sizes: Vec<SizeSummary>,
     /// Line through the median delays of the sizes; `None` with fewer than three sizes.
     fit: Option<Fit>,
 }
 
-/// Messages over one link. The figure of latency and the figure of throughput are drawn from them.
+/// Messages over one link, from which the figures of latency and of throughput are drawn.
 #[derive(Clone, Debug)]
 pub(crate) struct MessageFigures {
-    /// Name of the link, for the title; empty if the title needs none.
+    /// Name of the link in the titles; empty if the titles need no name.
     pub link_name: String,
     /// Directions that are drawn.
     pub directions: Vec<MessageSeries>,
@@ -47,18 +48,19 @@ impl MessageSeries {
         Self { name, fit: line_through_medians(&sizes), sizes }
     }
 
-    /// Returns the fitted line if larger messages take longer. Otherwise the delay does not grow with the size, and the intercept of the line
-    /// has no meaning.
+    /// Returns the fitted line if larger messages take longer; otherwise `None`. If the delay does not grow with the size, the
+    /// intercept of the line has no meaning.
     fn increasing_fit(&self) -> Option<Fit> {
         self.fit.filter(|fit| fit.slope.value > 0.0)
     }
 
-    /// Returns the rate that follows from the slope of the fitted line, and the margin of the rate, bits per second.
-    /// `None` if the sizes do not determine the rate.
+    /// Returns the rate that follows from the slope of the fitted line, and the margin of the rate; bits per second. `None` if
+    /// the delays of these sizes do not determine a rate.
     fn rate(&self) -> Option<(f64, f64)> {
         self.increasing_fit().and_then(|fit| rate(fit.slope))
     }
 
+    /// Returns the series of delays in the figure of latency. Its name in the legend contains the equation of the line.
     fn latency(&self) -> Series {
         let name = match (self.fit, self.increasing_fit()) {
             (_, Some(Fit { intercept, .. })) => {
@@ -81,6 +83,7 @@ impl MessageSeries {
         })
     }
 
+    /// Returns the series of throughputs in the figure of throughput. Its level line shows the rate.
     fn throughput(&self) -> Series {
         let name = self.rate().map_or_else(
             || self.name.to_owned(),
@@ -117,7 +120,7 @@ impl MessageFigures {
         )
     }
 
-    /// Returns the figure of throughput against size, with the throughput that the slope of the delays implies.
+    /// Returns the figure of throughput against size, with a level line at the rate that follows from the slope of the delays.
     pub(crate) fn throughput(&self) -> Scaling {
         let explanations = Explanations {
             point: "size ÷ median delay",
@@ -153,7 +156,8 @@ impl MessageFigures {
             |series: &&MessageSeries| series.increasing_fit().is_some() && series.rate().is_none();
         let names: Vec<&str> =
             self.directions.iter().filter(is_undetermined).map(|series| series.name).collect();
-        (!names.is_empty())
-            .then(|| format!("throughput of {}: too fast to tell from these sizes", names.join(" and of ")))
+        (!names.is_empty()).then(|| {
+            format!("throughput of {}: too high to be determined from these sizes", names.join(" and of "))
+        })
     }
 }

@@ -103,7 +103,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut draw_kind = |kind: figures::Kind, runs: &[Loaded], folder: &Path| -> Result<(), Failure> {
         match figures::draw(kind, runs, &columns, folder) {
             Ok(written) => {
-                written.missing.iter().for_each(print_to_stderr);
+                written.left_out.iter().for_each(print_to_stderr);
                 files.extend(written.files);
             }
             Err(error @ PlotError::Lacking(..)) => missing_data.push((folder.to_owned(), error)),

@@ -1,4 +1,4 @@
-//! Results that look like those of robots: late messages, two clusters of answers, a slow start, losses.
+//! Results that look like those of robots, with late messages, answers of two typical lengths, a slow start and lost messages.
 
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::{HostRecord, ModelRecord, Placement, RunRecord};
@@ -25,7 +25,7 @@ impl TestRng {
         radius * (std::f64::consts::TAU * angle).cos()
     }
 
-    /// Returns a latency around `mean`. A few latencies are much longer.
+    /// Returns a latency around `mean`. `spread` is the standard deviation of its logarithm. A few latencies are much longer.
     fn latency(&mut self, mean: f64, spread: f64) -> f64 {
         let tail = if self.uniform() < 0.004 { mean * 8.0 * self.uniform() } else { 0.0 };
         mean * (spread * self.normal()).exp() + tail
@@ -52,32 +52,33 @@ fn loaded(title: &str, rows: Rows) -> Loaded {
     Loaded { folder: title.replace([' ', ','], "-").into(), record, rows }
 }
 
-/// Returns the columns of a row from its stages in seconds.
+/// Returns the columns of a row with these stages, each with its time in seconds. 0.4 ms are unattributed.
 fn values(stages: &[(&'static str, f64)]) -> Vec<(Column, f64)> {
     let sum: f64 = stages.iter().map(|(_, value)| value).sum();
-    let mut values: Vec<(Column, f64)> =
+    let mut columns: Vec<(Column, f64)> =
         stages.iter().map(|(name, value)| ((*name).into(), *value)).collect();
-    values.extend([
+    columns.extend([
         ("total".into(), sum + 0.4e-3),
         ("stages-total".into(), sum),
         ("unattributed".into(), 0.4e-3),
     ]);
-    values
+    columns
 }
 
 /// Returns a run with a model in the cloud.
 pub(crate) fn remote(model: &str, network: &str, count: u64) -> Loaded {
     let mut rng = TestRng::new(7);
     let mut at = 0.0;
-    let mut all = Vec::new();
+    let mut rows = Vec::new();
     for number in 1..=count {
-        let busy = if (count / 2..count * 11 / 20).contains(&number) { 1.8 } else { 1.0 };
-        let cold = if number <= 5 { 6.0 } else { 1.0 };
-        let upload = rng.latency(17.5e-3 * busy, 0.12);
+        // In a twentieth of the run, the network is slow.
+        let network_slowdown = if (count / 2..count * 11 / 20).contains(&number) { 1.8 } else { 1.0 };
+        let cold_start_slowdown = if number <= 5 { 6.0 } else { 1.0 };
+        let upload = rng.latency(17.5e-3 * network_slowdown, 0.12);
         let download = rng.latency(0.37e-3, 0.25);
-        let answer = if rng.uniform() < 0.6 { 180.0 } else { 420.0 };
-        let answer = (answer + 30.0 * rng.normal()).round().max(8.0);
-        let inference = cold * (3.7e-3 + answer * 20e-6 + 0.3e-3 * rng.normal().abs());
+        let typical_length = if rng.uniform() < 0.6 { 180.0 } else { 420.0 };
+        let answer_bytes = (typical_length + 30.0 * rng.normal()).round().max(8.0);
+        let inference = cold_start_slowdown * (3.7e-3 + answer_bytes * 20e-6 + 0.3e-3 * rng.normal().abs());
         let mut values = values(&[
             ("sensing", rng.latency(0.76e-3, 0.3)),
             ("encode", 0.05e-3),
@@ -90,23 +91,24 @@ pub(crate) fn remote(model: &str, network: &str, count: u64) -> Loaded {
         ]);
         values.extend([
             ("upload-bytes".into(), 150_528.0),
-            ("download-bytes".into(), answer),
+            ("download-bytes".into(), answer_bytes),
             ("upload-throughput".into(), 150_648.0 * 8.0 / upload),
-            ("download-throughput".into(), (answer + 120.0) * 8.0 / download),
+            ("download-throughput".into(), (answer_bytes + 120.0) * 8.0 / download),
         ]);
-        at += 0.032 * busy;
+        at += 0.032 * network_slowdown;
         let mut row = row(number, at, values);
         if number % 997 == 0 {
             (row.outcome, row.values) = (Outcome::Lost, Vec::new());
         }
-        all.push(row);
+        rows.push(row);
     }
-    let mut run = loaded(&format!("{model} over {network}"), all.into_iter().collect());
-    place(&mut run, model, "remote", "cuda:0", Some(network));
+    let mut run = loaded(&format!("{model} over {network}"), rows.into_iter().collect());
+    set_placement(&mut run, model, "remote", "cuda:0", Some(network));
     run
 }
 
-fn place(run: &mut Loaded, model: &str, kind: &str, device: &str, network: Option<&str>) {
+/// Sets the model, the placement and the edge of a run.
+fn set_placement(run: &mut Loaded, model: &str, kind: &str, device: &str, network: Option<&str>) {
     let model = ModelRecord { name: model.to_owned(), device: Some(device.to_owned()), sha256: None };
     run.record.model = Some(model);
     run.record.placement =
@@ -118,7 +120,7 @@ fn place(run: &mut Loaded, model: &str, kind: &str, device: &str, network: Optio
 pub(crate) fn experiment() -> Vec<Loaded> {
     let mut rng = TestRng::new(3);
     let mut runs = Vec::new();
-    for (model, local) in
+    for (model, local_inference) in
         [("efficientnet_v2_s", 62e-3), ("efficientnet_v2_m", 95e-3), ("efficientnet_v2_l", 151e-3)]
     {
         for kind in ["local", "remote"] {
@@ -126,13 +128,13 @@ pub(crate) fn experiment() -> Vec<Loaded> {
                 let stages = if kind == "local" {
                     vec![
                         ("sensing", rng.latency(0.7e-3, 0.2)),
-                        ("inference", local * (1.0 + 0.01 * rng.normal())),
+                        ("inference", local_inference * (1.0 + 0.01 * rng.normal())),
                     ]
                 } else {
                     vec![
                         ("sensing", rng.latency(0.7e-3, 0.2)),
                         ("upload", rng.latency(17e-3, 0.2)),
-                        ("inference", rng.latency(local / 2.5, 0.2)),
+                        ("inference", rng.latency(local_inference / 2.5, 0.2)),
                         ("download", rng.latency(0.5e-3, 0.2)),
                     ]
                 };
@@ -140,7 +142,7 @@ pub(crate) fn experiment() -> Vec<Loaded> {
             });
             let mut run = loaded(&format!("{model} {kind}"), rows.collect());
             let device = if kind == "local" { "cuda:0" } else { "cuda:6" };
-            place(&mut run, model, kind, device, (kind == "remote").then_some("zmq-tcp"));
+            set_placement(&mut run, model, kind, device, (kind == "remote").then_some("zmq-tcp"));
             let configuration =
                 vec![("model".to_owned(), model.to_owned()), ("where".to_owned(), kind.to_owned())];
             let (name, id) = ("efficientnet".to_owned(), "1".to_owned());
@@ -157,7 +159,7 @@ pub(crate) fn experiment() -> Vec<Loaded> {
     runs
 }
 
-/// Returns the paper's third experiment: means and standard deviations of its table.
+/// Returns runs with the means and standard deviations of the table of the paper's third experiment.
 pub(crate) fn teleoperation() -> Vec<Loaded> {
     let lines = [
         ("no", "Jetson Orin", "none", [0.71, 0.0, 18.55, 0.0], [0.26, 0.0, 3.34, 0.0]),
@@ -173,8 +175,8 @@ pub(crate) fn teleoperation() -> Vec<Loaded> {
         let names = ["sensing", "upload", "inference", "download"];
         let rows = (1..=500).map(|number| {
             let stages: Vec<(&'static str, f64)> = (0..4)
-                .filter(|at| means[*at] > 0.0)
-                .map(|at| (names[at], (means[at] + stds[at] * rng.normal()).max(0.01) / 1e3))
+                .filter(|index| means[*index] > 0.0)
+                .map(|index| (names[index], (means[index] + stds[index] * rng.normal()).max(0.01) / 1e3))
                 .collect();
             row(number, number as f64, values(&stages))
         });
@@ -207,20 +209,21 @@ pub(crate) fn payload() -> Loaded {
         row(number, number as f64, values)
     });
     let mut run = loaded("payload study", rows.collect());
-    place(&mut run, "echo", "remote", "cpu", Some("zmq-tcp"));
+    set_placement(&mut run, "echo", "remote", "cpu", Some("zmq-tcp"));
     run
 }
 
-/// Returns runs of one model of 40 ms and another of 12 ms with one worker each, used by up to sixteen edges at the same time.
+/// Returns runs of a model that takes 12 ms and a model that takes 40 ms. Each model has one worker, which up to sixteen edges use
+/// at the same time.
 pub(crate) fn users() -> Vec<Loaded> {
     let mut rng = TestRng::new(11);
     let mut runs = Vec::new();
     for (model, service) in [("efficientnet_v2_s", 12e-3), ("efficientnet_v2_l", 40e-3)] {
         for edges in [1_u32, 2, 4, 8, 16] {
             for edge in 0..edges {
-                // The first to come are served a little better.
-                let lucky = 1.0 - 0.2 * f64::from(edges - 1 - edge) / f64::from(edges);
-                let mean = 4e-3 + service * f64::from(edges) * lucky;
+                // Edges with a lower index wait a little less, so that the fairness is below 1.
+                let advantage = 1.0 - 0.2 * f64::from(edges - 1 - edge) / f64::from(edges);
+                let mean = 4e-3 + service * f64::from(edges) * advantage;
                 let mut at = 0.0;
                 let rows = (1..=200).map(|number| {
                     let stages = [("sensing", 1e-3), ("upload", 2e-3), ("queue", rng.latency(mean, 0.12))];
@@ -230,7 +233,7 @@ pub(crate) fn users() -> Vec<Loaded> {
                     row(number, at, values)
                 });
                 let mut run = loaded(&format!("{model} {edges} {edge}"), rows.collect());
-                place(&mut run, model, "remote", "cuda:6", Some("zmq-tcp"));
+                set_placement(&mut run, model, "remote", "cuda:6", Some("zmq-tcp"));
                 run.record.edge.name = format!("robot-{edge}");
                 let pair = |axis: &str, label: String| (axis.to_owned(), label);
                 let configuration = vec![pair("model", model.to_owned()), pair("edges", edges.to_string())];

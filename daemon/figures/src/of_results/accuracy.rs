@@ -1,4 +1,4 @@
-//! Figures that show each configuration's quality against its latency. There is a figure for each quality, such as the
+//! Figures of the quality of each configuration against its latency. There is a figure for each quality, such as the
 //! accuracy of answers or the success of episodes.
 
 use peernet_statistics::number;
@@ -25,7 +25,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     Ok(drawings)
 }
 
-/// Returns the name of a figure's file.
+/// Returns the common beginning of the names of a figure's files.
 const fn stem(quality: Quality) -> &'static str {
     match quality {
         Quality::Top1 => "accuracy",
@@ -35,8 +35,8 @@ const fn stem(quality: Quality) -> &'static str {
     }
 }
 
-/// Returns the figure with one point for each configuration that has the quality; `None` if no configuration has it.
-/// Repeats are pooled.
+/// Returns the figure with one point for each configuration that has the quality; `None` if no configuration has the
+/// quality. Repeats of a configuration are pooled.
 fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
     let total = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));
@@ -52,36 +52,39 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     let n = number::range_of_counts(scores.iter().map(|score| score.estimate.count))?;
     let count_name = if quality.is_of_episodes() { "episodes:" } else { "n =" };
     let mut notes = vec![format!("configurations: {} · {count_name} {n} each", axes.join(", "))];
-    let mut missing = Vec::new();
+    let mut left_out = Vec::new();
     if score_count > MAX_SCORES {
-        missing
-            .push(format!("the first {MAX_SCORES} of {} configurations", number::count(score_count as u64)));
+        left_out.push(format!(
+            "shown: the first {MAX_SCORES} of {} configurations",
+            number::count(score_count as u64)
+        ));
     }
+    // The values of a quality of episodes are counted in episodes, so notes on numbers of iterations do not explain them.
     if !quality.is_of_episodes() {
         notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
         if omitted_groups > 0 {
             let configurations = number::counted(omitted_groups as u64, "configuration");
-            missing.push(format!("left out: {configurations} without scored samples"));
+            left_out.push(format!("left out: {configurations} without scored samples"));
         }
     }
-    notes.extend(missing.iter().cloned());
+    notes.extend(left_out.iter().cloned());
     notes.extend(too_large_note(runs.iter().flat_map(|run| &run.rows), &[total.name()]));
     if !quality.is_of_episodes() {
         notes.extend(unscored_notes(runs, &groups, quality));
     }
     let figure = Accuracy { quality, unit: Unit::milliseconds(total.title()), scores, notes };
-    Some(Drawing::new(stem(quality), AnyFigure::Accuracy(figure)).with_left_out(missing))
+    Some(Drawing::new(stem(quality), AnyFigure::Accuracy(figure)).with_left_out(left_out))
 }
 
-/// Returns notes on the iterations without a score, of configurations that are in the figure.
+/// Returns notes on the iterations without a score. Iterations of configurations that are not in the figure are not counted.
 fn unscored_notes(runs: &[Loaded], groups: &[(String, Vec<&Loaded>)], quality: Quality) -> Vec<String> {
     let is_scored = |row: &RowRef<'_>| quality.is_scored(*row);
     // Iterations whose label the model does not know are not counted here, because they have their own note.
     let unscored_iterations = |(_, runs): &(String, Vec<&Loaded>)| {
         let scored_count = rows_in_statistics(runs).filter(is_scored).count();
-        let with_unknown_label = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
-        let without_score = (rows_in_statistics(runs).count() - scored_count) as u64;
-        if scored_count > 0 { without_score.saturating_sub(with_unknown_label) } else { 0 }
+        let unknown_label_count = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
+        let unscored_count = (rows_in_statistics(runs).count() - scored_count) as u64;
+        if scored_count > 0 { unscored_count.saturating_sub(unknown_label_count) } else { 0 }
     };
     let unscored: u64 = groups.iter().map(unscored_iterations).sum();
     let unscored = (unscored > 0)

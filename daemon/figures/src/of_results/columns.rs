@@ -8,7 +8,7 @@ use peernet_analysis::order::SortedValues;
 use peernet_analysis::rows::{RowRef, Rows, Units};
 use peernet_analysis::summary::Scale;
 
-/// Returns a note on how many numbers in these columns are too large to be drawn; `None` if none is too large.
+/// Returns a note on the count of numbers in these columns that are too large to be drawn; `None` if all can be drawn.
 pub(super) fn too_large_note<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&str]) -> Option<String> {
     let rows_in_statistics = rows.filter(|row| row.is_in_statistics());
     let numbers =
@@ -17,13 +17,13 @@ pub(super) fn too_large_note<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns
     (undrawn > 0).then(|| format!("not drawn, beyond ±10¹⁸: {}", counted(undrawn as u64, "number")))
 }
 
-/// Returns the numbers of a column that can be drawn, from the rows in the statistics: neither warm-up nor failed.
+/// Returns the numbers of a column that can be drawn, from the rows in the statistics.
 pub(super) fn values(rows: &Rows, column: &str) -> SortedValues {
     rows.values_in_statistics(column).filter(|value| is_drawable(*value)).collect()
 }
 
-/// Returns the unit in which the numbers of a column are shown, such as ms for a time. A quantity that a run logged itself has the unit that
-/// was logged with it.
+/// Returns the unit in which the numbers of a column are shown, such as ms for a time. A quantity that custom code logged has
+/// the unit that was logged with the quantity.
 pub(super) fn unit(units: &Units, column: &str, quantity: &str) -> Unit {
     let unscaled = |title: String, symbol: String| Unit { title, symbol: symbol.into(), per_si: 1.0 };
     if ["iteration", "episode", "step"].contains(&column) {
@@ -43,37 +43,40 @@ pub(super) fn unit(units: &Units, column: &str, quantity: &str) -> Unit {
 
 /// Returns the name of a column as a title: `Upload throughput`.
 pub(super) fn heading(column: &str) -> String {
-    let words = column.replace(['-', '_'], " ");
-    let mut chars = words.chars();
+    let with_spaces = column.replace(['-', '_'], " ");
+    let mut chars = with_spaces.chars();
     chars.next().map_or_else(String::new, |first| first.to_uppercase().chain(chars).collect())
 }
 
-/// Returns the note that says how many values are shown and how many rows are left out: `n = 10,000 · left out: 5
-/// warm-up, 3 failed`.
+/// Returns the note on the number of values that are shown and the numbers of rows that are left out: `n = 10,000 · left
+/// out: 5 warm-up, 3 failed`.
 pub(super) fn count_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown_count: usize,
 ) -> String {
     let n = format!("n = {}", count(shown_count as u64));
-    excluded_and_undrawn_note(rows, shown_count).map_or(n.clone(), |left_out| format!("{n} · {left_out}"))
+    undrawn_rows_note(rows, shown_count).map_or(n.clone(), |note| format!("{n} · {note}"))
 }
 
-/// Returns the second half of [`count_note`], for figures whose counts are shown elsewhere; `None` if nothing is left out.
-pub(super) fn excluded_and_undrawn_note<'a>(
+/// Returns the note on the numbers of rows that are left out, with the rows that have no value to draw; `None` if nothing is
+/// left out. It is the second half of [`count_note`], for figures that show the number of values elsewhere.
+pub(super) fn undrawn_rows_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown_count: usize,
 ) -> Option<String> {
     let rows_in_statistics = rows.clone().filter(|row| row.is_in_statistics()).count();
     let undrawn = (rows_in_statistics.saturating_sub(shown_count), "without a value to draw");
-    join_counts(excluded_rows(rows).into_iter().chain([undrawn]))
+    left_out_note(excluded_rows(rows).into_iter().chain([undrawn]))
 }
 
-/// Returns the note on the rows that no figure shows: `left out: 5 warm-up, 3 failed`; `None` if there are none.
+/// Returns the note on the numbers of rows that are not in the statistics: `left out: 5 warm-up, 3 failed`; `None` if all
+/// rows are in the statistics.
 pub(super) fn excluded_note<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> Option<String> {
-    join_counts(excluded_rows(rows))
+    left_out_note(excluded_rows(rows))
 }
 
-/// Returns the numbers of rows that are not in the statistics, each with the reason.
+/// Returns the number of rows that are warm-up and the number of rows that failed after the warm-up, each with the reason for
+/// leaving the rows out.
 fn excluded_rows<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> [(usize, &'static str); 2] {
     let count = |matches: &dyn Fn(&RowRef<'_>) -> bool| rows.clone().filter(|row| matches(row)).count();
     [
@@ -82,8 +85,8 @@ fn excluded_rows<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> [(usi
     ]
 }
 
-/// Returns the note on these numbers of rows that are left out, each with its reason. `None` if all numbers are 0.
-fn join_counts(counts: impl IntoIterator<Item = (usize, &'static str)>) -> Option<String> {
+/// Returns the note on rows that are left out. Each number of rows is given with the reason. `None` if all numbers are 0.
+fn left_out_note(counts: impl IntoIterator<Item = (usize, &'static str)>) -> Option<String> {
     let counts: Vec<String> = counts
         .into_iter()
         .filter(|(count, _)| *count > 0)

@@ -1,4 +1,4 @@
-//! Runs by configuration.
+//! Groups of runs with the same configuration.
 
 use peernet_analysis::compare::{Configurations, group_by_labels, readable_names};
 use peernet_analysis::loaded::Loaded;
@@ -6,7 +6,7 @@ use peernet_analysis::rows::RowRef;
 
 use super::replayed::{is_replayed, marked};
 
-/// Runs by configuration; repeats of one configuration are pooled.
+/// Runs, grouped by configuration. A group contains all repeats of its configuration.
 pub(super) struct ConfigurationGroups<'a> {
     /// Names of the labels that distinguish the configurations.
     pub(super) axes: Vec<String>,
@@ -28,7 +28,7 @@ impl<'a> ConfigurationGroups<'a> {
     }
 }
 
-/// Returns the rows of these runs in the statistics: neither warm-up nor failed.
+/// Returns the rows of these runs that are in the statistics.
 pub(super) fn rows_in_statistics<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
     runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_in_statistics())
 }

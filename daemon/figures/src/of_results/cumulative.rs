@@ -1,4 +1,4 @@
-//! Distributions of the total and the longest stages of a run.
+//! Figure of the cumulative distributions of the total and the longest stages of a run.
 
 use super::columns::{count_note, heading, too_large_note, unit, values, with_name};
 use super::longest_stages::LongestStages;
@@ -17,8 +17,8 @@ const LINE_WIDTH: f64 = 0.9;
 /// Width of the line of the total, points.
 const TOTAL_LINE_WIDTH: f64 = 1.2;
 
-/// Returns the figure with a curve for the total and a curve for each of the longest stages. If a column is given,
-/// returns the figure with the curve of the column.
+/// Returns the figure with a curve for the total and a curve for each of the longest stages. If a column is given, returns
+/// the figure with the curve of this column instead.
 pub(super) fn drawings(
     record: &RunRecord,
     rows: &Rows,
@@ -49,7 +49,7 @@ pub(super) fn drawings(
     let mut notes = notes(rows, &[total_column], &total_values);
     notes.extend(stages.shorter_note());
     let stage_curves =
-        stages.longest.iter().enumerate().map(|(number, name)| curve(name, values(rows, name), number));
+        stages.longest.iter().enumerate().map(|(index, name)| curve(name, values(rows, name), index));
     let curves = std::iter::once(curve(total_column, total_values, 0)).chain(stage_curves).collect();
     let figure = Cumulative {
         title: with_run("Cumulative distributions", record),
@@ -65,8 +65,9 @@ fn notes(rows: &Rows, columns: &[&str], values: &SortedValues) -> Vec<String> {
     std::iter::once(count_note).chain(too_large_note(rows.iter(), columns)).collect()
 }
 
-/// Returns the curve of a stage in the stage's colour with the mark of this number, or the curve of a total in ink.
-fn curve(name: &str, values: SortedValues, number: usize) -> CumulativeCurve {
+/// Returns the curve of a stage in the stage's colour with the mark of this index, or the curve of another quantity, such as
+/// the total, in ink.
+fn curve(name: &str, values: SortedValues, mark_index: usize) -> CumulativeCurve {
     let look = look(name);
     let (line, mark) = if !look.has_colour() {
         (
@@ -74,7 +75,7 @@ fn curve(name: &str, values: SortedValues, number: usize) -> CumulativeCurve {
             (Mark::Cross, Style::line("strong", INK.light, LINE_WIDTH)),
         )
     } else {
-        (look.line(LINE_WIDTH), (Mark::ALL[number % Mark::ALL.len()], look.mark()))
+        (look.line(LINE_WIDTH), (Mark::ALL[mark_index % Mark::ALL.len()], look.mark()))
     };
     CumulativeCurve { name: name.to_owned(), line, mark, values }
 }

@@ -1,4 +1,4 @@
-//! Figure of latency against response length.
+//! Figure of latency against the length of answers.
 
 use super::Columns;
 use super::columns::{count_note, heading, is_drawable, too_large_note, unit, with_name};
@@ -17,12 +17,12 @@ const MILLISECONDS: &str = "ms";
 /// Suffix of the names of columns that count bytes.
 const BYTES_SUFFIX: &str = "bytes";
 
-/// Returns whether the answers of a run are counted in tokens, as those of a language model are.
+/// Returns whether the lengths of the answers of a run are counted in tokens, like those of a language model.
 pub(super) fn has_tokens(rows: &Rows) -> bool {
     rows.names().iter().any(|name| is_tokens(name) && rows.values_in_statistics(name).next().is_some())
 }
 
-/// Returns the figure with a point for each answer: its length and its latency.
+/// Returns the figure with a point for the length and the latency of each answer.
 pub(super) fn drawings(
     record: &RunRecord,
     rows: &Rows,
@@ -36,13 +36,15 @@ pub(super) fn drawings(
         .collect::<Vec<&str>>();
     let x =
         columns.x.clone().unwrap_or_else(|| answer_length(columns_with_values.iter().copied()).to_owned());
-    // If the user named a column of lengths, it does not matter that the server reports no numbers of tokens.
+    // If a column of lengths was named, it does not matter that the server reports no numbers of tokens.
     let lacks_usage = columns.x.is_none() && lacks_usage(columns_with_values.iter().copied());
-    // If the model runs on the robot, no answer is sent over a network, so that the number of bytes is not a length.
-    let is_measured = rows.values_in_statistics(&x).any(|value| value > 0.0);
-    let usage_x = is_measured.then(|| x.clone());
-    let missing = |missing| {
-        if lacks_usage { MissingData::TokenCounts { substitute: usage_x.clone() } } else { missing }
+    // If the model runs on the robot, no answer is sent over a network. The column of bytes then has no positive value and
+    // is no substitute for a length.
+    let has_lengths = rows.values_in_statistics(&x).any(|value| value > 0.0);
+    let substitute = has_lengths.then(|| x.clone());
+    // Without numbers of tokens, their absence is the reason that helps most.
+    let reason = |missing| {
+        if lacks_usage { MissingData::TokenCounts { substitute: substitute.clone() } } else { missing }
     };
     let y = columns.y.clone().unwrap_or_else(|| LATENCY.to_owned());
     let rows_in_statistics = rows.iter().filter(|row| row.is_in_statistics());
@@ -50,18 +52,19 @@ pub(super) fn drawings(
     let points: Vec<(f64, f64)> =
         rows_in_statistics.filter_map(point).filter(|(x, y)| is_drawable(*x) && is_drawable(*y)).collect();
     if points.is_empty() {
-        return Err(missing(MissingData::Columns { x: x.clone(), y }));
+        return Err(reason(MissingData::Columns { x: x.clone(), y }));
     }
     let (shortest, longest) = points
         .iter()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), (length, _)| (lo.min(*length), hi.max(*length)));
     if longest <= shortest {
-        return Err(missing(MissingData::SameLength { x: x.clone(), length: shortest }));
+        return Err(reason(MissingData::SameLength { x: x.clone(), length: shortest }));
     }
+    // A column that was named is drawn even if its lengths are similar.
     if columns.x.is_none() && !varies(shortest, longest) {
-        return Err(missing(MissingData::SimilarLength { x: x.clone() }));
+        return Err(reason(MissingData::SimilarLength { x: x.clone() }));
     }
-    let (x_unit, x_words) = match tokens_of_column(&x) {
+    let (x_unit, x_name) = match tokens_of_column(&x) {
         Some(tokens) => (Unit { title: heading(tokens), symbol: "".into(), per_si: 1.0 }, tokens),
         None => (unit(&record.units, &x, &heading(&x)), x.as_str()),
     };
@@ -69,13 +72,13 @@ pub(super) fn drawings(
     let line = growth.and_then(|growth| growth.line());
     let y_unit = unit(&record.units, &y, &heading(&y));
     // The sentences on the growth say "takes … ms", so they are left out if the vertical axis does not show a latency.
-    let growth = growth.ok().filter(|_| y_unit.symbol == MILLISECONDS && line.is_ok());
-    let (length_unit, each) = match (tokens_of_column(&x), x.ends_with(BYTES_SUFFIX)) {
+    let described_growth = growth.ok().filter(|_| y_unit.symbol == MILLISECONDS && line.is_ok());
+    let (length_unit, values_per_unit) = match (tokens_of_column(&x), x.ends_with(BYTES_SUFFIX)) {
         (Some(_), _) => ("token".to_owned(), 1.0),
         (None, true) => ("kB".to_owned(), 1e3),
-        (None, false) => (format!("unit of {}", x_words.replace(['-', '_'], " ")), 1.0),
+        (None, false) => (format!("unit of {}", x_name.replace(['-', '_'], " ")), 1.0),
     };
-    let title = format!("{} against {}", heading(&y), x_words.replace(['-', '_'], " "));
+    let title = format!("{} against {}", heading(&y), x_name.replace(['-', '_'], " "));
     let lengths = Lengths {
         title: if has_model_latency(&y) {
             with_run(&title, record)
@@ -88,8 +91,8 @@ pub(super) fn drawings(
         notes: std::iter::once(count_note(&rows.iter(), points.len()))
             .chain(too_large_note(rows.iter(), &[x.as_str(), y.as_str()]))
             .chain(line.err().map(|no_line| format!("no line: {no_line}")))
-            .chain(growth.map(|growth| growth.describe_slope(&length_unit, each)))
-            .chain(growth.and_then(|growth| growth.describe_intercept()))
+            .chain(described_growth.map(|growth| growth.describe_slope(&length_unit, values_per_unit)))
+            .chain(described_growth.and_then(|growth| growth.describe_intercept()))
             .chain(lacks_usage.then(|| NO_USAGE.to_owned()))
             .collect(),
         line: line.ok(),

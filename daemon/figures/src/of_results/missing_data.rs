@@ -1,4 +1,4 @@
-//! Data that a figure needs and the results lack.
+//! Data that a figure needs, but that the results lack.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use peernet_analysis::answer_length::NO_USAGE;
 use peernet_analysis::quality::Quality;
 use peernet_statistics::number::counted;
 
-/// Data that a figure needs and the results lack.
+/// Data that a figure needs, but that the results lack.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MissingData {
     /// There are no runs.
@@ -33,19 +33,19 @@ pub enum MissingData {
         /// The column of the vertical axis.
         y: String,
     },
-    /// Several columns belong to nodes with the name that was given.
-    #[error("the name {name} is that of several columns: {}; name one of them", .columns.join(", "))]
+    /// The given name is the name of a node that has several columns.
+    #[error("the name {name} stands for several columns: {}; name one of them", .columns.join(", "))]
     AmbiguousColumn {
-        /// The name that was given.
+        /// The given name.
         name: String,
-        /// The columns with this name.
+        /// The columns of nodes with this name.
         columns: Vec<String>,
     },
-    /// A language model's server reported no numbers of tokens (`usage`), and the column that is used as length instead
+    /// A language model's server reported no numbers of tokens (`usage`), and the column that would be used as length instead
     /// shows no differences.
     #[error("the lengths of the answers are not known{}: {NO_USAGE}", .substitute.as_ref().map_or_else(String::new, |column| format!(" ({column} does not show how they differ)")))]
     TokenCounts {
-        /// The column that is used as length instead; `None` if it has no values, either.
+        /// The column that would be used as length instead; `None` if this column has no positive value.
         substitute: Option<String>,
     },
     /// The length is the same in every iteration.
@@ -55,10 +55,10 @@ pub enum MissingData {
     SameLength {
         /// The column of lengths.
         x: String,
-        /// The only length.
+        /// The length of all answers.
         length: f64,
     },
-    /// The lengths differ too little to show an effect.
+    /// The lengths of the answers differ too little to show how latency depends on length.
     #[error("all answers have nearly the same length ({x}); name another column with --x")]
     SimilarLength {
         /// The column of lengths.
@@ -66,7 +66,7 @@ pub enum MissingData {
     },
     /// No model has numbers in the column at two placements.
     #[error(
-        "it needs the {column} of one model at two placements, such as a local and a remote run of the same model"
+        "it needs the column {column} of one model at two placements, such as a local and a remote run of the same model"
     )]
     SecondPlacement {
         /// The column to be compared.
@@ -90,7 +90,7 @@ pub enum MissingData {
     )]
     MessageSizes,
     /// No answer was scored as right or wrong.
-    #[error("it needs answers to labelled samples, and no successful iteration after the warm-up has a {}, {} or {}{}", Quality::Top1.name(), Quality::Map50.name(), Quality::MeanIou.name(), Unscored(.unknown))]
+    #[error("it needs answers to labelled samples, and no successful iteration after the warm-up has a {}, {} or {}{}", Quality::Top1.name(), Quality::Map50.name(), Quality::MeanIou.name(), UnscoredIterations(.unknown))]
     Labels {
         /// Iterations with a label that the model does not know.
         unknown: Option<UnknownLabels>,
@@ -98,17 +98,19 @@ pub enum MissingData {
     /// No run had several edges.
     #[error("it needs runs of an experiment with several edges at the same time: set experiment.users")]
     Users,
-    /// No run has a time in which all its edges measured, so it has no `total` of iterations at such a time.
+    /// In no run did all edges measure at the same time. A figure against the number of edges shows only iterations from such
+    /// a time.
     #[error(
-        "the edges of each run measured at different times, so no iteration counts for `total`; run the edges together"
+        "the edges of each run measured at different times, so no iteration counts for `total`; run the edges at the same time"
     )]
     CommonTotal,
 }
 
-/// Formats the end of the text of [`MissingData::Labels`]: the number of iterations that cannot have a score.
-struct Unscored<'a>(&'a Option<UnknownLabels>);
+/// End of the text of [`MissingData::Labels`]: the number of iterations that cannot have a score. The text is empty if there
+/// are none.
+struct UnscoredIterations<'a>(&'a Option<UnknownLabels>);
 
-impl fmt::Display for Unscored<'_> {
+impl fmt::Display for UnscoredIterations<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.as_ref().map_or(Ok(()), |unknown_labels| {
             let iterations = counted(unknown_labels.count, "iteration");

@@ -1,11 +1,11 @@
 //! Figures of results: the kinds that a run or an experiment has, and the names of their files.
 //!
 //! ```text
-//! Loaded ─┬─ histograms, cumulative, length, series   of each run
-//!         └─ stacked, totals, accuracy, paired, payload, users   of all together
+//! Loaded ─┬─ histograms, cumulative, length, series              one run
+//!         └─ stacked, totals, accuracy, paired, payload, users   all runs together
 //! ```
 //!
-//! [`crate::drawing`] defines what figures look like.
+//! [`crate::drawing`] defines the layout of each kind.
 
 mod accuracy;
 mod columns;
@@ -40,28 +40,28 @@ use peernet_analysis::rows::Rows;
 pub enum Kind {
     /// The six histograms of the paper's original program.
     Histograms,
-    /// Share of iterations up to each latency, for the total and its longest stages.
+    /// Share of iterations up to each latency, for the total and the longest stages.
     Cumulative,
-    /// Stages over time.
+    /// The total and the longest stages over time.
     Series,
-    /// Response length against latency.
+    /// Latency against the length of answers.
     Length,
-    /// Sums of the stages of each configuration.
+    /// Stacked stages of each configuration.
     Stacked,
     /// Share of iterations up to each total, for each configuration.
     Totals,
-    /// Accuracy of each configuration against its latency.
+    /// Accuracy, or another quality, of each configuration against its latency.
     Accuracy,
     /// Latency of a model on the robot and in the cloud.
     Paired,
     /// Latency and throughput against payload.
     Payload,
-    /// Latency against the number of edges at once.
+    /// Latency against the number of edges that use the cloud at the same time.
     Users,
 }
 
 impl Kind {
-    /// All kinds. The kinds that are drawn for each run separately come first.
+    /// All kinds: first the kinds that are drawn for each run separately, then the kinds that are drawn for all runs together.
     pub const ALL: [Self; 10] = [
         Self::Histograms,
         Self::Cumulative,
@@ -96,14 +96,14 @@ impl Kind {
         matches!(self, Self::Histograms | Self::Cumulative | Self::Series | Self::Length)
     }
 
-    /// Returns whether all results should have the data for the figure. If a user requests all figures, a missing
-    /// figure is reported only if this is true.
+    /// Returns whether all results should have the data for the figure. If a person requests all figures, only the absence of
+    /// an expected figure is reported.
     pub const fn is_expected(self) -> bool {
         matches!(self, Self::Series | Self::Stacked)
     }
 
-    /// Returns whether a figure of these runs is drawn if the user does not ask for it. A figure that compares
-    /// configurations needs at least two configurations.
+    /// Returns whether a figure of these runs is drawn even if nobody asks for this kind. A figure that compares configurations
+    /// is then drawn only for at least two configurations.
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {
             Self::Stacked | Self::Totals | Self::Accuracy => {
@@ -118,19 +118,19 @@ impl Kind {
     }
 }
 
-/// Columns that the user chose. Each is given by the name of the column or of its node ([`Rows::columns_named`]). If a
-/// column is `None`, the figure uses its default column.
+/// Columns that a figure shows instead of its default columns. Each column is given by its name or by the name of its node
+/// ([`Rows::columns_named`]); `None` stands for the default column.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
-    /// Column of the horizontal axis: the column of a histogram or of a cumulative distribution, or the length of a response.
+    /// Column of the horizontal axis: the quantity of a histogram or of a cumulative distribution, or the length of an answer.
     pub x: Option<String>,
     /// Column of the vertical axis: a latency.
     pub y: Option<String>,
 }
 
 impl Columns {
-    /// Replaces the names of nodes by the names of their columns in `data.csv`. A name that no run has stays as it is;
-    /// the figure then reports that the column has no numbers.
+    /// Replaces the names of nodes by the names of their columns in `data.csv`. A name that no run has is kept. The figure then
+    /// reports that the column has no numbers.
     fn resolve(&self, runs: &[Loaded]) -> Result<Self, MissingData> {
         let resolve = |name: &Option<String>| {
             let Some(name) = name else { return Ok(None) };
@@ -150,7 +150,7 @@ impl Columns {
 /// Error of a figure that was not drawn.
 #[derive(Debug, thiserror::Error)]
 pub enum PlotError {
-    /// The results lack the data that the figure shows.
+    /// The results lack the data for figures of this kind.
     #[error("cannot draw {kind}: {missing}", kind = .0.name(), missing = .1)]
     Lacking(Kind, #[source] MissingData),
     /// A file could not be written.
@@ -159,17 +159,17 @@ pub enum PlotError {
 }
 
 /// Draws the figures of a run into a folder: the six histograms of the paper's original program (`sensing-time` to
-/// `download-throughput`), the `cumulative` distributions, the `series`, and for a language model the `length`. Each
-/// figure is written as `.png`, `.svg` and `.pdf`, and its notes as `-caption.txt`. Returns the paths of the files.
+/// `download-throughput`), `cumulative`, `series` and, for a language model, `length`. Each figure is written as `.png`,
+/// `.svg` and `.pdf`, and its notes as `-caption.txt`. Returns the paths of the files.
 ///
-/// A run that sent nothing over a network has only the histograms of sensing and inference. A histogram without values says so. A run
-/// without any total has neither `cumulative` nor `series`.
+/// A run that sent nothing over a network has the histograms of sensing and inference only. A histogram without values shows
+/// the text `no values`. A run without any total has neither `cumulative` nor `series`.
 ///
 /// # Errors
 /// If a file cannot be written.
 pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let mut drawings = histograms::original_histograms(record, rows);
-    // Without a total there is no distribution of totals.
+    // A figure for which the run lacks the data is left out.
     drawings.extend(cumulative::drawings(record, rows, None).unwrap_or_default());
     drawings.extend(series::drawings(record, rows).unwrap_or_default());
     if length::has_tokens(rows) {
@@ -197,9 +197,9 @@ pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, Wri
     Ok(files)
 }
 
-/// Draws the figures of one kind into a folder. A kind that [is of one run](Kind::is_of_one_run) shows the first run;
-/// other kinds show all runs together. The folder is created if there is something to draw. Returns the paths of the
-/// files, and notes on data that the figures do not show.
+/// Draws the figures of one kind into a folder. A kind that [is of one run](Kind::is_of_one_run) shows the first of `runs`.
+/// Other kinds show all runs together. The folder is created if there is something to draw. Returns the paths of the files,
+/// and notes on data that the figures do not show.
 ///
 /// # Errors
 /// If the runs lack the data that the kind shows, or a file cannot be written.
@@ -210,8 +210,8 @@ pub fn draw(
     folder: &Path,
 ) -> Result<WrittenFigures, PlotError> {
     let first = runs.first().ok_or(PlotError::Lacking(kind, MissingData::Runs))?;
-    let runs_drawn = if kind.is_of_one_run() { std::slice::from_ref(first) } else { runs };
-    let columns = &columns.resolve(runs_drawn).map_err(|missing| PlotError::Lacking(kind, missing))?;
+    let shown_runs = if kind.is_of_one_run() { std::slice::from_ref(first) } else { runs };
+    let columns = &columns.resolve(shown_runs).map_err(|missing| PlotError::Lacking(kind, missing))?;
     let drawings = match kind {
         Kind::Histograms => histograms::drawings(first, columns.x.as_deref()),
         Kind::Cumulative => cumulative::drawings(&first.record, &first.rows, columns.x.as_deref()),
@@ -225,12 +225,12 @@ pub fn draw(
         Kind::Users => users::drawings(runs),
     };
     let drawings = drawings.map_err(|missing| PlotError::Lacking(kind, missing))?;
-    let replayed = if kind.is_of_one_run() {
+    let replayed_note = if kind.is_of_one_run() {
         replayed::note_of_run(&first.record, &first.rows)
     } else {
         replayed::note(runs)
     };
-    Ok(written_figures::write(&drawings, replayed.as_deref(), folder)?)
+    Ok(written_figures::write(&drawings, replayed_note.as_deref(), folder)?)
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Figures of latency and throughput against payload, for runs with payloads of several sizes.
+//! Figures of latency and of throughput against payload, for runs with payloads of several sizes.
 
 use super::columns::{excluded_note, too_large_note};
 use super::missing_data::MissingData;
@@ -15,7 +15,7 @@ use peernet_analysis::rows::RowRef;
 const PAYLOAD_COLUMNS: [&str; 6] =
     ["upload", "upload-bytes", "upload-logger-bytes", "download", "download-bytes", "download-logger-bytes"];
 
-/// Returns two figures for each link: latency and throughput.
+/// Returns two figures for each link: the figure of latency and the figure of throughput.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let configurations = Configurations::from_runs(runs);
     let position = |index: usize| runs[index].record.experiment.as_ref();
@@ -38,13 +38,13 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     if studies.is_empty() {
         return Err(MissingData::MessageSizes);
     }
-    let drawings = studies.into_iter().enumerate().flat_map(|(number, study)| {
-        let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
+    let drawings = studies.into_iter().enumerate().flat_map(|(index, study)| {
+        let suffix = if index == 0 { String::new() } else { format!("-{}", index + 1) };
         let [latency, throughput] = payload_figures(&study);
         let drawing =
             |name: &str, figure| Drawing::new(format!("payload-{name}{suffix}"), AnyFigure::Scaling(figure));
-        // Both figures show the notes on what is missing. Only the first passes them on to the terminal, so that each
-        // note is printed once.
+        // Both figures show the notes on what is left out. Only the figure of latency passes the notes on to the terminal, so
+        // that each note is printed once.
         [drawing("latency", latency).with_left_out(study.missing), drawing("throughput", throughput)]
     });
     Ok(drawings.collect())

@@ -1,4 +1,4 @@
-//! Figure of a run over time.
+//! Figure of the latencies of a run over time.
 
 use super::columns::{count_note, is_drawable, too_large_note};
 use super::longest_stages::LongestStages;
@@ -12,10 +12,10 @@ use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::warm_up::warm_up_periods;
 use peernet_statistics::number::count;
 
-/// Title of the horizontal axis if times are not known.
+/// Title of the horizontal axis if the times of iterations are not known.
 const ITERATION: &str = "Iteration";
 
-/// Returns the figure of the total and the stages over time.
+/// Returns the figure of the total and the longest stages over time.
 pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, MissingData> {
     let (x_title, time) = horizontal_axis(rows);
     let successful = || rows.iter().filter(|row| row.outcome() == Outcome::Ok);
@@ -53,8 +53,8 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
 }
 
-/// Returns the note on the number of iterations in the statistics and, because this figure also shows them, on the
-/// number of iterations of the warm-up: `n = 54 and 5 warm-up · lines: medians`.
+/// Returns the note on the number of iterations in the statistics and on the number of iterations of the warm-up, which this
+/// figure shows, too: `n = 54 and 5 warm-up · lines: medians`.
 fn count_and_warm_up_note(rows: &Rows, shown_count: usize) -> String {
     let rows_in_statistics = rows.iter().filter(|row| row.is_in_statistics()).count();
     let note = count_note(&rows.iter(), rows_in_statistics);
@@ -68,8 +68,8 @@ fn count_and_warm_up_note(rows: &Rows, shown_count: usize) -> String {
     format!("{n}{warm_up} · lines: medians")
 }
 
-/// Returns the title of the horizontal axis and the position of a row on it: seconds since the first iteration if all times are known, else
-/// the number of the iteration.
+/// Returns the title of the horizontal axis and a function that returns the position of a row on this axis. The position is the
+/// time since the first iteration in seconds if all times are known, and the number of the iteration otherwise.
 fn horizontal_axis(rows: &Rows) -> (&'static str, impl Fn(RowRef<'_>) -> f64) {
     let has_times = !rows.is_empty() && rows.iter().all(|row| row.value("at").is_some());
     let start = rows.iter().map(|row| row.at()).fold(f64::INFINITY, f64::min);

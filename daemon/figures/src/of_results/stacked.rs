@@ -1,4 +1,4 @@
-//! Sums of the stages of each configuration.
+//! Figure of the stacked stages of each configuration.
 
 use peernet_analysis::compare::{Latency, LatencyBar, part_order};
 use peernet_analysis::loaded::Loaded;
@@ -14,12 +14,12 @@ use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::Stacked;
 
-/// Stages of the network, in the order of the verdicts of a row.
+/// Stages of the network. Their order is the order of the verdicts of a row.
 const DIRECTIONS: [Name; 2] = [stage::UPLOAD, stage::DOWNLOAD];
 /// Maximum number of bars in one figure.
 const MAX_BARS: usize = 100;
 
-/// Returns the figure with one bar for each configuration; repeats are pooled.
+/// Returns the figure with one bar for each configuration. Repeats of a configuration are pooled.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
     let all_rows = || groups.iter().flat_map(|(_, runs)| rows_in_statistics(runs));
@@ -36,11 +36,11 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         axes.join(", "),
         total.description()
     )];
-    let mut missing = Vec::new();
+    let mut left_out = Vec::new();
     let rows = runs.iter().flat_map(|run| &run.rows);
-    let counts = groups.iter().map(|(_, runs)| rows_in_statistics(runs).count() as u64);
-    let counts: Vec<u64> = counts.filter(|count| *count > 0).collect();
-    notes.push(with_count_per_bar(&count_note(&rows, all_rows().count()), &counts));
+    let counts_per_bar = groups.iter().map(|(_, runs)| rows_in_statistics(runs).count() as u64);
+    let counts_per_bar: Vec<u64> = counts_per_bar.filter(|count| *count > 0).collect();
+    notes.push(with_count_per_bar(&count_note(&rows, all_rows().count()), &counts_per_bar));
     let names: Vec<Name> = part_order().collect();
     let columns: Vec<&str> = names.iter().map(Name::as_str).chain([total.name()]).collect();
     notes.extend(too_large_note(all_rows(), &columns));
@@ -51,18 +51,22 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     }
     if omitted_groups > 0 {
         let configurations = number::counted(omitted_groups as u64, "configuration");
-        missing.push(format!("left out: {configurations} without a successful iteration after the warm-up"));
+        left_out.push(format!("left out: {configurations} without a successful iteration after the warm-up"));
     }
     notes.extend(unknown_delays_note(all_rows));
     if bar_count > MAX_BARS {
-        missing.push(format!("the first {MAX_BARS} of {} configurations", number::count(bar_count as u64)));
+        left_out.push(format!(
+            "shown: the first {MAX_BARS} of {} configurations",
+            number::count(bar_count as u64)
+        ));
     }
-    notes.extend(missing.iter().cloned());
+    notes.extend(left_out.iter().cloned());
     let stacked = Stacked::new("Latency by configuration", &bars, notes);
-    Ok(vec![Drawing::new("stacked", AnyFigure::Stacked(stacked)).with_left_out(missing)])
+    Ok(vec![Drawing::new("stacked", AnyFigure::Stacked(stacked)).with_left_out(left_out)])
 }
 
-/// Adds the number of iterations of each bar to [`count_note`]: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`.
+/// Adds the range of the numbers of iterations per bar to a [`count_note`]: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`. With a
+/// single bar, returns the note unchanged.
 fn with_count_per_bar(count_note: &str, counts: &[u64]) -> String {
     let (Some(each), true) = (number::range_of_counts(counts.iter().copied()), counts.len() > 1) else {
         return count_note.to_owned();
@@ -72,7 +76,7 @@ fn with_count_per_bar(count_note: &str, counts: &[u64]) -> String {
     format!("{n} ({each} each){rest}")
 }
 
-/// Returns a note on the numbers of unknown delays; `None` if all delays are known.
+/// Returns a note on the number of unknown delays of each direction; `None` if all delays are known.
 fn unknown_delays_note<'a, I: Iterator<Item = RowRef<'a>>>(all_rows: impl Fn() -> I) -> Option<String> {
     let counts: Vec<String> = DIRECTIONS
         .iter()
@@ -87,11 +91,11 @@ fn unknown_delays_note<'a, I: Iterator<Item = RowRef<'a>>>(all_rows: impl Fn() -
     (!counts.is_empty()).then(|| format!("left out of the means: unknown delays, {}", counts.join(", ")))
 }
 
-/// Returns the bar of a configuration; `None` without an iteration in the statistics.
+/// Returns the bar of a configuration; `None` if the configuration has no iteration in the statistics.
 fn bar(runs: &[&Loaded], column: TotalColumn) -> Option<LatencyBar> {
     let names: Vec<Name> = part_order().chain([Name::from_static(column.name())]).collect();
     let mut moments = vec![Moments::default(); names.len()];
-    let (mut sent, mut iterations) = ([0; 2], 0);
+    let (mut message_counts, mut iterations) = ([0; 2], 0);
     for row in rows_in_statistics(runs) {
         iterations += 1;
         for (moments, name) in moments.iter_mut().zip(&names) {
@@ -100,12 +104,13 @@ fn bar(runs: &[&Loaded], column: TotalColumn) -> Option<LatencyBar> {
                 .into_iter()
                 .for_each(|value| moments.record(value));
         }
-        sent.iter_mut()
+        message_counts
+            .iter_mut()
             .zip(row.has_messages())
-            .for_each(|(sent, has_message)| *sent += u64::from(has_message));
+            .for_each(|(count, has_message)| *count += u64::from(has_message));
     }
-    LatencyBar::new(column, iterations, sent, |name| {
-        let (_, moments) = names.iter().zip(&moments).find(|(node, _)| **node == *name)?;
+    LatencyBar::new(column, iterations, message_counts, |name| {
+        let (_, moments) = names.iter().zip(&moments).find(|(other, _)| **other == *name)?;
         (moments.count > 0).then(|| Latency { mean: moments.mean, std: moments.std(), count: moments.count })
     })
 }

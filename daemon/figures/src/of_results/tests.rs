@@ -1,4 +1,4 @@
-//! Tests of the figures that results have, and of the values that they show.
+//! Tests of the figures that results have, and of the values that these figures show.
 
 mod calibration;
 mod extremes;
@@ -18,8 +18,9 @@ use peernet_analysis::record::{ModelRecord, Placement};
 use peernet_analysis::rows::{Outcome, Row};
 use written_figures::AnyFigure;
 
-/// Changes rows for a test.
+/// Rows that a test can change.
 trait ChangeRows {
+    /// Applies `change` to each row.
     fn change(&mut self, change: impl FnMut(&mut Row));
 }
 
@@ -34,8 +35,9 @@ impl ChangeRows for Rows {
     }
 }
 
-/// Returns a run with rows 1 to `count`: five are warm-up, the seventh is lost; the values are those of `of`, in ms or bytes.
-fn run(count: u64, of: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loaded {
+/// Returns a run with rows 1 to `count`. The first five rows are warm-up, and the seventh iteration is lost. `values_of` returns the
+/// values of a row. Values of columns whose names contain `-` are taken as they are; other values are in milliseconds.
+fn run(count: u64, values_of: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loaded {
     let row = |number: u64| Row {
         iteration: number,
         at: 1e9 + number as f64 / 10.0,
@@ -47,8 +49,8 @@ fn run(count: u64, of: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loaded {
         values: if number == 7 {
             Vec::new()
         } else {
-            let si = |name: &str, value: f64| if name.contains('-') { value } else { value / 1e3 };
-            of(number).into_iter().map(|(name, value)| (name.into(), si(name, value))).collect()
+            let in_si = |name: &str, value: f64| if name.contains('-') { value } else { value / 1e3 };
+            values_of(number).into_iter().map(|(name, value)| (name.into(), in_si(name, value))).collect()
         },
         upload: None,
         download: None,
@@ -58,12 +60,14 @@ fn run(count: u64, of: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loaded {
     Loaded { folder: "results".into(), record, rows: (1..=count).map(row).collect() }
 }
 
+/// Returns a run that computes in the cloud and has no totals.
 fn remote(count: u64) -> Loaded {
     run(count, |number| {
         vec![("sensing", 1.0), ("upload", 10.0 + number as f64 % 3.0), ("inference", 5.0), ("download", 1.0)]
     })
 }
 
+/// Returns a run of an experiment that compares models and placements. `inference` is the shortest latency of the model in ms.
 fn placed(model: &str, kind: &str, inference: f64) -> Loaded {
     let mut run = run(50, |number| vec![("sensing", 1.0), ("inference", inference + number as f64 % 3.0)]);
     run.record.model = Some(ModelRecord { name: model.to_owned(), device: None, sha256: None });
@@ -80,7 +84,7 @@ fn placed(model: &str, kind: &str, inference: f64) -> Loaded {
     run
 }
 
-fn names(files: &[PathBuf]) -> Vec<String> {
+fn file_names(files: &[PathBuf]) -> Vec<String> {
     files.iter().map(|file| file.file_name().expect("a name").to_string_lossy().into_owned()).collect()
 }
 
@@ -90,28 +94,34 @@ fn written_as(stem: &str) -> Vec<String> {
 }
 
 #[test]
-fn run_has_the_six_published_histograms() {
+fn run_has_six_histograms_of_original_program() {
     let folder = tempfile::tempdir().expect("a folder");
     let run = remote(60);
     let files = of_run(&run.record, &run.rows, folder.path()).expect("written");
-    let published = peernet_analysis::figure_files::HISTOGRAMS.map(|(stem, ..)| written_as(stem)).concat();
-    assert_eq!(names(&files), published, "throughputs that were not measured say so; there is no total");
+    let six_histograms =
+        peernet_analysis::figure_files::HISTOGRAMS.map(|(stem, ..)| written_as(stem)).concat();
+    assert_eq!(
+        file_names(&files),
+        six_histograms,
+        "a run without throughputs and totals has six histograms and no other figure"
+    );
     assert!(files.iter().all(|file| file.is_file()));
     let svg = std::fs::read_to_string(folder.path().join("upload-time.svg")).expect("read");
     for text in ["Upload time · robot → cloud · n = 54", "median 11.0 ms"] {
         assert!(svg.contains(text), "{text}: {svg}");
     }
-    let words = std::fs::read_to_string(folder.path().join("upload-time-caption.txt")).expect("read");
-    assert!(words.contains("n = 54 · left out: 5 warm-up, 1 failed"), "{words}");
+    let caption = std::fs::read_to_string(folder.path().join("upload-time-caption.txt")).expect("read");
+    assert!(caption.contains("n = 54 · left out: 5 warm-up, 1 failed"), "{caption}");
     assert!(std::fs::read_to_string(&files[21]).expect("read").contains("no values"));
-    let timed = run_with_total(20.0);
-    let files = of_run(&timed.record, &timed.rows, folder.path()).expect("written");
-    assert_eq!(names(&files)[24..], [written_as("cumulative"), written_as("series")].concat());
+    let with_total = run_with_total(20.0);
+    let files = of_run(&with_total.record, &with_total.rows, folder.path()).expect("written");
+    assert_eq!(file_names(&files)[24..], [written_as("cumulative"), written_as("series")].concat());
 }
 
+/// Returns a run with totals that are a little longer than `total`, in ms, and with scores of answers.
 fn run_with_total(total: f64) -> Loaded {
     run(100, |number| {
-        // Right in three of four.
+        // Three of four answers are right.
         let right = f64::from(u8::from(number % 4 != 0));
         vec![("total", total + number as f64 / 100.0), ("sensing", 1.0), ("upload", 1.0), ("top-1", right)]
     })
@@ -126,7 +136,7 @@ fn local_run_has_no_network_figures() {
 }
 
 #[test]
-fn any_column_can_be_a_histogram() {
+fn histogram_can_show_any_column() {
     let run = run(60, |number| vec![("gripper-force", number as f64)]);
     let drawings = histograms::drawings(&run, Some("gripper-force")).expect("there are numbers");
     let AnyFigure::Histogram(histogram) = &drawings[0].figure else { panic!("a histogram") };
@@ -143,7 +153,7 @@ fn any_column_can_be_a_histogram() {
 }
 
 #[test]
-fn stages_add_up_to_the_total() {
+fn bars_have_stages_that_add_up_to_total() {
     let with_total = |mut run: Loaded| {
         run.rows.change(|row| {
             if !row.values.is_empty() {
@@ -154,7 +164,7 @@ fn stages_add_up_to_the_total() {
         run
     };
     let runs = [with_total(placed("s", "local", 20.0)), with_total(placed("s", "remote", 4.0))];
-    let drawings = stacked::drawings(&runs).expect("there is something");
+    let drawings = stacked::drawings(&runs).expect("there are bars");
     let AnyFigure::Stacked(figure) = &drawings[0].figure else { panic!("bars") };
     assert_eq!(figure.stages, ["sensing", "inference", UNATTRIBUTED]);
     assert_eq!(figure.bars.iter().map(|bar| bar.label.as_str()).collect::<Vec<_>>(), ["local", "remote"]);
@@ -162,12 +172,12 @@ fn stages_add_up_to_the_total() {
     assert!((sum - 24e-3).abs() < 5e-4 && figure.bars[0].std.is_some_and(|std| std > 0.0), "{figure:?}");
     assert!(figure.notes[0].contains("model, where") && figure.notes[0].contains("measured total"));
     assert_eq!(figure.notes[1..], ["n = 88 (44 each) · left out: 10 warm-up, 2 failed"]);
-    let nothing = [run(5, |_| vec![("sensing", 1.0)])];
-    assert!(stacked::drawings(&nothing).is_err_and(|missing| missing.to_string().contains("warm-up")));
+    let all_warm_up = [run(5, |_| vec![("sensing", 1.0)])];
+    assert!(stacked::drawings(&all_warm_up).is_err_and(|missing| missing.to_string().contains("warm-up")));
 }
 
 #[test]
-fn lateness_is_separate_part() {
+fn lateness_is_separate_part_of_bar() {
     let mut run = placed("s", "local", 20.0);
     run.rows.change(|row| {
         if !row.values.is_empty() {
@@ -176,7 +186,7 @@ fn lateness_is_separate_part() {
             row.values.push(("lateness".into(), 7e-3));
         }
     });
-    let drawings = stacked::drawings(&[run]).expect("there is something");
+    let drawings = stacked::drawings(&[run]).expect("there are bars");
     let AnyFigure::Stacked(figure) = &drawings[0].figure else { panic!("bars") };
     assert_eq!(figure.stages[2..], ["lateness", UNATTRIBUTED]);
     let bar = &figure.bars[0];
@@ -185,7 +195,7 @@ fn lateness_is_separate_part() {
     assert!(figure.notes.iter().any(|note| note.starts_with("late start: ")), "{:?}", figure.notes);
 }
 
-/// Returns the estimate of a share of `right` out of `count`.
+/// Returns the estimate of a quality for `right` right answers or successes out of `count`.
 fn estimate_of_counts(quality: Quality, right: u64, count: u64) -> Option<QualityEstimate> {
     let mean = right as f64 / count as f64;
     quality.from_statistics(|name| (name == quality.name()).then_some((count, mean, None)))
@@ -194,8 +204,8 @@ fn estimate_of_counts(quality: Quality, right: u64, count: u64) -> Option<Qualit
 #[test]
 fn accuracy_is_drawn_against_latency() {
     let labelled = |model: &str, total: f64| {
-        let place = placed(model, "local", 1.0).record;
-        Loaded { record: place, ..run_with_total(total) }
+        let record = placed(model, "local", 1.0).record;
+        Loaded { record, ..run_with_total(total) }
     };
     let drawings = accuracy::drawings(&[labelled("s", 20.0), labelled("m", 80.0), placed("l", "local", 9.0)]);
     let drawings = drawings.expect("there are labels");
@@ -211,12 +221,13 @@ fn accuracy_is_drawn_against_latency() {
     let expected_notes =
         ["left out: 15 warm-up, 3 failed", "left out: 1 configuration without scored samples"];
     assert_eq!(figure.notes[1..], expected_notes);
-    let mut broken = labelled("s", 20.0);
-    broken.rows.change(|row| {
+    let mut with_invalid_scores = labelled("s", 20.0);
+    with_invalid_scores.rows.change(|row| {
         let scores = row.values.iter_mut().filter(|(name, _)| name == "top-1" && row.iteration > 90);
         scores.for_each(|(_, score)| *score = f64::NAN);
     });
-    let drawings = accuracy::drawings(&[broken, placed("l", "local", 9.0)]).expect("there are labels");
+    let drawings =
+        accuracy::drawings(&[with_invalid_scores, placed("l", "local", 9.0)]).expect("there are labels");
     let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
     assert_eq!(figure.notes[3], "not scored: 10 iterations without a valid score");
     assert!(
@@ -226,22 +237,23 @@ fn accuracy_is_drawn_against_latency() {
 }
 
 #[test]
-fn single_configuration_is_compared_only_on_request() {
+fn bar_of_single_configuration_is_drawn_only_on_request() {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut repeat = [placed("s", "local", 20.0), placed("s", "local", 21.0)];
-    repeat[1].record.experiment.as_mut().expect("an experiment").repeat = 1;
-    assert_eq!(of_experiment(&repeat, folder.path()).expect("nothing to write"), Vec::<PathBuf>::new());
-    let asked = draw(Kind::Stacked, &repeat, &Columns::default(), folder.path()).expect("asked for");
-    assert_eq!(names(&asked.files), written_as("stacked"));
+    let mut repeats = [placed("s", "local", 20.0), placed("s", "local", 21.0)];
+    repeats[1].record.experiment.as_mut().expect("an experiment").repeat = 1;
+    assert_eq!(of_experiment(&repeats, folder.path()).expect("nothing to write"), Vec::<PathBuf>::new());
+    let requested =
+        draw(Kind::Stacked, &repeats, &Columns::default(), folder.path()).expect("drawn on request");
+    assert_eq!(file_names(&requested.files), written_as("stacked"));
 }
 
 #[test]
-fn totals_have_four_curves_per_figure() {
-    let timed = |model: &str, total: f64| {
+fn figure_of_totals_has_at_most_four_curves() {
+    let with_total = |model: &str, total: f64| {
         let record = placed(model, "local", 1.0).record;
         Loaded { record, ..run_with_total(total) }
     };
-    let runs = ["s", "m", "l", "xl", "xxl"].map(|model| timed(model, 20.0));
+    let runs = ["s", "m", "l", "xl", "xxl"].map(|model| with_total(model, 20.0));
     let drawings = totals::drawings(&runs).expect("there are totals");
     assert_eq!(
         drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
@@ -250,7 +262,7 @@ fn totals_have_four_curves_per_figure() {
     let AnyFigure::Cumulative(figure) = &drawings[0].figure else { panic!("curves") };
     assert_eq!(figure.curves.iter().map(|curve| curve.values.len()).collect::<Vec<_>>(), [94; 4]);
     assert_eq!(figure.notes[..2], ["n = 94 each", "configurations: model, where · measured total"]);
-    assert!(totals::drawings(&[remote(4)]).is_err(), "all is warm-up");
+    assert!(totals::drawings(&[remote(4)]).is_err(), "all rows are warm-up");
 }
 
 #[test]
@@ -260,8 +272,8 @@ fn run_has_curves_of_total_and_longest_stages() {
     let AnyFigure::Cumulative(figure) = &drawings[0].figure else { panic!("curves") };
     let names: Vec<&str> = figure.curves.iter().map(|curve| curve.name.as_str()).collect();
     assert_eq!(names, ["total", "sensing", "upload"]);
-    let one = cumulative::drawings(&run.record, &run.rows, Some("upload")).expect("there are values");
-    assert_eq!((one.len(), one[0].stem.as_str()), (1, "upload-cumulative"));
+    let of_upload = cumulative::drawings(&run.record, &run.rows, Some("upload")).expect("there are values");
+    assert_eq!((of_upload.len(), of_upload[0].stem.as_str()), (1, "upload-cumulative"));
     assert!(cumulative::drawings(&run.record, &run.rows, Some("nonsense")).is_err());
 }
 
@@ -282,9 +294,9 @@ fn models_are_paired_by_placement() {
         [44, 44]
     );
     assert!(figure.groups[0].values[0].median() > figure.groups[0].values[1].median());
-    // Both at one place, and each at another.
+    // Two models at one placement, and two models at different placements.
     for unpaired in [[runs[1].clone(), runs[2].clone()], [runs[0].clone(), runs[2].clone()]] {
-        let missing = paired::drawings(&unpaired, None).expect_err("no model ran at two places");
+        let missing = paired::drawings(&unpaired, None).expect_err("no model ran at two placements");
         assert!(missing.to_string().contains("one model at two placements"), "{missing}");
     }
     assert!(paired::drawings(&runs, Some("ipc")).is_err());
@@ -294,7 +306,7 @@ fn models_are_paired_by_placement() {
 fn payloads_of_several_sizes_are_fitted() {
     let sized = run(300, |number| {
         let bytes = [1e3, 1e4, 1e5, 1e6][number as usize % 4];
-        // 0.2 ms and 100 MB/s, a little late at times.
+        // 0.2 ms plus the size at 100 MB/s, with a small variation.
         let delay = 0.2 + bytes / 1e5 * (1.0 + (number as f64 % 5.0) * 1e-4);
         vec![("upload-bytes", bytes), ("upload", delay), ("download-bytes", 8.0), ("download", 0.1)]
     });
@@ -304,7 +316,7 @@ fn payloads_of_several_sizes_are_fitted() {
         ["payload-latency", "payload-throughput"]
     );
     let AnyFigure::Scaling(latency) = &drawings[0].figure else { panic!("a fit") };
-    assert_eq!(latency.series.len(), 1, "answers had one size");
+    assert_eq!(latency.series.len(), 1, "all answers have one size, so downloads have no series");
     assert_eq!(
         latency.series[0].values.iter().map(|value| value.bytes).collect::<Vec<_>>(),
         [1e3, 1e4, 1e5, 1e6]
@@ -318,20 +330,23 @@ fn payloads_of_several_sizes_are_fitted() {
         throughput.series[0].name.starts_with("upload: 99.98") && throughput.series[0].name.contains(" ± ")
     );
     assert!(latency.title.starts_with("One-way delay against payload"));
-    let missing = "not drawn: download of 8 B, because the largest size must be at least twice the smallest";
-    let expected_notes = [missing, "left out: 5 warm-up, 1 failed", "messages of each size: 73 to 74"];
+    let download_note = "not drawn: download of 8 B, because the largest size must be at least twice the smallest";
+    let expected_notes = [download_note, "left out: 5 warm-up, 1 failed", "messages of each size: 73 to 74"];
     assert_eq!(latency.notes, expected_notes);
     assert_eq!(throughput.notes, latency.notes);
-    assert_eq!((drawings[0].missing.as_slice(), drawings[1].missing.len()), (&[missing.to_owned()][..], 0));
+    assert_eq!(
+        (drawings[0].left_out.as_slice(), drawings[1].left_out.len()),
+        (&[download_note.to_owned()][..], 0)
+    );
     assert!(payload::drawings(&[remote(60)]).is_err());
-    let named = |name: &str| {
-        let record = placed(name, "remote", 1.0).record;
+    let with_model = |model: &str| {
+        let record = placed(model, "remote", 1.0).record;
         Loaded { record, folder: "results".into(), rows: sized.rows.clone() }
     };
-    let drawings = payload::drawings(&[named("s"), named("m")]).expect("sizes differ");
+    let drawings = payload::drawings(&[with_model("s"), with_model("m")]).expect("sizes differ");
     let AnyFigure::Scaling(throughput) = &drawings[1].figure else { panic!("a fit") };
     let expected_notes = [
-        missing,
+        download_note,
         "messages of 2 runs, pooled, that differ in model",
         "left out: 10 warm-up, 2 failed",
         "messages of each size: 146 to 148",
@@ -339,8 +354,8 @@ fn payloads_of_several_sizes_are_fitted() {
     assert_eq!(throughput.notes, expected_notes);
 }
 
-/// Returns one edge of a run with `edges` edges.
-fn shared(model: &str, edges: usize, edge: usize, total: f64) -> Loaded {
+/// Returns the run of one of `edges` edges that use the cloud at the same time. `edge` is its index.
+fn run_of_edge(model: &str, edges: usize, edge: usize, total: f64) -> Loaded {
     let mut run = run_with_total(total);
     run.record.edge.name = format!("robot-{edge}");
     let configuration = vec![("model".to_owned(), model.to_owned()), ("edges".to_owned(), edges.to_string())];
@@ -358,7 +373,7 @@ fn shared(model: &str, edges: usize, edge: usize, total: f64) -> Loaded {
 #[test]
 fn concurrent_edges_have_curve_per_model() {
     let at_once = |model: &'static str, edges: usize, total: f64| {
-        (0..edges).map(move |edge| shared(model, edges, edge, total + edge as f64)).collect::<Vec<_>>()
+        (0..edges).map(move |edge| run_of_edge(model, edges, edge, total + edge as f64)).collect::<Vec<_>>()
     };
     let runs = [at_once("s", 2, 40.0), at_once("s", 1, 20.0), at_once("m", 1, 30.0), at_once("m", 3, 90.0)];
     let drawings = users::drawings(&runs.concat()).expect("there are several edges");
@@ -368,23 +383,33 @@ fn concurrent_edges_have_curve_per_model() {
     let edges =
         |curve: usize| figure.curves[curve].points.iter().map(|point| point.edges).collect::<Vec<_>>();
     assert_eq!((edges(0), edges(1)), (vec![1, 2], vec![1, 3]));
-    let two = &figure.curves[0].points[1];
-    // Both edges have the same rate; the second one waited a millisecond longer.
-    assert_eq!((two.fairness, two.edge_medians.len()), (Some(1.0), 2));
-    assert!((two.edge_medians[1] - two.edge_medians[0] - 1e-3).abs() < 1e-9 && two.p95.is_some(), "{two:?}");
-    assert!(two.edge_medians[0] < two.median && two.median < two.edge_medians[1], "{two:?}");
+    let two_edges = &figure.curves[0].points[1];
+    // Both edges have the same rate, and the totals of the second edge are a millisecond longer.
+    assert_eq!((two_edges.fairness, two_edges.edge_medians.len()), (Some(1.0), 2));
+    assert!(
+        (two_edges.edge_medians[1] - two_edges.edge_medians[0] - 1e-3).abs() < 1e-9
+            && two_edges.p95.is_some(),
+        "{two_edges:?}"
+    );
+    assert!(
+        two_edges.edge_medians[0] < two_edges.median && two_edges.median < two_edges.edge_medians[1],
+        "{two_edges:?}"
+    );
     let folder = tempfile::tempdir().expect("a folder");
     let files = of_experiment(&runs.concat(), folder.path()).expect("written");
-    assert!(names(&files).ends_with(&written_as("users")), "{files:?}");
-    let alone = of_experiment(&runs[0], folder.path()).expect("written");
-    assert!(!names(&alone).contains(&"users.png".to_owned()), "one number of edges is no curve: {alone:?}");
+    assert!(file_names(&files).ends_with(&written_as("users")), "{files:?}");
+    let files = of_experiment(&runs[0], folder.path()).expect("written");
+    assert!(
+        !file_names(&files).contains(&"users.png".to_owned()),
+        "one number of edges is no curve: {files:?}"
+    );
     assert!(users::drawings(&runs[1]).is_err_and(|missing| missing.to_string().contains("experiment.users")));
 }
 
 #[test]
-fn many_curves_are_several_pictures() {
-    let runs =
-        ["a", "b", "c", "d", "e"].map(|model| vec![shared(model, 2, 0, 20.0), shared(model, 2, 1, 20.0)]);
+fn more_than_four_curves_need_a_second_figure() {
+    let runs = ["a", "b", "c", "d", "e"]
+        .map(|model| vec![run_of_edge(model, 2, 0, 20.0), run_of_edge(model, 2, 1, 20.0)]);
     let drawings = users::drawings(&runs.concat()).expect("there are several edges");
     assert_eq!(
         drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
@@ -406,13 +431,13 @@ fn series_has_totals_stages_warm_up_and_failed_iterations() {
         time_series.stages.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(),
         ["sensing", "upload", "inference", "download"]
     );
-    let near = |value: f64, wanted: f64| (value - wanted).abs() < 1e-6;
+    let is_near = |value: f64, expected: f64| (value - expected).abs() < 1e-6;
     assert!(
-        near(time_series.failure_times[0], 0.6) && time_series.failure_times.len() == 1,
+        is_near(time_series.failure_times[0], 0.6) && time_series.failure_times.len() == 1,
         "{time_series:?}"
     );
-    assert!(near(time_series.warm_up[0].0, 0.0) && near(time_series.warm_up[0].1, 0.5));
-    assert!(near(time_series.episode_starts[0], 1.9) && time_series.episode_starts.len() == 3);
+    assert!(is_near(time_series.warm_up[0].0, 0.0) && is_near(time_series.warm_up[0].1, 0.5));
+    assert!(is_near(time_series.episode_starts[0], 1.9) && time_series.episode_starts.len() == 3);
     assert!(time_series.notes[0].starts_with("n = 54 and 5 warm-up"), "{:?}", time_series.notes);
     run.rows.change(|row| row.at = 0.0);
     let AnyFigure::TimeSeries(time_series) =
@@ -429,18 +454,18 @@ fn series_has_totals_stages_warm_up_and_failed_iterations() {
 }
 
 #[test]
-fn experiment_has_figures_that_its_data_allow() {
+fn experiment_has_figures_for_which_it_has_data() {
     let folder = tempfile::tempdir().expect("a folder");
     let runs = [placed("s", "local", 20.0), placed("s", "remote", 4.0)];
     let files = of_experiment(&runs, folder.path()).expect("written");
-    assert_eq!(names(&files), [written_as("stacked"), written_as("paired")].concat());
+    assert_eq!(file_names(&files), [written_as("stacked"), written_as("paired")].concat());
     assert_eq!(of_experiment(&[], folder.path()).expect("nothing to write"), Vec::<PathBuf>::new());
-    let missing = folder.path().join("missing");
-    let error = draw(Kind::Payload, &runs, &Columns::default(), &missing).expect_err("nothing was sent");
+    let new_folder = folder.path().join("new");
+    let error = draw(Kind::Payload, &runs, &Columns::default(), &new_folder).expect_err("nothing was sent");
     assert!(error.to_string().starts_with("cannot draw payload: it needs"), "{error}");
-    assert!(!missing.exists(), "nothing is in it");
-    draw(Kind::Stacked, &runs, &Columns::default(), &missing.join("a")).expect("it is made");
-    let file = missing.join("a/stacked.png");
-    let error = draw(Kind::Stacked, &runs, &Columns::default(), &file).expect_err("no folder");
+    assert!(!new_folder.exists(), "the folder would be empty");
+    draw(Kind::Stacked, &runs, &Columns::default(), &new_folder.join("a")).expect("the folder is created");
+    let file = new_folder.join("a/stacked.png");
+    let error = draw(Kind::Stacked, &runs, &Columns::default(), &file).expect_err("a file is no folder");
     assert!(matches!(error, PlotError::Write(_)), "{error}");
 }

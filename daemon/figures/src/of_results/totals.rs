@@ -1,4 +1,4 @@
-//! Distributions of the totals of configurations.
+//! Figures of the cumulative distributions of the totals of configurations.
 
 use peernet_statistics::number;
 
@@ -16,7 +16,8 @@ use peernet_analysis::total_column::TotalColumn;
 /// Width of a curve, points.
 const LINE_WIDTH: f64 = 1.0;
 
-/// Returns the figures with one curve for each configuration, at most four curves in a figure; repeats are pooled.
+/// Returns figures with one curve for each configuration, at most [`MAX_CURVES`] in a figure. Repeats of a configuration are
+/// pooled.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
     let all_rows = || groups.iter().flat_map(|(_, runs)| rows_in_statistics(runs));
@@ -34,39 +35,43 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         return Err(MissingData::Total);
     }
     let omitted_groups = groups.len() - groups_with_total.len();
-    let mut missing = Vec::new();
+    let mut left_out = Vec::new();
     if omitted_groups > 0 {
         let configurations = number::counted(omitted_groups as u64, "configuration");
-        missing.push(format!("left out: {configurations} without a total"));
+        left_out.push(format!("left out: {configurations} without a total"));
     }
     let mut notes = vec![format!("configurations: {} · {}", axes.join(", "), total.description())];
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     notes.extend(too_large_note(all_rows(), &[total.name()]));
-    notes.extend(missing.iter().cloned());
-    let drawings = groups_with_total.chunks(MAX_CURVES).enumerate().map(|(number, chunk)| {
-        let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
-        let each = number::range_of_counts(chunk.iter().map(|(_, values)| values.len() as u64));
+    notes.extend(left_out.iter().cloned());
+    let drawings = groups_with_total.chunks(MAX_CURVES).enumerate().map(|(index, chunk)| {
+        let suffix = if index == 0 { String::new() } else { format!("-{}", index + 1) };
+        let count_range = number::range_of_counts(chunk.iter().map(|(_, values)| values.len() as u64));
         let figure = Cumulative {
             title: "Total by configuration".to_owned(),
             unit: Unit::milliseconds("Total"),
-            curves: chunk.iter().enumerate().map(|(number, group)| curve(group, number)).collect(),
-            notes: each
-                .map(|each| format!("n = {each} each"))
+            curves: chunk
+                .iter()
+                .enumerate()
+                .map(|(series_index, group)| curve(group, series_index))
+                .collect(),
+            notes: count_range
+                .map(|counts| format!("n = {counts} each"))
                 .into_iter()
                 .chain(notes.iter().cloned())
                 .collect(),
         };
         let drawing = Drawing::new(format!("totals{suffix}"), AnyFigure::Cumulative(figure));
-        // All figures show the notes on what is missing. Only the first passes them on to the terminal, so that each
-        // note is printed once.
-        if number == 0 { drawing.with_left_out(missing.clone()) } else { drawing }
+        // All figures show the notes on what is left out. Only the first figure passes the notes on to the terminal, so that
+        // each note is printed once.
+        if index == 0 { drawing.with_left_out(left_out.clone()) } else { drawing }
     });
     Ok(drawings.collect())
 }
 
-/// Returns the curve of a configuration in the look of the series with this number.
-fn curve((label, values): &(&String, SortedValues), number: usize) -> CumulativeCurve {
-    let look = series(number);
+/// Returns the curve of a configuration in the look of the series with this index.
+fn curve((label, values): &(&String, SortedValues), series_index: usize) -> CumulativeCurve {
+    let look = series(series_index);
     let mark = (look.mark, look.marks());
     CumulativeCurve { name: (*label).clone(), line: look.line(LINE_WIDTH), mark, values: values.clone() }
 }

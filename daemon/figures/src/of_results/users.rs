@@ -1,4 +1,4 @@
-//! Figure of latency against the number of edges that run at the same time.
+//! Figures of latency against the number of edges that use the cloud at the same time.
 
 use peernet_statistics::number::counted;
 
@@ -10,7 +10,7 @@ use crate::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::users::{COUNTED_TIME, Curve, Users, UsersLine};
 
-/// Maximum number of configurations that a note names. If there are more, the note gives their number.
+/// Maximum number of configurations that a note names. If there are more configurations, the note gives their number.
 const MAX_NAMED: usize = 3;
 
 /// Returns whether some configuration was measured with different numbers of edges.
@@ -19,7 +19,7 @@ pub(super) fn have_curves(runs: &[Loaded]) -> bool {
         .is_some_and(|users| Curve::from_users(&users).iter().any(|curve| curve.points.len() > 1))
 }
 
-/// Returns the figures with one curve for each configuration, at most four curves in a figure.
+/// Returns figures with one curve for each configuration, at most [`MAX_CURVES`] in a figure.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let users = Users::from_runs(runs).ok_or(MissingData::Users)?;
     if !users.lines.iter().any(has_total) {
@@ -28,30 +28,30 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let mut notes = vec![COUNTED_TIME.to_owned()];
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     let curves = Curve::from_users(&users);
-    let drawings = curves.chunks(MAX_CURVES).enumerate().map(|(number, curves)| {
-        let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
-        let missing: Vec<String> = missing_points_note(curves).into_iter().collect();
+    let drawings = curves.chunks(MAX_CURVES).enumerate().map(|(index, curves)| {
+        let suffix = if index == 0 { String::new() } else { format!("-{}", index + 1) };
+        let left_out: Vec<String> = missing_points_note(curves).into_iter().collect();
         let sharing = Sharing {
             title: "Latency against the number of edges".to_owned(),
             unit: Unit::milliseconds("Total"),
             curves: curves.iter().map(curve).collect(),
-            notes: notes.iter().chain(&missing).cloned().collect(),
+            notes: notes.iter().chain(&left_out).cloned().collect(),
         };
-        Drawing::new(format!("users{suffix}"), AnyFigure::Sharing(sharing)).with_left_out(missing)
+        Drawing::new(format!("users{suffix}"), AnyFigure::Sharing(sharing)).with_left_out(left_out)
     });
     Ok(drawings.collect())
 }
 
-/// Returns a curve. Its name is marked if latencies of its points are replayed.
+/// Returns the curve of a configuration. Its name is marked if latencies of its points are replayed.
 fn curve(curve: &Curve<'_>) -> SharingCurve {
     let is_replayed = curve.points.iter().any(|line| line.replayed.is_some());
-    // A single curve has no name in the legend.
+    // A single curve has no name in the legend, so the mark cannot follow a name.
     let is_named = !curve.name.is_empty();
     SharingCurve { name: marked(&curve.name, is_replayed && is_named), ..SharingCurve::new(curve) }
 }
 
-/// Returns a note on the points that these curves lack; `None` if no point is missing. If there are few such points,
-/// the note names them.
+/// Returns a note on the points that these curves lack; `None` if no point is missing. The note names at most [`MAX_NAMED`]
+/// points.
 fn missing_points_note(curves: &[Curve<'_>]) -> Option<String> {
     let missing_points = |curve: &Curve<'_>| -> Vec<String> {
         let lines = curve.points.iter().filter(|line| !has_total(line));

@@ -10,23 +10,24 @@ use crate::plot::Figure;
 use crate::render::export;
 use peernet_analysis::WriteError;
 
-/// Figure with the common beginning of the names of its files.
+/// Figure that is to be written, with the names of its files and notes on what is left out.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Drawing {
     /// Common beginning of the names of the files: the name without the ending.
     pub(super) stem: String,
+    /// Contents of the figure.
     pub(super) figure: AnyFigure,
     /// Notes on runs, directions or configurations that are not in the figure.
-    pub(super) missing: Vec<String>,
+    pub(super) left_out: Vec<String>,
 }
 
 /// Result of writing figures.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct WrittenFigures {
-    /// The files, four for each figure: PNG, SVG, PDF and its text.
+    /// The files, four for each figure: PNG, SVG, PDF and caption.
     pub files: Vec<PathBuf>,
     /// Notes on runs, directions or configurations that are in no figure, with the reasons: `stacked: left out: …`.
-    pub missing: Vec<String>,
+    pub left_out: Vec<String>,
 }
 
 /// Figure of any kind.
@@ -45,12 +46,12 @@ pub(super) enum AnyFigure {
 
 impl Drawing {
     pub(super) fn new(stem: impl Into<String>, figure: AnyFigure) -> Self {
-        Self { stem: stem.into(), figure, missing: Vec::new() }
+        Self { stem: stem.into(), figure, left_out: Vec::new() }
     }
 
     /// Returns the same drawing with notes on what is left out of the figure.
-    pub(super) fn with_left_out(self, missing: Vec<String>) -> Self {
-        Self { missing, ..self }
+    pub(super) fn with_left_out(self, left_out: Vec<String>) -> Self {
+        Self { left_out, ..self }
     }
 
     /// Returns whether the figure shows latencies of a model, or sums that contain them.
@@ -58,7 +59,7 @@ impl Drawing {
         match &self.figure {
             AnyFigure::Histogram(histogram) => has_model_latency(&histogram.stage),
             AnyFigure::Lengths(lengths) => has_model_latency(&lengths.stage),
-            // Upload and download are measured.
+            // Upload and download are measured even if the latencies of the model are replayed.
             AnyFigure::Scaling(_) => false,
             AnyFigure::TimeSeries(_)
             | AnyFigure::Cumulative(_)
@@ -69,7 +70,7 @@ impl Drawing {
         }
     }
 
-    fn lay_out(&self) -> Figure {
+    fn layout(&self) -> Figure {
         match &self.figure {
             AnyFigure::Histogram(figure) => figure.figure(),
             AnyFigure::TimeSeries(figure) => figure.figure(),
@@ -84,11 +85,11 @@ impl Drawing {
     }
 }
 
-/// Writes figures into a folder. `replayed` is the note on latencies that were not measured. It is added to each figure
-/// that shows such latencies.
+/// Writes figures into a folder. `replayed_note` is the note on replayed latencies. The note is added to each figure that
+/// shows latencies of a model.
 pub(super) fn write(
     drawings: &[Drawing],
-    replayed: Option<&str>,
+    replayed_note: Option<&str>,
     folder: &Path,
 ) -> Result<WrittenFigures, WriteError> {
     if !drawings.is_empty() {
@@ -96,11 +97,11 @@ pub(super) fn write(
     }
     let mut written = WrittenFigures::default();
     for drawing in drawings {
-        let mut figure = drawing.lay_out();
-        let replayed = replayed.filter(|_| drawing.shows_model_latency());
-        figure.notes.extend(replayed.map(str::to_owned));
+        let mut figure = drawing.layout();
+        let needed_note = replayed_note.filter(|_| drawing.shows_model_latency());
+        figure.notes.extend(needed_note.map(str::to_owned));
         written.files.extend(export::write(&figure, folder, &drawing.stem)?);
-        written.missing.extend(drawing.missing.iter().map(|missing| format!("{}: {missing}", drawing.stem)));
+        written.left_out.extend(drawing.left_out.iter().map(|note| format!("{}: {note}", drawing.stem)));
     }
     Ok(written)
 }

@@ -1,4 +1,4 @@
-//! Cumulative distributions.
+//! Tests of cumulative distributions.
 
 use super::*;
 use crate::look::{Style, series};
@@ -19,7 +19,7 @@ fn cumulative(values: Vec<SortedValues>) -> Cumulative {
 }
 
 #[test]
-fn curve_rises_from_zero_to_one() {
+fn curve_rises_from_bottom_to_top_of_plot() {
     let figure = cumulative(vec![millis((0..=1000).map(f64::from))]);
     let svg = figure.svg();
     let path = &Elements::of(&svg, "path").with("fill", "none").0[0]["d"];
@@ -34,32 +34,39 @@ fn curve_rises_from_zero_to_one() {
         (first.1 - area.top - area.height).abs() < 0.1 && (last.1 - area.top).abs() < 0.1,
         "{first:?} {last:?}"
     );
-    // Evenly spread values are a straight line.
+    // The curve of evenly spaced values is a straight line.
     let middle = points[points.len() / 2];
     let (x, y) = (f64::midpoint(first.0, last.0), f64::midpoint(first.1, last.1));
     assert!((middle.0 - x).abs() < 1.0 && (middle.1 - y).abs() < 1.0, "{middle:?}");
-    assert!(has(&svg, "Share of iterations, %") && has(&svg, "Total by configuration · n = 9 each"));
-    assert_within_paper(&svg);
+    assert!(
+        has_text(&svg, "Share of iterations, %") && has_text(&svg, "Total by configuration · n = 9 each")
+    );
+    assert_valid_file(&svg);
 }
 
 #[test]
 fn values_beyond_axis_are_counted_per_curve() {
-    let late = |extra: f64| millis((0..400).map(|i| 10.0 + f64::from(i % 50)).chain([extra]));
-    let one = cumulative(vec![late(9e4)]);
-    assert!(texts(&one.svg()).iter().any(|text| text.starts_with("1 beyond 6")), "{:?}", texts(&one.svg()));
-    let two = cumulative(vec![late(9e4), late(8e4)]);
+    let with_late_value =
+        |late_value: f64| millis((0..400).map(|i| 10.0 + f64::from(i % 50)).chain([late_value]));
+    let single = cumulative(vec![with_late_value(9e4)]);
+    assert!(
+        texts(&single.svg()).iter().any(|text| text.starts_with("1 beyond 6")),
+        "{:?}",
+        texts(&single.svg())
+    );
+    let two = cumulative(vec![with_late_value(9e4), with_late_value(8e4)]);
     let note = "beyond the axis: 1 of configuration 0, 1 of configuration 1";
     assert!(two.caption_text().contains(note), "{}", two.caption_text());
-    let apart = cumulative(vec![millis([1.0, 1.1, 1.2]), millis([900.0, 910.0])]);
-    assert!(has(&apart.svg(), "Total, ms (log scale)"), "{:?}", texts(&apart.svg()));
-    assert_within_paper(&apart.svg());
+    let far_apart = cumulative(vec![millis([1.0, 1.1, 1.2]), millis([900.0, 910.0])]);
+    assert!(has_text(&far_apart.svg(), "Total, ms (log scale)"), "{:?}", texts(&far_apart.svg()));
+    assert_valid_file(&far_apart.svg());
 }
 
 #[test]
-fn unusual_curves_give_valid_figure() {
+fn unusual_values_give_valid_curves() {
     for values in [vec![], vec![7.0], vec![0.0; 30], vec![-2.0, 1.0], vec![f64::NAN, 3.0, f64::INFINITY]] {
         let figure = cumulative(vec![millis(values.clone()), millis([])]);
-        assert_within_paper(&figure.svg());
-        assert!(!values.is_empty() || has(&figure.svg(), "no values"));
+        assert_valid_file(&figure.svg());
+        assert!(!values.is_empty() || has_text(&figure.svg(), "no values"));
     }
 }

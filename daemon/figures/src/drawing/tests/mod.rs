@@ -1,4 +1,4 @@
-//! Tests of drawn figures: the contents of the SVG and their places.
+//! Tests of drawn figures: the elements of the SVG and their positions.
 
 mod bars;
 mod curves;
@@ -20,27 +20,28 @@ use crate::render::{export, file};
 use crate::text::{self, missing_glyph};
 use peernet_analysis::order::SortedValues;
 
-/// The elements of a kind in an SVG: their attributes.
+/// Attributes of each element with one tag in an SVG.
 struct Elements(Vec<HashMap<String, String>>);
 
 impl Elements {
     fn of(svg: &str, tag: &str) -> Self {
         let element = |text: &str| -> HashMap<String, String> {
             let head = text.split('>').next().unwrap_or_default();
-            let parts: Vec<&str> = head.split('"').collect();
-            let pairs = parts.chunks_exact(2);
+            let names_and_values: Vec<&str> = head.split('"').collect();
+            let pairs = names_and_values.chunks_exact(2);
             pairs.map(|pair| (pair[0].trim().trim_end_matches('=').to_owned(), pair[1].to_owned())).collect()
         };
         Self(svg.split(&format!("<{tag} ")).skip(1).map(element).collect())
     }
 
-    /// Returns the elements with a value of an attribute, in any case of letters.
+    /// Returns the elements whose attribute has this value. Upper and lower case are not distinguished.
     fn with(mut self, attribute: &str, value: &str) -> Self {
         self.0
-            .retain(|element| element.get(attribute).is_some_and(|found| found.eq_ignore_ascii_case(value)));
+            .retain(|element| element.get(attribute).is_some_and(|other| other.eq_ignore_ascii_case(value)));
         self
     }
 
+    /// Returns the value of a numeric attribute of each element.
     fn numbers(&self, attribute: &str) -> Vec<f64> {
         self.0.iter().map(|element| element[attribute].parse().expect("a number")).collect()
     }
@@ -48,20 +49,22 @@ impl Elements {
 
 /// Returns the texts of an SVG.
 fn texts(svg: &str) -> Vec<String> {
-    let parts = svg.split("<text ").skip(1).filter_map(|part| part.split('>').nth(1)?.split('<').next());
-    parts.map(|text| text.trim().to_owned()).collect()
+    let elements = svg.split("<text ").skip(1);
+    let contents = elements.filter_map(|element| element.split('>').nth(1)?.split('<').next());
+    contents.map(|text| text.trim().to_owned()).collect()
 }
 
-fn has(svg: &str, wanted: &str) -> bool {
+/// Returns whether an SVG has this text.
+fn has_text(svg: &str, wanted: &str) -> bool {
     texts(svg).iter().any(|text| text == wanted)
 }
 
-/// Returns the value of `fill` of a stage.
-fn colour(name: &str) -> String {
+/// Returns the fill colour of a stage in a file.
+fn fill_colour(name: &str) -> String {
     stage(name).colour.light.to_string()
 }
 
-/// Figure of a kind, as drawn.
+/// Figure of any kind that can be drawn as a file.
 trait Draw {
     fn layout(&self) -> Figure;
 
@@ -87,62 +90,68 @@ macro_rules! draw {
 
 draw!(Accuracy, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked, TimeSeries);
 
+/// Returns values in milliseconds as sorted values in seconds.
 fn millis(values: impl IntoIterator<Item = f64>) -> SortedValues {
     values.into_iter().map(|value| value / 1e3).collect()
 }
 
-/// Returns width and height of a picture, points.
-fn size(svg: &str) -> (f64, f64) {
+/// Returns the width and the height of a picture, points.
+fn picture_size(svg: &str) -> (f64, f64) {
     let size = svg.split("viewBox=\"0 0 ").nth(1).and_then(|rest| rest.split('"').next()).expect("a size");
     let (width, height) = size.split_once(' ').expect("two numbers");
     (width.parse().expect("a number"), height.parse().expect("a number"))
 }
 
-/// Asserts that everything that is drawn lies on the paper, and that every text is complete, large enough and in the font.
-fn assert_within_paper(svg: &str) {
-    let (width, height) = size(svg);
-    for (tag, along, across) in
-        [("rect", "x", "y"), ("circle", "cx", "cy"), ("text", "x", "y"), ("line", "x1", "y1")]
+/// Asserts that all elements lie in the picture, and that every text fits into the picture, is large enough, and has a glyph in
+/// the font for each character.
+fn assert_valid_file(svg: &str) {
+    let (width, height) = picture_size(svg);
+    for (tag, x, y) in [("rect", "x", "y"), ("circle", "cx", "cy"), ("text", "x", "y"), ("line", "x1", "y1")]
     {
         let numbers = |attribute: &str| -> Vec<f64> {
             let elements = Elements::of(svg, tag);
             elements.0.iter().filter_map(|element| element.get(attribute)?.parse().ok()).collect()
         };
-        let inside = |values: Vec<f64>, most: f64| values.iter().all(|value| (0.0..=most).contains(value));
-        assert!(inside(numbers(along), width), "{tag} {along} in {svg}");
-        assert!(inside(numbers(across), height), "{tag} {across} in {svg}");
+        let are_inside = |values: Vec<f64>, max: f64| values.iter().all(|value| (0.0..=max).contains(value));
+        assert!(are_inside(numbers(x), width), "{x} of a {tag} is outside of {svg}");
+        assert!(are_inside(numbers(y), height), "{y} of a {tag} is outside of {svg}");
     }
     assert!(Elements::of(svg, "rect").numbers("width").iter().all(|width| *width >= 0.0));
     assert!(Elements::of(svg, "rect").numbers("height").iter().all(|height| *height >= 0.0));
     assert!(!svg.contains("NaN") && !svg.contains("\"inf"), "{svg}");
     let sizes = Elements::of(svg, "text").numbers("font-size");
     assert!(sizes.iter().all(|size| *size >= 7.0), "{sizes:?}");
-    for (element, words) in Elements::of(svg, "text").0.iter().zip(texts(svg)) {
-        assert_eq!(missing_glyph(&words), None, "{words}");
+    for (element, text) in Elements::of(svg, "text").0.iter().zip(texts(svg)) {
+        assert_eq!(missing_glyph(&text), None, "{text}");
         let number = |name: &str| element[name].parse::<f64>().expect("a number");
-        let wide = text::width(
-            &words.replace("&amp;", "&").replace("&lt;", "<").replace("&gt;", ">"),
+        let text_width = text::width(
+            &text.replace("&amp;", "&").replace("&lt;", "<").replace("&gt;", ">"),
             number("font-size"),
         );
         let left = match element.get("text-anchor").map(String::as_str) {
-            Some("end") => number("x") - wide,
-            Some("middle") => number("x") - wide / 2.0,
+            Some("end") => number("x") - text_width,
+            Some("middle") => number("x") - text_width / 2.0,
             _ => number("x"),
         };
-        assert!(left >= -0.5 && left + wide <= width + 0.5, "{words} from {left} to {}", left + wide);
+        let right = left + text_width;
+        assert!(left >= -0.5 && right <= width + 0.5, "{text} extends from {left} to {right}");
     }
 }
 
 #[test]
-fn figure_files_have_column_width() {
+fn figure_files_have_column_width_and_resolution() {
     let folder = tempfile::tempdir().expect("a folder");
     let figure = bars::histogram(millis((0..100).map(f64::from)));
     let [png, svg, pdf, txt] = export::write(&figure.figure(), folder.path(), "some-time").expect("written");
-    let bytes = std::fs::read(&png).expect("is there");
-    let density = bytes.windows(4).position(|name| name == b"pHYs").expect("says how large its pixels are");
-    let metre = |at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().expect("four"));
-    let per_inch = [4, 8].map(|at| (f64::from(metre(density + at)) * 0.0254).round());
-    assert_eq!((per_inch, bytes[density + 12]), ([480.0; 2], 1), "to the metre");
+    let bytes = std::fs::read(&png).expect("a PNG");
+    let density = bytes.windows(4).position(|name| name == b"pHYs").expect("the chunk with the resolution");
+    let per_metre = |at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
+    let per_inch = [4, 8].map(|offset| (f64::from(per_metre(density + offset)) * 0.0254).round());
+    assert_eq!(
+        (per_inch, bytes[density + 12]),
+        ([480.0; 2], 1),
+        "the unit of the resolution is not the metre"
+    );
     let picture = image::open(&png).expect("a picture");
     assert_eq!((picture.width(), picture.height()), (1_680, 1_260));
     let svg = std::fs::read_to_string(svg).expect("read");
@@ -157,7 +166,7 @@ fn figure_files_have_column_width() {
 }
 
 #[test]
-fn names_cannot_break_a_file() {
+fn markup_and_control_characters_in_title_are_escaped() {
     let figure = Histogram {
         title: "a\tb\n<c> & \u{1b}[2J\u{0}\u{7}".to_owned(),
         ..bars::histogram(millis([1.0, 2.0]))
@@ -165,10 +174,10 @@ fn names_cannot_break_a_file() {
     let svg = figure.svg();
     assert!(svg.contains("a b &lt;c&gt; &amp;  [2J"), "{svg}");
     assert!(!svg.chars().any(|char| char.is_control() && char != '\n'), "{svg}");
-    assert_within_paper(&svg);
+    assert_valid_file(&svg);
 }
 
-/// Every character in the texts of figures has a glyph.
+/// The font has a glyph for every character in the source files that contain the texts of figures.
 #[test]
 fn font_has_all_characters_of_figures() {
     for source in [

@@ -1,4 +1,4 @@
-//! Latency over time.
+//! Tests of latency over time.
 
 use super::*;
 
@@ -19,19 +19,19 @@ fn time_series(total: Vec<(f64, f64)>) -> TimeSeries {
 }
 
 #[test]
-fn warm_up_episodes_and_losses_are_marked() {
+fn warm_up_episodes_and_failures_are_marked() {
     let figure = time_series((0..100).map(|i| (f64::from(i), 0.05 + f64::from(i % 3) * 1e-3)).collect());
     let svg = figure.svg();
     for text in ["total (band: range)", "upload", "warm-up", "failed (3)", "new episode", "Latency, ms"] {
-        assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
+        assert!(has_text(&svg, text), "{text} in {:?}", texts(&svg));
     }
-    // The key's, and the first five seconds of 99.
+    // The sample in the legend, and the first five of 99 seconds.
     let shade = Elements::of(&svg, "rect").with("fill", "#e8ebef");
     assert_eq!(shade.0.len(), 2, "{svg}");
     assert!((shade.numbers("width")[1] - 228.0 * 5.0 / 99.0).abs() < 1.5, "{:?}", shade.numbers("width"));
-    // The legend's, and two of three losses, because two are at one place.
+    // The sample in the legend, and two crosses for three failed iterations, because two of them share a column.
     assert_eq!(Elements::of(&svg, "path").with("stroke", "#9b1620").0.len(), 3, "{svg}");
-    assert_within_paper(&svg);
+    assert_valid_file(&svg);
 }
 
 #[test]
@@ -41,7 +41,7 @@ fn figure_of_100000_iterations_is_small_file() {
     let svg = figure.svg();
     assert!(svg.len() < 100_000, "{}", svg.len());
     assert!(texts(&svg).iter().any(|text| text.starts_with("1 beyond 6")), "{:?}", texts(&svg));
-    assert_within_paper(&svg);
+    assert_valid_file(&svg);
 }
 
 #[test]
@@ -59,9 +59,9 @@ fn single_stall_does_not_hide_the_run() {
 }
 
 #[test]
-fn lines_stop_where_nothing_was_measured() {
+fn band_is_interrupted_where_nothing_was_measured() {
     let with_gap = |i: u32| f64::from(i) + if i < 500 { 0.0 } else { 3000.0 };
-    let lines = |total: Vec<(f64, f64)>| {
+    let piece_count = |total: Vec<(f64, f64)>| {
         let figure = TimeSeries {
             stages: Vec::new(),
             episode_starts: Vec::new(),
@@ -70,13 +70,17 @@ fn lines_stop_where_nothing_was_measured() {
         };
         Elements::of(&figure.svg(), "path").with("fill-opacity", "0.25").0[0]["d"].matches('Z').count()
     };
-    assert_eq!(lines((0..1000).map(|i| (f64::from(i), 0.05)).collect()), 1);
-    assert_eq!(lines((0..1000).map(|i| (with_gap(i), 0.05)).collect()), 2);
-    assert_eq!(lines((0..10).map(|i| (f64::from(i), 0.05)).collect()), 1, "few values are no gaps");
+    assert_eq!(piece_count((0..1000).map(|i| (f64::from(i), 0.05)).collect()), 1);
+    assert_eq!(piece_count((0..1000).map(|i| (with_gap(i), 0.05)).collect()), 2);
+    assert_eq!(
+        piece_count((0..10).map(|i| (f64::from(i), 0.05)).collect()),
+        1,
+        "the distances between few values are no gaps"
+    );
 }
 
 #[test]
-fn unusual_runs_give_valid_figure() {
+fn unusual_values_give_valid_time_series() {
     for values in
         [vec![], vec![(1.0, 0.05)], vec![(1.0, 0.05); 9], vec![(0.0, f64::NAN), (1.0, -0.02), (2.0, 0.0)]]
     {
@@ -87,12 +91,12 @@ fn unusual_runs_give_valid_figure() {
             ..time_series(values.clone())
         };
         let svg = figure.svg();
-        assert_eq!(has(&svg, "no values"), values.is_empty(), "{values:?}");
-        assert_within_paper(&svg);
+        assert_eq!(has_text(&svg, "no values"), values.is_empty(), "{values:?}");
+        assert_valid_file(&svg);
     }
-    let many = TimeSeries {
+    let many_episodes = TimeSeries {
         episode_starts: (0..500).map(f64::from).collect(),
         ..time_series(vec![(0.0, 0.1), (500.0, 0.1)])
     };
-    assert!(!has(&many.svg(), "new episode"), "borders alone would be seen");
+    assert!(!has_text(&many_episodes.svg(), "new episode"), "500 borders would hide the line");
 }

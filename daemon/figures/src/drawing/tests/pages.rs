@@ -1,4 +1,4 @@
-//! Kinds of figures that pages have, too, drawn by the renderer of pages.
+//! Tests of kinds of figures that both pages and files have, drawn by the renderer of pages.
 
 use super::*;
 use crate::look::{Mark, Style};
@@ -7,8 +7,8 @@ use crate::render::page;
 use crate::scale::Scale;
 
 fn assert_valid_for_page(html: &str) {
-    for never in [" style=", "fill=\"", "stroke=\"", "#", "NaN", "\"inf"] {
-        assert!(!html.contains(never), "{never} in {html}");
+    for forbidden in [" style=", "fill=\"", "stroke=\"", "#", "NaN", "\"inf"] {
+        assert!(!html.contains(forbidden), "{forbidden} is in {html}");
     }
 }
 

@@ -1,8 +1,9 @@
-//! Distributions side by side, and points with their margins.
+//! Tests of distributions side by side, and of points with distributions at the sides.
 
 use super::*;
 use crate::look::series;
 
+/// Returns values that are dense around `middle`, which is in milliseconds.
 fn hill(middle: f64, count: u32) -> SortedValues {
     millis((0..count).map(|i| middle * (1.0 + 0.4 * ((f64::from(i) + 0.5) / f64::from(count) - 0.5).powi(3))))
 }
@@ -20,30 +21,30 @@ fn paired(groups: Vec<Vec<SortedValues>>) -> Paired {
 }
 
 #[test]
-fn many_values_are_shape_few_are_points() {
+fn many_values_are_a_shape_and_few_values_are_points() {
     let figure = paired(vec![vec![hill(50.0, 400), hill(20.0, 400)], vec![hill(90.0, 9), hill(30.0, 0)]]);
     let svg = figure.svg();
     // The two shapes have hundreds of corners.
     let shapes = Elements::of(&svg, "path").0.into_iter().filter(|path| path["d"].len() > 300);
     assert_eq!(shapes.count(), 2, "{svg}");
-    // Nine points, the legend's, and two medians with their rims.
+    // Nine points, a sample in the legend, and two medians, each with a rim.
     assert_eq!(Elements::of(&svg, "circle").0.len(), 9 + 1 + 2 * 2, "{svg}");
     for text in ["2.50 ×", "model-0", "model-1", "local", "remote", "Inference, ms"] {
-        assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
+        assert!(has_text(&svg, text), "{text} in {:?}", texts(&svg));
     }
     assert!(
         figure.caption_text().contains("above a pair: median local ÷ remote"),
         "{}",
         figure.caption_text()
     );
-    // A reader who counts the marks finds one more than there are values.
+    // Without this note, a reader who counts the marks would find one value too many.
     assert!(
-        figure.caption_text().contains("the black mark among them is the median"),
+        figure.caption_text().contains("the black mark among the points is the median"),
         "{}",
         figure.caption_text()
     );
     assert!(!paired(vec![vec![hill(50.0, 400), hill(20.0, 400)]]).caption_text().contains("black mark"));
-    assert_within_paper(&svg);
+    assert_valid_file(&svg);
 }
 
 #[test]
@@ -51,11 +52,11 @@ fn very_different_models_share_logarithmic_axis() {
     let figure = paired(vec![vec![hill(0.5, 400), hill(0.2, 9)], vec![hill(9000.0, 400), hill(3000.0, 400)]]);
     let svg = figure.svg();
     for text in ["Inference, ms (log scale)", "1", "10,000"] {
-        assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
+        assert!(has_text(&svg, text), "{text} in {:?}", texts(&svg));
     }
-    assert_within_paper(&svg);
+    assert_valid_file(&svg);
     let zero = paired(vec![vec![millis([0.0, 1.0, 2.0]), hill(9000.0, 400)]]);
-    assert!(has(&zero.svg(), "Inference, ms"), "zero has no logarithm");
+    assert!(has_text(&zero.svg(), "Inference, ms"), "an axis with zero must be linear");
 }
 
 #[test]
@@ -66,51 +67,54 @@ fn long_model_names_remain_distinct() {
     }
     let svg = figure.svg();
     for name in ["…s…", "…m…", "…z…"] {
-        assert!(has(&svg, name), "{name} in {:?}", texts(&svg));
+        assert!(has_text(&svg, name), "{name} in {:?}", texts(&svg));
     }
 }
 
 #[test]
 fn shape_with_narrow_peaks_is_complete() {
-    // The values are a peak of 0.4 ms, a second one, and a few values far above.
-    let hill = |from: f64, n: u32| (0..n).map(move |i| from + 0.4 * (f64::from(i) + 0.5) / f64::from(n));
-    let far: SortedValues =
-        millis(hill(2.0, 150).chain(hill(9.0, 60)).chain([20.0, 30.0, 40.0, 40.1, 40.2, 41.0]));
-    let figure = paired(vec![vec![far]]);
-    let picture =
-        export::ParsedFigure::of(&figure.svg()).and_then(|exported| exported.pixels()).expect("drawn");
-    let row = picture.width as usize * 3;
-    // About the middle line of the shape.
+    // The values are two peaks of a width of 0.4 ms and a few values far above.
+    let peak = |from: f64, n: u32| (0..n).map(move |i| from + 0.4 * (f64::from(i) + 0.5) / f64::from(n));
+    let values: SortedValues =
+        millis(peak(2.0, 150).chain(peak(9.0, 60)).chain([20.0, 30.0, 40.0, 40.1, 40.2, 41.0]));
+    let figure = paired(vec![vec![values]]);
+    let picture = export::ParsedFigure::of(&figure.svg()).and_then(|parsed| parsed.pixels()).expect("drawn");
+    let row_bytes = picture.width as usize * 3;
+    // Pixels around the vertical middle line of the shape are examined.
     let area = file::areas(&figure.figure())[0];
     let middle = (area.left + area.width / 2.0) / file::WIDTH;
     let from = (middle * f64::from(picture.width)) as usize * 3;
     let is_dark = |row: &[u8]| {
-        row[from - 60..from + 60].chunks_exact(3).any(|pixel| pixel.iter().all(|part| *part < 0xc8))
+        row[from - 60..from + 60].chunks_exact(3).any(|pixel| pixel.iter().all(|channel| *channel < 0xc8))
     };
-    // The rows begin below the caption.
+    // The examined rows begin below the caption.
     let rows: Vec<usize> = (250..picture.height as usize - 170)
-        .filter(|y| is_dark(&picture.rgb[y * row..(y + 1) * row]))
+        .filter(|y| is_dark(&picture.rgb[y * row_bytes..(y + 1) * row_bytes]))
         .collect();
     let (first, last) = (rows[0], rows[rows.len() - 1]);
     assert!(last - first > 400, "{first} {last}");
-    assert_eq!(rows.len(), last - first + 1, "a row without the shape");
+    assert_eq!(rows.len(), last - first + 1, "a row of pixels is missing in the shape");
 }
 
 #[test]
-fn each_distribution_has_its_count() {
+fn counts_are_below_distributions_or_in_notes() {
     let svg = paired(vec![vec![hill(50.0, 400), hill(20.0, 9)]]).svg();
-    assert!(has(&svg, "n = 400") && has(&svg, "n = 9"), "{:?}", texts(&svg));
+    assert!(has_text(&svg, "n = 400") && has_text(&svg, "n = 9"), "{:?}", texts(&svg));
     let many = paired(vec![vec![hill(50.0, 400), hill(20.0, 9)]; 12]);
     let svg = many.svg();
-    assert!(many.caption_text().contains("n = 9 to 400 each") && !has(&svg, "n = 9"), "{:?}", texts(&svg));
-    assert_within_paper(&svg);
+    assert!(
+        many.caption_text().contains("n = 9 to 400 each") && !has_text(&svg, "n = 9"),
+        "{:?}",
+        texts(&svg)
+    );
+    assert_valid_file(&svg);
 }
 
 #[test]
-fn values_beyond_the_shape_are_counted() {
-    let late = hill(20.0, 400).values().iter().copied().chain([90.0]).collect();
-    let figure = paired(vec![vec![hill(50.0, 400), late]]);
-    assert!(has(&figure.svg(), "+1"), "{:?}", texts(&figure.svg()));
+fn values_above_the_shape_are_counted() {
+    let with_late_value = hill(20.0, 400).values().iter().copied().chain([90.0]).collect();
+    let figure = paired(vec![vec![hill(50.0, 400), with_late_value]]);
+    assert!(has_text(&figure.svg(), "+1"), "{:?}", texts(&figure.svg()));
     assert!(
         figure.caption_text().contains("+ and a number: number of values above the axis"),
         "{}",
@@ -118,39 +122,47 @@ fn values_beyond_the_shape_are_counted() {
     );
 }
 
-/// Returns the height of a text.
-fn height(svg: &str, wanted: &str) -> f64 {
+/// Returns the vertical position of a text, points from the top.
+fn text_y(svg: &str, wanted: &str) -> f64 {
     let element = svg.split("<text ").find(|element| element.contains(&format!(">{wanted}<")));
     let y = element.and_then(|element| element.split(" y=\"").nth(1)?.split('"').next());
     y.and_then(|y| y.parse().ok()).expect("the text")
 }
 
 #[test]
-fn spaced_points_are_drawn_without_overlapping_counts() {
-    let late =
-        |extra: f64| hill(20.0, 30).values().iter().copied().chain([extra / 1e3]).collect::<SortedValues>();
-    let figure = paired(vec![vec![late(40.0), hill(60.0, 30)], vec![late(90.0), hill(50.0, 30)]]);
+fn count_of_values_above_does_not_touch_highest_point() {
+    let with_late_value = |late_value: f64| {
+        hill(20.0, 30).values().iter().copied().chain([late_value / 1e3]).collect::<SortedValues>()
+    };
+    let figure = paired(vec![
+        vec![with_late_value(40.0), hill(60.0, 30)],
+        vec![with_late_value(90.0), hill(50.0, 30)],
+    ]);
     let svg = figure.svg();
-    assert!(has(&svg, "+1") && !has(&svg, "+2"), "the one at 40 ms has room: {:?}", texts(&svg));
+    assert!(
+        has_text(&svg, "+1") && !has_text(&svg, "+2"),
+        "the value at 40 ms must be drawn: {:?}",
+        texts(&svg)
+    );
     let discs = Elements::of(&svg, "circle").with("fill", &series(0).fill.to_string()).numbers("cy");
     assert_eq!(discs.len(), 31 + 30, "{discs:?}");
-    let second = discs[31..].iter().copied().fold(f64::INFINITY, f64::min);
-    assert!(height(&svg, "+1") <= second - 1.8, "{} {second}", height(&svg, "+1"));
+    let highest_of_second = discs[31..].iter().copied().fold(f64::INFINITY, f64::min);
+    assert!(text_y(&svg, "+1") <= highest_of_second - 1.8, "{} {highest_of_second}", text_y(&svg, "+1"));
 }
 
 #[test]
-fn unusual_pairs_give_valid_figure() {
+fn unusual_values_give_valid_pairs() {
     for values in
         [vec![], vec![5.0], vec![5.0; 300], vec![-2.0, -1.0, 4.0], vec![f64::NAN, 3.0, f64::INFINITY]]
     {
         let figure = paired(vec![vec![millis(values.clone()), millis([])]]);
         let svg = figure.svg();
         assert_eq!(
-            has(&svg, "no values"),
+            has_text(&svg, "no values"),
             values.is_empty() || values.iter().any(|v| v.is_infinite()),
             "{values:?}"
         );
-        assert_within_paper(&svg);
+        assert_valid_file(&svg);
     }
 }
 
@@ -167,7 +179,7 @@ fn lengths(points: Vec<(f64, f64)>) -> Lengths {
 }
 
 #[test]
-fn points_have_a_distribution_on_both_sides() {
+fn points_have_distributions_of_both_quantities() {
     let figure = lengths((0..100).map(|i| (f64::from(i), f64::from(i) * 2e-3)).collect());
     let svg = figure.svg();
     let dots = Elements::of(&svg, "path").with("stroke-width", "2.4");
@@ -182,8 +194,8 @@ fn points_have_a_distribution_on_both_sides() {
     assert!(places[0].1 > places[99].1, "{svg}");
     let bars = Elements::of(&svg, "rect").with("fill", "#8a94a3");
     assert!(bars.0.len() >= 16, "{svg}");
-    assert!(["Tokens", "Inference, ms"].iter().all(|text| has(&svg, text)));
-    assert_within_paper(&svg);
+    assert!(["Tokens", "Inference, ms"].iter().all(|text| has_text(&svg, text)));
+    assert_valid_file(&svg);
 }
 
 #[test]
@@ -201,9 +213,9 @@ fn unusual_points_give_valid_figure() {
     {
         let figure = lengths(points.clone());
         let svg = figure.svg();
-        assert_eq!(has(&svg, "no values"), points.is_empty(), "{points:?}");
-        assert_within_paper(&svg);
+        assert_eq!(has_text(&svg, "no values"), points.is_empty(), "{points:?}");
+        assert_valid_file(&svg);
     }
-    let far = (0..300).map(|i| (f64::from(i % 50), 0.1)).chain([(1e6, 0.1)]).collect();
-    assert!(has(&lengths(far).svg(), "1 beyond the axes"));
+    let with_far_point = (0..300).map(|i| (f64::from(i % 50), 0.1)).chain([(1e6, 0.1)]).collect();
+    assert!(has_text(&lengths(with_far_point).svg(), "1 beyond the axes"));
 }

@@ -1,4 +1,4 @@
-//! Latency against the number of edges.
+//! Tests of latency against the number of edges.
 
 use std::collections::BTreeSet;
 
@@ -25,20 +25,20 @@ fn axis_ticks_are_measured_edge_counts() {
     let figure = sharing(vec![("", points.to_vec())]);
     let svg = figure.svg();
     for text in ["1", "2", "4", "8", "Edges at once (log scale)", "Total, ms", "0", "0.5", "1.0"] {
-        assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
+        assert!(has_text(&svg, text), "{text} in {:?}", texts(&svg));
     }
     assert!(texts(&svg).iter().any(|text| text.contains("Jain")), "{:?}", texts(&svg));
     let (x, y) = (Elements::of(&svg, "circle").numbers("cx"), Elements::of(&svg, "circle").numbers("cy"));
-    assert_eq!((x.len(), &x[..4]), (8, &x[4..]), "one below the other");
-    // Doublings are equally far apart, and latencies rise by 10, 20 and 40 ms.
+    assert_eq!((x.len(), &x[..4]), (8, &x[4..]), "the points of both plots are not below each other");
+    // Doublings of the number of edges are equally far apart on the logarithmic axis. Latencies rise by 10, 20 and 40 ms.
     assert!(
         (x[1] - x[0] - (x[2] - x[1])).abs() <= 0.1 && (x[2] - x[1] - (x[3] - x[2])).abs() <= 0.1,
         "{x:?}"
     );
     assert!(((y[0] - y[3]) - 7.0 * (y[0] - y[1])).abs() < 0.3, "{y:?}");
-    // The cases range from all answers for one edge to equal shares.
+    // The fairness falls with the number of edges, and the plot of fairness is below the plot of latency.
     assert!(y[4] < y[5] && y[5] < y[6] && y[6] < y[7] && y[4] > y[0], "{y:?}");
-    assert_within_paper(&svg);
+    assert_valid_file(&svg);
 }
 
 #[test]
@@ -47,7 +47,7 @@ fn curves_differ_by_mark_and_line() {
     let figure =
         sharing(vec![("s", curve(0.01)), ("m", curve(0.02)), ("l", curve(0.03)), ("xl", curve(0.04))]);
     let svg = figure.svg();
-    assert!(["s", "m", "l", "xl"].iter().all(|name| has(&svg, name)), "{:?}", texts(&svg));
+    assert!(["s", "m", "l", "xl"].iter().all(|name| has_text(&svg, name)), "{:?}", texts(&svg));
     let dashes: BTreeSet<String> = Elements::of(&svg, "path")
         .with("fill", "none")
         .0
@@ -55,18 +55,18 @@ fn curves_differ_by_mark_and_line() {
         .map(|line| line.get("stroke-dasharray").cloned().unwrap_or_default())
         .collect();
     assert_eq!(dashes.len(), 4, "{svg}");
-    assert_within_paper(&svg);
+    assert_valid_file(&svg);
 }
 
 #[test]
 fn missing_and_extreme_points_give_valid_figure() {
-    let unjudged =
+    let without_fairness =
         |edges, median| SharingPoint { p95: None, edge_medians: vec![median], ..point(edges, median, None) };
     let cases = [
         vec![],
         vec![("", vec![])],
-        vec![("", vec![unjudged(3, 0.0)])],
-        vec![("", vec![unjudged(1, f64::NAN), unjudged(2, 1e-6), unjudged(64, 1e4)])],
+        vec![("", vec![without_fairness(3, 0.0)])],
+        vec![("", vec![without_fairness(1, f64::NAN), without_fairness(2, 1e-6), without_fairness(64, 1e4)])],
         vec![(
             "a configuration with a long name, cuda:0, zmq-tcp, 1280x720",
             vec![point(1, 0.1, Some(0.0)), point(1000, 9.0, Some(1.0))],
@@ -75,12 +75,12 @@ fn missing_and_extreme_points_give_valid_figure() {
     for curves in cases {
         let figure = sharing(curves);
         let svg = figure.svg();
-        let shown =
+        let has_points =
             figure.curves.iter().flat_map(|curve| &curve.points).any(|point| point.median.is_finite());
-        assert_eq!(has(&svg, "no values"), !shown, "{:?}", texts(&svg));
-        let judged =
+        assert_eq!(has_text(&svg, "no values"), !has_points, "{:?}", texts(&svg));
+        let has_fairness =
             figure.curves.iter().flat_map(|curve| &curve.points).any(|point| point.fairness.is_some());
-        assert_eq!(texts(&svg).iter().any(|text| text.contains("Jain")), judged);
-        assert_within_paper(&svg);
+        assert_eq!(texts(&svg).iter().any(|text| text.contains("Jain")), has_fairness);
+        assert_valid_file(&svg);
     }
 }

@@ -1,4 +1,4 @@
-//! Bars of stages and the small pictures in tables.
+//! Tests of bars of stages and of the small pictures in tables.
 
 use super::super::{StageBar, StagePart, meter, share_bar, sparkline};
 use crate::plot::{Item, Path};
@@ -13,22 +13,23 @@ fn html(bar: &StageBar<'_>) -> String {
     page::picture(&bar.items(), "stages", "")
 }
 
-/// Returns the ends of the level lines of a class that are not caps.
-fn lines(bar: &StageBar<'_>, class: &str) -> Vec<[f64; 2]> {
-    let level_line = |item: Item| match item {
+/// Returns the left and the right end of each horizontal line of a class. Caps are vertical.
+fn horizontal_lines(bar: &StageBar<'_>, class: &str) -> Vec<[f64; 2]> {
+    let horizontal_line = |item: Item| match item {
         Item::Line { from, to, style } if style.class == class && from.x != to.x => Some([from.x, to.x]),
         _ => None,
     };
-    bar.items().into_iter().filter_map(level_line).collect()
+    bar.items().into_iter().filter_map(horizontal_line).collect()
 }
 
-fn close(a: &[[f64; 2]], b: &[[f64; 2]]) -> bool {
-    let near = |(a, b): (&[f64; 2], &[f64; 2])| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
-    a.len() == b.len() && a.iter().zip(b).all(near)
+/// Returns whether two lists of ends are equal except for rounding.
+fn are_close(a: &[[f64; 2]], b: &[[f64; 2]]) -> bool {
+    let are_ends_close = |(a, b): (&[f64; 2], &[f64; 2])| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+    a.len() == b.len() && a.iter().zip(b).all(are_ends_close)
 }
 
-/// Returns the smallest width of a picture at which each value is shown.
-fn widths(bar: &StageBar<'_>) -> Vec<Option<u16>> {
+/// Returns the minimum width of a picture in which each value is shown; `None` for a value that is never shown.
+fn min_widths(bar: &StageBar<'_>) -> Vec<Option<u16>> {
     let text = |item: Item| if let Item::Text(label) = item { Some(label.min_width) } else { None };
     bar.items().into_iter().filter_map(text).collect()
 }
@@ -39,23 +40,26 @@ fn stage_shows_value_and_name_where_they_fit() {
     let bar = html(&StageBar::new(&parts, Scale::up_to(30.0, 6)));
     assert!(bar.contains("<tspan class=\"fits w12\">inference </tspan>13.1<"), "{bar}");
     assert!(bar.contains("<text class=\"o-preprocessing fits w"), "{bar}");
-    assert!(bar.contains("<rect class=\"f-preprocessing edge\""), "pale fills carry an edge: {bar}");
+    assert!(bar.contains("<rect class=\"f-preprocessing edge\""), "a pale fill has no edge: {bar}");
     let hostile = [part("<script>", 9.0)];
     assert!(!html(&StageBar::new(&hostile, Scale::up_to(10.0, 5))).contains("<script>"));
-    let low = StageBar { has_values: false, ..StageBar::new(&parts, Scale::up_to(30.0, 6)) };
-    assert!(!html(&low).contains("<text"), "a low bar has no room");
+    let without_values = StageBar { has_values: false, ..StageBar::new(&parts, Scale::up_to(30.0, 6)) };
+    assert!(!html(&without_values).contains("<text"), "a bar without values has text");
 }
 
 #[test]
-fn whiskers_begin_at_end_of_bar() {
+fn percentile_whiskers_begin_at_end_of_bar() {
     let parts = [part("upload", 20.0)];
     let with = |quantiles| StageBar { quantiles, ..StageBar::new(&parts, Scale::up_to(30.0, 6)) };
     let both = with([Some(0.024), Some(0.027)]);
-    assert!(close(&lines(&both, "whisk"), &[[2.0 / 3.0, 0.8]]), "{both:?}");
-    assert!(close(&lines(&both, "whisk far"), &[[0.8, 0.9]]), "{both:?}");
-    assert!(lines(&with([Some(0.019), None]), "whisk").is_empty());
+    assert!(are_close(&horizontal_lines(&both, "whisk"), &[[2.0 / 3.0, 0.8]]), "{both:?}");
+    assert!(are_close(&horizontal_lines(&both, "whisk far"), &[[0.8, 0.9]]), "{both:?}");
+    assert!(horizontal_lines(&with([Some(0.019), None]), "whisk").is_empty());
     let beyond = with([Some(0.9), None]);
-    assert!(close(&lines(&beyond, "whisk"), &[[2.0 / 3.0, 1.0]]) && html(&beyond).contains(">→</text>"));
+    assert!(
+        are_close(&horizontal_lines(&beyond, "whisk"), &[[2.0 / 3.0, 1.0]])
+            && html(&beyond).contains(">→</text>")
+    );
 }
 
 #[test]
@@ -66,26 +70,33 @@ fn clock_bounds_are_drawn_at_boundary_to_other_host() {
     };
     let parts = [bounded("upload", 15.0, 3.0), part("inference", 6.0), bounded("download", 3.0, 6.0)];
     let bar = StageBar::new(&parts, Scale::up_to(30.0, 6));
-    // A bound wider than the delay ends where the delay would be nothing.
-    assert!(close(&lines(&bar, "whisk2"), &[[0.4, 0.6], [0.6, 0.8]]), "{:?}", lines(&bar, "whisk2"));
-    let fine = [bounded("upload", 15.0, 0.01)];
-    assert!(lines(&StageBar::new(&fine, Scale::up_to(30.0, 6)), "whisk2").is_empty());
+    // The bound of the download is longer than the delay, so its whisker is shortened to the delay on each side.
+    assert!(
+        are_close(&horizontal_lines(&bar, "whisk2"), &[[0.4, 0.6], [0.6, 0.8]]),
+        "{:?}",
+        horizontal_lines(&bar, "whisk2")
+    );
+    let narrow_bound = [bounded("upload", 15.0, 0.01)];
+    assert!(horizontal_lines(&StageBar::new(&narrow_bound, Scale::up_to(30.0, 6)), "whisk2").is_empty());
 }
 
 #[test]
-fn the_totals_whisker_crosses_no_value() {
+fn values_under_whisker_of_total_are_hidden() {
     let parts = [part("sensing", 10.0), part("inference", 10.0)];
     let with = |mean_and_std| StageBar { mean_and_std, ..StageBar::new(&parts, Scale::up_to(30.0, 6)) };
-    assert_eq!(widths(&with(None)), [Some(8), Some(8)]);
-    assert_eq!(widths(&with(Some((0.020, 0.001)))), [Some(8), Some(8)]);
-    let near = widths(&with(Some((0.020, 0.004))));
-    assert!(near[0] == Some(8) && near[1] > Some(20), "{near:?}");
-    let wide = with(Some((0.020, 0.025)));
-    assert_eq!((lines(&wide, "whisk2"), widths(&wide)), (vec![[0.0, 1.0]], vec![None, None]));
+    assert_eq!(min_widths(&with(None)), [Some(8), Some(8)]);
+    assert_eq!(min_widths(&with(Some((0.020, 0.001)))), [Some(8), Some(8)]);
+    let with_close_whisker = min_widths(&with(Some((0.020, 0.004))));
+    assert!(with_close_whisker[0] == Some(8) && with_close_whisker[1] > Some(20), "{with_close_whisker:?}");
+    let long_whisker = with(Some((0.020, 0.025)));
+    assert_eq!(
+        (horizontal_lines(&long_whisker, "whisk2"), min_widths(&long_whisker)),
+        (vec![[0.0, 1.0]], vec![None, None])
+    );
 }
 
 #[test]
-fn a_whole_bar_fills_its_panel() {
+fn full_width_bar_fills_picture() {
     let parts = [part("sensing", 5.0), part("inference", 15.0)];
     let bar = html(&StageBar::full_width(&parts));
     assert!(bar.contains("<rect class=\"f-inference\" x=\"25%\" y=\"15%\" width=\"75%\""), "{bar}");
@@ -93,7 +104,7 @@ fn a_whole_bar_fills_its_panel() {
 }
 
 #[test]
-fn meter_shows_small_shares_and_clamps_large_ones() {
+fn meter_has_minimum_and_maximum_length() {
     let width = |share| match meter(share).0.last() {
         Some(Item::Rect { to, .. }) => to.x,
         other => panic!("{other:?}"),
@@ -105,7 +116,7 @@ fn meter_shows_small_shares_and_clamps_large_ones() {
 }
 
 #[test]
-fn a_missing_value_parts_a_sparkline() {
+fn missing_value_interrupts_sparkline() {
     let paths = |values: &[Option<f64>]| {
         let path = |item| if let Item::Path { path, .. } = item { path } else { Path::default() };
         sparkline(values).into_iter().map(path).collect::<Vec<_>>()

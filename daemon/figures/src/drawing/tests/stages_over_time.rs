@@ -1,4 +1,4 @@
-//! Runs over time, stacked.
+//! Tests of plots of stacked stages over time.
 
 use super::super::{OverTimeAxes, StageBucket, StagePart, StagesOverTime};
 use crate::plot::{Item, Path, Plot, Step};
@@ -18,45 +18,51 @@ fn axes(run: &StagesOverTime) -> OverTimeAxes {
     OverTimeAxes::of(std::slice::from_ref(run)).expect("buckets")
 }
 
-fn drawn(run: &StagesOverTime) -> Plot {
+fn plot_of(run: &StagesOverTime) -> Plot {
     run.plot(&axes(run))
 }
 
+/// Returns the paths among these items, each with its class.
 fn paths(items: &[Item]) -> Vec<(&str, &Path)> {
-    let mut found = Vec::new();
+    let mut paths = Vec::new();
     for item in items {
         if let Item::Path { path, style } = item {
-            found.push((&*style.class, path));
+            paths.push((&*style.class, path));
         }
     }
-    found
+    paths
 }
 
 fn path<'a>(items: &'a [Item], class: &str) -> Option<&'a Path> {
-    paths(items).into_iter().find(|(stages, _)| *stages == class).map(|(_, path)| path)
+    paths(items).into_iter().find(|(other, _)| *other == class).map(|(_, path)| path)
 }
 
+/// Returns the number of pieces of a path.
 fn pieces(path: &Path) -> usize {
     path.steps.iter().filter(|step| matches!(step, Step::Move(..))).count()
 }
 
 #[test]
-fn a_line_stops_where_nothing_was_measured() {
-    let gap = drawn(&run(vec![bucket(0.0, 0.01), bucket(1.0, 0.01), bucket(5.0, 0.01)]));
-    assert_eq!(path(&gap.items, "median").map(pieces), Some(2), "{gap:?}");
-    let stages: Vec<(&str, usize)> = paths(&gap.items)
+fn missing_buckets_interrupt_lines_and_areas() {
+    let plot = plot_of(&run(vec![bucket(0.0, 0.01), bucket(1.0, 0.01), bucket(5.0, 0.01)]));
+    assert_eq!(path(&plot.items, "median").map(pieces), Some(2), "{plot:?}");
+    let stages: Vec<(&str, usize)> = paths(&plot.items)
         .into_iter()
         .filter(|(class, _)| class.starts_with("f-"))
         .map(|(class, path)| (class, pieces(path)))
         .collect();
-    assert_eq!(stages, [("f-inference", 2), ("f-sensing", 2)], "the lower stage is drawn over the upper one");
-    assert_eq!(path(&gap.items, "p95"), None, "no bucket has enough samples");
+    assert_eq!(
+        stages,
+        [("f-inference", 2), ("f-sensing", 2)],
+        "the lower stage must be drawn over the upper stage"
+    );
+    assert_eq!(path(&plot.items, "p95"), None, "no bucket has enough samples");
 }
 
 #[test]
-fn single_bucket_is_as_wide_as_its_duration() {
+fn line_of_single_bucket_is_as_long_as_bucket() {
     let ends = |run: &StagesOverTime| {
-        let plot = drawn(run);
+        let plot = plot_of(run);
         let median = path(&plot.items, "median").expect("a line").clone();
         median
             .steps
@@ -72,24 +78,24 @@ fn single_bucket_is_as_wide_as_its_duration() {
 }
 
 #[test]
-fn axis_ends_above_largest_quantile_and_counts_rest() {
+fn axis_ends_above_largest_percentile() {
     let mut stages = run(vec![bucket(0.0, 0.010), bucket(1.0, 0.012), bucket(2.0, 0.500)]);
     stages.buckets.iter_mut().for_each(|bucket| (bucket.median, bucket.p95) = (0.01, Some(0.02)));
     assert_eq!((axes(&stages).beyond(&stages), axes(&stages).unit()), (1, "seconds"));
-    let top = |run: &StagesOverTime| drawn(run).y.scale.ends().1;
+    let top = |run: &StagesOverTime| plot_of(run).y.scale.ends().1;
     assert!((top(&stages) - 21.0).abs() < 1e-9);
-    let plot = drawn(&stages);
+    let plot = plot_of(&stages);
     let area = path(&plot.items, "f-inference").expect("an area");
-    let leaves = area.steps.iter().any(|step| matches!(step, Step::Line(_, y) if *y < 0.0));
-    assert!(leaves, "cut off by the renderer: {area:?}");
-    // Without a quantile of any bucket, that of the run.
+    let leaves_plot = area.steps.iter().any(|step| matches!(step, Step::Line(_, y) if *y < 0.0));
+    assert!(leaves_plot, "the area of the bucket with a large mean must leave the plot: {area:?}");
+    // If no bucket has a 95th percentile, the axis shows the 95th percentile of the run.
     stages.buckets.iter_mut().for_each(|bucket| bucket.p95 = None);
     stages.p95 = Some(0.03);
     assert!((top(&stages) - 31.5).abs() < 1e-9);
 }
 
 #[test]
-fn weeks_and_nothing_have_axes_too() {
+fn long_and_zero_latency_runs_have_axes() {
     let week = StagesOverTime { length: 604_800.0, width: 7_200.0, ..run(vec![bucket(0.0, 0.01)]) };
     let short = run(vec![bucket(0.0, 0.01)]);
     let both = OverTimeAxes::of(&[week, short.clone()]).expect("buckets");
@@ -100,12 +106,12 @@ fn weeks_and_nothing_have_axes_too() {
 }
 
 #[test]
-fn overlapping_marks_are_merged() {
+fn marks_of_close_failures_are_merged() {
     let mut stages = run(vec![bucket(0.0, 0.01)]);
     (stages.failed, stages.borders) = (vec![5.0, 1.0, 1.01, 1.02], vec![2.5, 5.0]);
-    let plot = drawn(&stages);
-    let rail = plot.top_strip.as_ref().expect("a rail");
-    assert_eq!(path(&rail.items, "lost").map(pieces), Some(2));
+    let plot = plot_of(&stages);
+    let strip = plot.top_strip.as_ref().expect("a strip");
+    assert_eq!(path(&strip.items, "lost").map(pieces), Some(2));
     let borders = path(&plot.items, "border").expect("borders");
     assert_eq!(
         (pieces(borders), borders.steps[..2].to_vec()),

@@ -1,4 +1,4 @@
-//! The payload study and a calibration of the same messages have equal figures.
+//! Tests that the payload study and a calibration of the same messages have equal figures.
 
 use peernet_analysis::calibration::Passage;
 use peernet_analysis::calibration::{Sample, Setting, Study};
@@ -8,7 +8,8 @@ use super::*;
 use crate::drawing::Scaling;
 use crate::of_calibration::messages;
 
-/// Returns the message of an iteration: `delay_s`, 40 µs to both sides if its bounds are known.
+/// Returns the passage of a message that takes `delay_s` seconds. If `has_bounds`, the bounds are 40 µs below and 40 µs above the
+/// delay.
 fn passage(payload_bytes: u64, delay_s: f64, has_bounds: bool) -> Passage {
     let [lo, value, hi] = [-40e-6, 0.0, 40e-6].map(|error| Span::from_seconds_f64(delay_s + error));
     let delay = OneWayDelay {
@@ -21,7 +22,8 @@ fn passage(payload_bytes: u64, delay_s: f64, has_bounds: bool) -> Passage {
     Passage { payload_bytes, metadata_bytes: 120, delay }
 }
 
-/// Asserts that both programs draw the same series and notes on rates for messages with these delays in seconds.
+/// Asserts that a calibration and a payload study have the same series and the same notes on rates for the same messages. `delay_s`
+/// returns the delay of a message, given by its number and the index of its size. Returns the figures of the payload study.
 fn assert_equal_figures(
     delay_s: impl Fn(u64, usize) -> f64,
     has_bounds: impl Fn(u64) -> bool,
@@ -29,8 +31,8 @@ fn assert_equal_figures(
     let sizes = [1_000, 10_000, 100_000, 1_000_000];
     let passages: Vec<Passage> = (0..400)
         .map(|number: u64| {
-            let place = number as usize % sizes.len();
-            passage(sizes[place], delay_s(number, place), has_bounds(number))
+            let size_index = number as usize % sizes.len();
+            passage(sizes[size_index], delay_s(number, size_index), has_bounds(number))
         })
         .collect();
     let samples = passages.iter().zip(1..).map(|(passage, number)| Sample {
@@ -44,7 +46,7 @@ fn assert_equal_figures(
         up: Some(*passage),
         down: None,
     });
-    let study = messages(&Study::new(Setting::default(), samples.collect(), &[]));
+    let calibration = messages(&Study::new(Setting::default(), samples.collect(), &[]));
     let row = |(passage, iteration): (&Passage, u64)| Row {
         iteration,
         at: 1e9,
@@ -69,35 +71,42 @@ fn assert_equal_figures(
         _ => panic!("a figure over sizes"),
     });
     let drawn: Vec<Scaling> = drawn.collect();
-    for (drawn, study) in drawn.iter().zip([study.latency(), study.throughput()]) {
+    for (drawn, calibrated) in drawn.iter().zip([calibration.latency(), calibration.throughput()]) {
         assert_eq!(
             (&drawn.series[0], &drawn.explanations, &drawn.title),
-            (&study.series[0], &study.explanations, &study.title)
+            (&calibrated.series[0], &calibrated.explanations, &calibrated.title)
         );
-        assert_eq!(drawn.notes[1..], study.notes);
+        assert_eq!(drawn.notes[1..], calibrated.notes);
     }
     drawn
 }
 
 #[test]
 fn payload_study_equals_calibration() {
-    let late = |number: u64| (number % 7) as f64 * 1e-6;
-    let growing =
-        assert_equal_figures(|number, place| [0.2, 0.3, 1.2, 10.2][place] * 1e-3 + late(number), |_| true);
+    let variation = |number: u64| (number % 7) as f64 * 1e-6;
+    let growing = assert_equal_figures(
+        |number, size_index| [0.2, 0.3, 1.2, 10.2][size_index] * 1e-3 + variation(number),
+        |_| true,
+    );
     assert!(growing[1].series[0].line.is_some() && growing[0].series[0].values[0].bounds.is_some());
-    // Bounds of some messages do not bound the median of all.
+    // If some messages have no bounds, the median of all messages has no bounds.
     let unbounded = assert_equal_figures(
-        |number, place| [0.2, 0.3, 1.2, 10.2][place] * 1e-3 + late(number),
+        |number, size_index| [0.2, 0.3, 1.2, 10.2][size_index] * 1e-3 + variation(number),
         |number| number > 40,
     );
     assert_eq!(unbounded[0].series[0].values[0].bounds, None);
-    // The sizes do not determine a rate, and a delay that does not grow has no line.
-    let noisy =
-        assert_equal_figures(|number, place| [0.2, 0.21, 0.19, 0.22][place] * 1e-3 + late(number), |_| true);
+    // The delays vary more than they grow with the size, so they determine no rate. A delay that does not grow has no line.
+    let noisy = assert_equal_figures(
+        |number, size_index| [0.2, 0.21, 0.19, 0.22][size_index] * 1e-3 + variation(number),
+        |_| true,
+    );
     assert_eq!((noisy[1].series[0].line, noisy[1].notes.len()), (None, 2));
-    let level =
-        assert_equal_figures(|number, place| [0.2, 0.2, 0.2, 0.1][place] * 1e-3 + late(number), |_| true);
+    let not_growing = assert_equal_figures(
+        |number, size_index| [0.2, 0.2, 0.2, 0.1][size_index] * 1e-3 + variation(number),
+        |_| true,
+    );
     assert!(
-        level[0].series[0].name.ends_with("does not grow with size") && level[0].series[0].line.is_none()
+        not_growing[0].series[0].name.ends_with("does not grow with size")
+            && not_growing[0].series[0].line.is_none()
     );
 }

@@ -6,10 +6,11 @@ use super::*;
 
 #[test]
 fn accuracy_figure_notes_unknown_labels() {
-    let run_with_labels = |from: u64| {
+    // Returns a run in which the model does not know the labels of all iterations after `last_known`.
+    let run_with_labels = |last_known: u64| {
         let mut run = Loaded { record: placed("s", "local", 1.0).record, ..run_with_total(20.0) };
         run.rows.change(|row| {
-            if row.iteration > from && row.outcome == Outcome::Ok {
+            if row.iteration > last_known && row.outcome == Outcome::Ok {
                 row.values.retain(|(name, _)| name != "top-1");
                 row.values.push(("unknown-label".into(), 1.0));
             }
@@ -18,20 +19,21 @@ fn accuracy_figure_notes_unknown_labels() {
         run.record.facts = facts.map(|(name, value)| (name.to_owned(), value.to_owned())).into();
         run
     };
-    let why = "because the label is not a class of the model (labels: cat, dog; classes: good, dented)";
+    let reason = "because the label is not a class of the model (labels: cat, dog; classes: good, dented)";
     let drawings = accuracy::drawings(&[run_with_labels(90)]).expect("some are scored");
     let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
-    assert_eq!(figure.notes[2..], [format!("not scored: 10 iterations, {why}")]);
-    let none = accuracy::drawings(&[run_with_labels(0)]).expect_err("nothing is scored");
+    assert_eq!(figure.notes[2..], [format!("not scored: 10 iterations, {reason}")]);
+    let missing = accuracy::drawings(&[run_with_labels(0)]).expect_err("nothing is scored");
     assert!(
-        none.to_string()
-            .ends_with(&format!("has a top-1, map-50 or mean-iou; 94 iterations cannot have one, {why}")),
-        "{none}"
+        missing
+            .to_string()
+            .ends_with(&format!("has a top-1, map-50 or mean-iou; 94 iterations cannot have one, {reason}")),
+        "{missing}"
     );
 }
 
 #[test]
-fn unknown_delays_do_not_shorten_bars() {
+fn unknown_delays_are_left_out_of_means() {
     let unknown = OneWayDelay::unsynchronised(Span::from_millis(3));
     let mut run = run(105, |_| vec![("sensing", 1.0), ("upload", 10.0), ("total", 11.0)]);
     run.rows.change(|row| {
@@ -40,14 +42,14 @@ fn unknown_delays_do_not_shorten_bars() {
             row.upload = Some(unknown);
         }
     });
-    let drawings = stacked::drawings(&[run, failed()]).expect("there is something");
+    let drawings = stacked::drawings(&[run, failed()]).expect("there are bars");
     let AnyFigure::Stacked(figure) = &drawings[0].figure else { panic!("bars") };
     assert_eq!(figure.stages, ["sensing", "upload"]);
     let shown: Vec<f64> = figure.bars[0].means.iter().map(|mean| (mean * 1e6).round()).collect();
     assert_eq!((figure.bars.len(), shown), (1, vec![1_000.0, 10_000.0]));
     assert!((figure.bars[0].total - 11e-3).abs() < 1e-9, "{figure:?}");
     assert_eq!(
-        drawings[0].missing,
+        drawings[0].left_out,
         ["left out: 1 configuration without a successful iteration after the warm-up"]
     );
     let expected_notes = [
@@ -67,7 +69,7 @@ fn negative_delays_are_noted() {
         figure.notes[1..].to_vec()
     };
     assert_eq!(notes("upload"), ["below zero because of the clocks' error: 5"]);
-    assert_eq!(notes("sensing"), [""; 0], "one clock");
+    assert_eq!(notes("sensing"), [""; 0], "a time that one clock measured gets no note on clocks");
 }
 
 /// Returns a run in which every iteration failed.

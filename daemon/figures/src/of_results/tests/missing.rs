@@ -3,7 +3,8 @@
 use super::*;
 use peernet_analysis::record::HostRecord;
 
-fn varied(count: u64) -> Loaded {
+/// Returns a run with uploads of two sizes.
+fn with_two_upload_sizes(count: u64) -> Loaded {
     run(count, |number| {
         let bytes = [1e3, 1e5][number as usize % 2];
         vec![
@@ -17,7 +18,7 @@ fn varied(count: u64) -> Loaded {
 #[test]
 fn omitted_direction_is_noted_with_sizes() {
     let folder = tempfile::tempdir().expect("a folder");
-    let alike = run(60, |number| {
+    let similar_uploads = run(60, |number| {
         let answer = [100.0, 9e4][number as usize % 2];
         vec![
             ("upload-bytes", 98e3 + number as f64 * 1e3),
@@ -26,15 +27,18 @@ fn omitted_direction_is_noted_with_sizes() {
             ("download", 0.1 + answer / 1e6),
         ]
     });
-    let drawn = draw(Kind::Payload, &[alike], &Columns::default(), folder.path()).expect("downloads vary");
-    let expected_note = "payload-latency: not drawn: upload of 106 kB to 158 kB, because the largest size must be at least twice the smallest";
-    assert_eq!(drawn.missing, [expected_note], "once for both figures");
-    let words = std::fs::read_to_string(folder.path().join("payload-throughput-caption.txt")).expect("read");
-    assert!(words.contains("not drawn: upload"), "{words}");
+    let drawn =
+        draw(Kind::Payload, &[similar_uploads], &Columns::default(), folder.path()).expect("downloads vary");
+    let expected_note =
+        "payload-latency: not drawn: upload of 106 kB to 158 kB, because the largest size must be at least twice the smallest";
+    assert_eq!(drawn.left_out, [expected_note], "the note stands once for both figures");
+    let caption =
+        std::fs::read_to_string(folder.path().join("payload-throughput-caption.txt")).expect("read");
+    assert!(caption.contains("not drawn: upload"), "{caption}");
 }
 
 #[test]
-fn unknown_and_non_positive_delays_are_counted() {
+fn unknown_and_non_positive_delays_are_noted() {
     let mut run = run(100, |number| {
         let bytes = [1e3, 1e4, 1e5, 1e6][number as usize % 4];
         vec![("upload-bytes", bytes), ("upload", if bytes < 2e3 { -0.1 } else { bytes / 1e5 })]
@@ -57,35 +61,40 @@ fn unknown_and_non_positive_delays_are_counted() {
 }
 
 #[test]
-fn link_without_figure_is_noted_in_first() {
+fn link_without_figure_is_noted_in_first_figure() {
     let mut other = remote(60);
     other.rows.change(|row| row.values.push(("upload-bytes".into(), 500.0)));
     other.record.edge = HostRecord { name: "arm".to_owned(), ..HostRecord::default() };
-    let drawings = payload::drawings(&[varied(60), other]).expect("one varies");
+    let drawings =
+        payload::drawings(&[with_two_upload_sizes(60), other]).expect("uploads of one link have two sizes");
     assert_eq!(drawings.len(), 2);
-    let expected_note =
-        "not drawn: upload of 500 B, because the largest size must be at least twice the smallest · arm";
-    assert_eq!(drawings[0].missing, [expected_note]);
+    let expected_note = "not drawn: upload of 500 B, because the largest size must be at least twice the smallest · arm";
+    assert_eq!(drawings[0].left_out, [expected_note]);
 }
 
 #[test]
-fn run_without_column_is_noted_in_pairs() {
-    let mut without = placed("s", "remote", 1.0);
-    without.rows.change(|row| row.values.retain(|(name, _)| name != "inference"));
-    let runs = [placed("s", "remote", 4.0), placed("s", "local", 20.0), placed("m", "local", 9.0), without];
+fn run_without_inference_is_noted_in_paired_figure() {
+    let mut without_inference = placed("s", "remote", 1.0);
+    without_inference.rows.change(|row| row.values.retain(|(name, _)| name != "inference"));
+    let runs = [
+        placed("s", "remote", 4.0),
+        placed("s", "local", 20.0),
+        placed("m", "local", 9.0),
+        without_inference,
+    ];
     let drawings = paired::drawings(&runs, None).expect("a pair");
     let expected_notes = ["left out, at one placement only: m", "left out: 1 run without inference"];
-    assert_eq!(drawings[0].missing, expected_notes);
+    assert_eq!(drawings[0].left_out, expected_notes);
     let AnyFigure::Paired(figure) = &drawings[0].figure else { panic!("pairs") };
     assert_eq!(figure.notes[1..], expected_notes);
 }
 
 #[test]
-fn stages_without_a_line_are_named() {
+fn stages_that_are_not_drawn_are_noted() {
     let run = run(60, |_| {
-        let long = [("sensing", 5.0), ("upload", 4.0), ("inference", 3.0), ("download", 2.0)];
-        let short = [("queue", 1.0), ("encode", 0.5), ("preprocessing", 0.0), ("total", 16.0)];
-        [long, short].concat()
+        let long_stages = [("sensing", 5.0), ("upload", 4.0), ("inference", 3.0), ("download", 2.0)];
+        let other_columns = [("queue", 1.0), ("encode", 0.5), ("preprocessing", 0.0), ("total", 16.0)];
+        [long_stages, other_columns].concat()
     });
     let drawings = series::drawings(&run.record, &run.rows).expect("there is a total");
     let AnyFigure::TimeSeries(time_series) = &drawings[0].figure else { panic!("a time series") };
@@ -93,7 +102,7 @@ fn stages_without_a_line_are_named() {
 }
 
 #[test]
-fn bars_of_few_iterations_show_counts() {
+fn different_counts_of_bars_are_noted_as_range() {
     let mut few = placed("s", "local", 20.0);
     few.rows.change(|row| row.warm_up = row.iteration > 10);
     let drawings = stacked::drawings(&[few, placed("s", "remote", 4.0)]).expect("bars");
@@ -102,11 +111,11 @@ fn bars_of_few_iterations_show_counts() {
 }
 
 #[test]
-fn undetermined_rate_is_not_given() {
+fn undetermined_rate_is_noted_instead_of_shown() {
     let noisy = run(300, |number| {
-        let place = number as usize % 4;
-        // The growth with size is smaller than its variation.
-        let (bytes, delay) = ([1e3, 2e3, 3e3, 4e3][place], [0.100, 0.104, 0.099, 0.104][place]);
+        let size_index = number as usize % 4;
+        // The delays grow less with the size than they vary.
+        let (bytes, delay) = ([1e3, 2e3, 3e3, 4e3][size_index], [0.100, 0.104, 0.099, 0.104][size_index]);
         vec![("upload-bytes", bytes), ("upload", delay)]
     });
     let drawings = payload::drawings(&[noisy]).expect("sizes differ");
@@ -118,24 +127,25 @@ fn undetermined_rate_is_not_given() {
     assert!(latency.series[0].name.starts_with("upload: intercept 0."), "{latency:?}");
     assert_eq!((throughput.series[0].name.as_str(), throughput.series[0].line), ("upload", None));
     for figure in [latency, throughput] {
-        assert_eq!(figure.notes[2..], ["throughput of upload: too fast to tell from these sizes"]);
+        assert_eq!(figure.notes[2..], ["throughput of upload: too high to be determined from these sizes"]);
     }
 }
 
 #[test]
-fn edges_at_different_times_have_no_figure() {
-    let mut apart = [shared("s", 2, 0, 20.0), shared("s", 2, 1, 20.0)];
+fn edges_that_measured_at_different_times_are_not_drawn() {
+    let mut apart = [run_of_edge("s", 2, 0, 20.0), run_of_edge("s", 2, 1, 20.0)];
     apart[1].rows.change(|row| row.at += 1e6);
     assert!(
         users::drawings(&apart)
             .is_err_and(|missing| missing.to_string().contains("measured at different times"))
     );
-    let met = [shared("m", 2, 0, 20.0), shared("m", 2, 1, 20.0)];
-    let drawings = users::drawings(&[apart, met].concat()).expect("some did");
+    let together = [run_of_edge("m", 2, 0, 20.0), run_of_edge("m", 2, 1, 20.0)];
+    let drawings =
+        users::drawings(&[apart, together].concat()).expect("the edges of one run measured together");
     let AnyFigure::Sharing(figure) = &drawings[0].figure else { panic!("curves") };
-    let missing = "left out, because the edges measured at different times: s with 2 edges";
+    let expected_note = "left out, because the edges measured at different times: s with 2 edges";
     assert_eq!(
-        (figure.notes[2].as_str(), drawings[0].missing.as_slice()),
-        (missing, &[missing.to_owned()][..])
+        (figure.notes[2].as_str(), drawings[0].left_out.as_slice()),
+        (expected_note, &[expected_note.to_owned()][..])
     );
 }

@@ -1,8 +1,8 @@
-//! Tests of the marks of latencies that were drawn from a distribution.
+//! Tests of the marks of replayed latencies.
 
 use super::*;
 
-/// Returns the run with latencies that were drawn.
+/// Returns the same run with the fact that its latencies are replayed.
 fn replayed(run: Loaded) -> Loaded {
     let facts = vec![("Replayed".to_owned(), "inference is drawn from x".to_owned())];
     Loaded { record: RunRecord { facts, ..run.record }, ..run }
@@ -12,7 +12,7 @@ fn with_total(model: &str, kind: &str, total: f64) -> Loaded {
     Loaded { record: placed(model, kind, 1.0).record, ..run_with_total(total) }
 }
 
-/// Draws the figures of a kind and returns the image and the text of the file with this name.
+/// Draws the figures of a kind and returns the SVG and the caption of the figure with this stem.
 fn drawn(kind: Kind, runs: &[Loaded], stem: &str) -> [String; 2] {
     let folder = tempfile::tempdir().expect("a folder");
     draw(kind, runs, &Columns::default(), folder.path()).expect("drawn");
@@ -24,29 +24,29 @@ fn drawn(kind: Kind, runs: &[Loaded], stem: &str) -> [String; 2] {
 fn replayed_configuration_is_marked_in_all_figures() {
     let runs = [with_total("s", "local", 20.0), replayed(with_total("s", "remote", 4.0))];
     for (kind, stem) in [(Kind::Stacked, "stacked"), (Kind::Totals, "totals"), (Kind::Accuracy, "accuracy")] {
-        let [svg, words] = drawn(kind, &runs, stem);
+        let [svg, caption] = drawn(kind, &runs, stem);
         assert!(svg.contains("remote (replayed)<") && svg.contains("local<"), "{stem}: {svg}");
         let note = "Replayed latencies, not measured: remote: inference is drawn from x.";
-        assert!(words.contains(note), "{stem}: {words}");
-        let [svg, words] =
+        assert!(caption.contains(note), "{stem}: {caption}");
+        let [svg, caption] =
             drawn(kind, &[with_total("s", "local", 20.0), with_total("s", "remote", 4.0)], stem);
-        assert!(!svg.contains("eplayed") && !words.contains("eplayed"), "{stem}: {words}");
+        assert!(!svg.contains("eplayed") && !caption.contains("eplayed"), "{stem}: {caption}");
     }
 }
 
 #[test]
 fn replayed_placement_or_model_is_marked_in_pairs() {
-    let [svg, words] =
+    let [svg, caption] =
         drawn(Kind::Paired, &[placed("s", "local", 20.0), replayed(placed("s", "remote", 4.0))], "paired");
     assert!(svg.contains(">cloud (replayed)<") && !svg.contains("remote"), "{svg}");
-    assert!(words.contains("not measured: remote: inference is drawn from x."), "{words}");
-    let mixed = [
+    assert!(caption.contains("not measured: remote: inference is drawn from x."), "{caption}");
+    let partly_replayed = [
         placed("s", "local", 20.0),
         replayed(placed("s", "remote", 4.0)),
         placed("m", "local", 30.0),
         placed("m", "remote", 6.0),
     ];
-    let drawings = paired::drawings(&mixed, None).expect("pairs");
+    let drawings = paired::drawings(&partly_replayed, None).expect("pairs");
     let AnyFigure::Paired(figure) = &drawings[0].figure else { panic!("pairs") };
     let names: Vec<&str> = figure.groups.iter().map(|group| group.name.as_str()).collect();
     assert_eq!(
@@ -68,7 +68,7 @@ fn replayed_run_is_marked_where_model_latency_is_shown() {
         assert!(read(&format!("{stem}-caption.txt")).contains(note), "{stem}");
     }
     for stem in ["sensing-time", "upload-time"] {
-        assert!(!read(&format!("{stem}.svg")).contains("replayed"), "{stem} is measured");
+        assert!(!read(&format!("{stem}.svg")).contains("replayed"), "{stem} shows measured times");
         assert!(!read(&format!("{stem}-caption.txt")).contains(note), "{stem}");
     }
 }

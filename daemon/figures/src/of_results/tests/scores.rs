@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn scores_of_pictures_are_drawn_against_latency() {
-    let scored = |model: &str, names: &'static [&'static str]| {
+    let with_scores = |model: &str, names: &'static [&'static str]| {
         let record = placed(model, "local", 1.0).record;
         let run = run(100, |number| {
             let score = (number % 2) as f64;
@@ -12,20 +12,22 @@ fn scores_of_pictures_are_drawn_against_latency() {
         });
         Loaded { record, ..run }
     };
-    let detector = scored("d", &["map-50", "mean-iou"]);
-    let segmenter = scored("s", &["mean-iou"]);
+    let detector = with_scores("d", &["map-50", "mean-iou"]);
+    let segmenter = with_scores("s", &["mean-iou"]);
     let drawings = accuracy::drawings(&[detector, segmenter]).expect("there are scores");
-    let found: Vec<(&str, &str)> = drawings
+    let stems_and_labels: Vec<(&str, &str)> = drawings
         .iter()
         .map(|drawing| {
             let AnyFigure::Accuracy(figure) = &drawing.figure else { panic!("points") };
-            let [score] = &figure.scores[..] else { panic!("one model has the score: {figure:?}") };
+            let [score] = &figure.scores[..] else {
+                panic!("not exactly one model has the score: {figure:?}")
+            };
             let QualityEstimate { value: mean, interval: (low, high), .. } = score.estimate;
             assert!(low < mean && mean < high && (0.4..0.6).contains(&mean), "{score:?}");
             (drawing.stem.as_ref(), score.label.as_str())
         })
         .collect();
-    assert_eq!(found, [("map-50", "d"), ("mean-iou", "s")]);
+    assert_eq!(stems_and_labels, [("map-50", "d"), ("mean-iou", "s")]);
     let AnyFigure::Accuracy(figure) = &drawings[1].figure else { panic!("points") };
     let svg = file::svg(&figure.figure());
     assert!(
@@ -50,7 +52,9 @@ fn success_of_episodes_is_drawn_against_latency() {
     };
     let runs = [with_episodes("s", 20.0, 5), with_episodes("m", 600.0, 2), placed("l", "local", 9.0)];
     let drawings = accuracy::drawings(&runs).expect("there are episodes");
-    let [drawing, returns] = &drawings[..] else { panic!("no labels, so no figure of accuracy") };
+    let [drawing, returns] = &drawings[..] else {
+        panic!("without labels, there are the figures of success and return only")
+    };
     assert_eq!((drawing.stem.as_str(), returns.stem.as_str()), ("success", "return"));
     let AnyFigure::Accuracy(figure) = &drawing.figure else { panic!("points") };
     let scores: Vec<_> = figure.scores.iter().map(|score| (score.label.as_str(), score.estimate)).collect();
