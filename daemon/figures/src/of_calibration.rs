@@ -7,8 +7,8 @@ use crate::render::export;
 use peernet_analysis::WriteError;
 use peernet_analysis::calibration::Study;
 
-/// Draws the figures `latency` and `throughput` of a calibration into an existing folder, each as `.png`, `.svg`, `.pdf`
-/// and `-caption.txt`. Returns the paths of the files. A figure without data is left out.
+/// Draws the figures `latency` and `throughput` of a calibration into an existing folder, each as `.png`, `.svg`,
+/// `.pdf` and `-caption.txt`. Returns the paths of the files. A figure without data is left out.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -39,8 +39,8 @@ mod tests {
 
     use super::*;
 
-    /// Returns the passage of a message that takes 60 µs plus 1 ns for each byte plus up to 6 µs. The bounds are 50 µs below
-    /// and 50 µs above the true delay.
+    /// Returns the passage of a message that takes 60 µs plus 1 ns for each byte plus up to 6 µs. The bounds are 50 µs
+    /// below and 50 µs above the true delay.
     fn passage(payload_bytes: u64, number: u64) -> Passage {
         let true_delay = 60e-6 + 1e-9 * payload_bytes as f64 + (number % 7) as f64 * 1e-6;
         let span = Span::from_seconds_f64;

@@ -1,5 +1,5 @@
-//! Figures of delay and throughput against the size of messages, for a calibration and for the payload study of recorded
-//! runs.
+//! Figures of delay and throughput against the size of messages, for a calibration and for the payload study of
+//! recorded runs.
 
 use peernet_statistics::number::{mean_std, throughput_with_margin};
 
@@ -48,14 +48,14 @@ impl MessageSeries {
         Self { name, fit: line_through_medians(&sizes), sizes }
     }
 
-    /// Returns the fitted line if larger messages take longer; otherwise `None`. If the delay does not grow with the size, the
-    /// intercept of the line has no meaning.
+    /// Returns the fitted line if larger messages take longer; otherwise `None`. If the delay does not grow with the
+    /// size, the intercept of the line has no meaning.
     fn increasing_fit(&self) -> Option<Fit> {
         self.fit.filter(|fit| fit.slope.value > 0.0)
     }
 
-    /// Returns the rate that follows from the slope of the fitted line, and the margin of the rate; bits per second. `None` if
-    /// the delays of these sizes do not determine a rate.
+    /// Returns the rate that follows from the slope of the fitted line, and the margin of the rate; bits per second.
+    /// `None` if the delays of these sizes do not determine a rate.
     fn rate(&self) -> Option<(f64, f64)> {
         self.increasing_fit().and_then(|fit| rate(fit.slope))
     }
@@ -120,7 +120,8 @@ impl MessageFigures {
         )
     }
 
-    /// Returns the figure of throughput against size, with a level line at the rate that follows from the slope of the delays.
+    /// Returns the figure of throughput against size, with a level line at the rate that follows from the slope of the
+    /// delays.
     pub(crate) fn throughput(&self) -> Scaling {
         let explanations = Explanations {
             point: "size ÷ median delay",

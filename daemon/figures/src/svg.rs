@@ -185,7 +185,7 @@ impl Attributes<'_> {
         self
     }
 
-    /// Writes an attribute if it has a value.
+    /// Writes an attribute unless its value is `None`.
     pub fn set_optional(self, name: &'static str, value: Option<impl Value>) -> Self {
         match value {
             Some(value) => self.set(name, value),

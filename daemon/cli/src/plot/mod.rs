@@ -106,7 +106,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
                 written.left_out.iter().for_each(print_to_stderr);
                 files.extend(written.files);
             }
-            Err(error @ PlotError::Lacking(..)) => missing_data.push((folder.to_owned(), error)),
+            Err(error @ PlotError::MissingData(..)) => missing_data.push((folder.to_owned(), error)),
             Err(error) => return Err(Failure::new(Exit::Unwritten, error)),
         }
         Ok(())
@@ -122,7 +122,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     if arguments.kind == Kind::All {
         // Without --kind, only figures that every result can show are reported as missing.
-        missing_data.retain(|(_, error)| matches!(error, PlotError::Lacking(kind, _) if kind.is_expected()));
+        missing_data
+            .retain(|(_, error)| matches!(error, PlotError::MissingData(kind, _) if kind.is_expected()));
     } else if let (true, Some(reasons)) = (files.is_empty(), reasons(&missing_data)) {
         // A single kind that cannot be drawn is a failure.
         return Err(Failure::new(Exit::Data, anyhow!("{reasons}")));
@@ -190,7 +191,7 @@ mod tests {
     #[test]
     fn each_reason_is_reported_once() {
         let lacking = |reasons: &[MissingData]| -> Vec<(PathBuf, PlotError)> {
-            let error = |reason: &MissingData| PlotError::Lacking(figures::Kind::Length, reason.clone());
+            let error = |reason: &MissingData| PlotError::MissingData(figures::Kind::Length, reason.clone());
             reasons.iter().map(|reason| (PathBuf::new(), error(reason))).collect()
         };
         let (runs, total) = (MissingData::Runs, MissingData::Total);

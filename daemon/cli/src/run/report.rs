@@ -96,7 +96,7 @@ fn figures(all: &[Loaded], lines: usize, folder: &Path) -> Result<(), WriteError
     }
     match figures::draw(Kind::Payload, all, &Columns::default(), folder) {
         Err(PlotError::Write(error)) => Err(error),
-        Ok(_) | Err(PlotError::Lacking(..)) => Ok(()),
+        Ok(_) | Err(PlotError::MissingData(..)) => Ok(()),
     }
 }
 

@@ -1,6 +1,6 @@
-//! Benchmark that draws figures of a run of 10,005 iterations, as in the paper, of a run of 100,000 iterations, and of several
-//! experiments. It prints the time, the peak memory so far, and the size of the largest file. If a folder is named on the
-//! command line, the files stay in this folder.
+//! Benchmark that draws figures of a run of 10,005 iterations, as in the paper, of a run of 100,000 iterations, and of
+//! several experiments. It prints the time, the peak memory so far, and the size of the largest file. If a folder is
+//! named on the command line, the files stay in this folder.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
 mod rows;

@@ -1,4 +1,5 @@
-//! Results that look like those of robots, with late messages, answers of two typical lengths, a slow start and lost messages.
+//! Results that look like those of robots, with late messages, answers of two typical lengths, a slow start and lost
+//! messages.
 
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::{HostRecord, ModelRecord, Placement, RunRecord};
@@ -25,7 +26,8 @@ impl TestRng {
         radius * (std::f64::consts::TAU * angle).cos()
     }
 
-    /// Returns a latency around `mean`. `spread` is the standard deviation of its logarithm. A few latencies are much longer.
+    /// Returns a latency around `mean`. `spread` is the standard deviation of its logarithm. A few latencies are much
+    /// longer.
     fn latency(&mut self, mean: f64, spread: f64) -> f64 {
         let tail = if self.uniform() < 0.004 { mean * 8.0 * self.uniform() } else { 0.0 };
         mean * (spread * self.normal()).exp() + tail
@@ -213,8 +215,8 @@ pub(crate) fn payload() -> Loaded {
     run
 }
 
-/// Returns runs of a model that takes 12 ms and a model that takes 40 ms. Each model has one worker, which up to sixteen edges use
-/// at the same time.
+/// Returns runs of a model that takes 12 ms and a model that takes 40 ms. Each model has one worker, which up to
+/// sixteen edges use at the same time.
 pub(crate) fn users() -> Vec<Loaded> {
     let mut rng = TestRng::new(11);
     let mut runs = Vec::new();

@@ -11,11 +11,11 @@ use crate::scale::Scale;
 const BINS: u32 = 48;
 /// Margin on both sides of the values on an axis that does not begin at zero, as a share of the range of the values.
 const SIDE_MARGIN: f64 = 0.05;
-/// Share by which a value may lie beyond an end of the axis and still have a position on the axis. The value may have been
-/// rounded.
+/// Share by which a value may lie beyond an end of the axis and still have a position on the axis. The value may have
+/// been rounded.
 const ROUNDING: f64 = 1e-9;
-/// A smallest value that is less than this share of the largest value becomes zero. Otherwise the smallest value would make
-/// the axis logarithmic.
+/// A smallest value that is less than this share of the largest value becomes zero. Otherwise the smallest value would
+/// make the axis logarithmic.
 const ZERO_SHARE: f64 = 1e-12;
 /// Approximate number of marks on the axis.
 const MARKS: usize = 5;
@@ -34,9 +34,9 @@ pub struct BinnedAxis {
 }
 
 impl BinnedAxis {
-    /// Returns an axis of the values that a histogram shows. Tails that would compress the rest lie beyond the ends of the
-    /// axis. The axis of a single distribution has the bins of the [histogram](Binning). An axis that several distributions
-    /// share is logarithmic if it spans more than a decade. `None` without values.
+    /// Returns an axis of the values that a histogram shows. Tails that would compress the rest lie beyond the ends of
+    /// the axis. The axis of a single distribution has the bins of the [histogram](Binning). An axis that several
+    /// distributions share is logarithmic if it spans more than a decade. `None` without values.
     pub fn around<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
         let all: Vec<&Summary> = all.filter(|summary| summary.count() > 0).collect();
         if let [single] = all.as_slice() {
@@ -50,9 +50,9 @@ impl BinnedAxis {
         Some(Self::new(unit, scale, ends))
     }
 
-    /// Returns a linear axis that begins at zero and ends a little above the largest value that a histogram shows. The axis
-    /// begins near the smallest value instead if an axis from zero would squeeze all values into a corner, or if the
-    /// smallest value is negative. `None` without values.
+    /// Returns a linear axis that begins at zero and ends a little above the largest value that a histogram shows. The
+    /// axis begins near the smallest value instead if an axis from zero would squeeze all values into a corner, or if
+    /// the smallest value is negative. `None` without values.
     // The axis is linear for any range, because the line of latency over the length of answers would be a curve on a
     // logarithmic axis.
     pub fn from_zero<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
@@ -70,7 +70,8 @@ impl BinnedAxis {
                 Some(Self::new(unit, scale, (lo, hi)))
             }
             _ => {
-                // On an axis from zero, even the lower tail has a position, so the bins begin at the smallest value of all.
+                // On an axis from zero, even the lower tail has a position, so the bins begin at the smallest value of
+                // all.
                 let min = all.iter().map(|summary| summary.moments.min * unit.per_si).fold(lo, f64::min);
                 Some(Self::new(unit, Scale::up_to(hi + margin / 2.0, MARKS + 1), (min.max(0.0), hi)))
             }
@@ -82,8 +83,8 @@ impl BinnedAxis {
         Self { unit, scale, edges: (0..=BINS).map(edge).collect() }
     }
 
-    /// Returns the ends of the union of the [shown ranges](shown_range) of all distributions, in the unit that is shown.
-    /// `None` without values.
+    /// Returns the ends of the union of the [shown ranges](shown_range) of all distributions, in the unit that is
+    /// shown. `None` without values.
     fn ends(all: &[&Summary], unit: &Unit) -> Option<(f64, f64)> {
         let ends = |summary: &&Summary| {
             let (lo, hi) = shown_range(*summary)?;
@@ -120,12 +121,12 @@ impl BinnedAxis {
         (count_below(lo), values.count() - count_below(hi))
     }
 
-    /// Returns the beginning, the end and the height of each bar of a distribution, as shares of the plot. The bar of the
-    /// bin with most values has the full height.
+    /// Returns the beginning, the end and the height of each bar of a distribution, as shares of the plot. The bar of
+    /// the bin with most values has the full height.
     pub fn bars(&self, values: &Summary) -> Vec<[f64; 3]> {
         let mut edges: Vec<f64> = self.edges.iter().map(|edge| edge / self.unit.per_si).collect();
-        // If no value lies beyond an end of the axis, the bin at this end is open. Otherwise a value at the end could miss
-        // the bin because of rounding.
+        // If no value lies beyond an end of the axis, the bin at this end is open. Otherwise a value at the end could
+        // miss the bin because of rounding.
         let (lo, hi) = self.range();
         if let Some(first) = edges.first_mut().filter(|_| lo <= values.moments.min) {
             *first = f64::NEG_INFINITY;

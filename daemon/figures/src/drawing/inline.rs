@@ -4,8 +4,8 @@ use crate::look::{Style, stage};
 use crate::plot::{At, Item, Label, Path};
 use peernet_statistics::number;
 
-/// Length of a share bar that shows the share 1, as a share of the picture. The rest of the picture is room for the number
-/// after the bar.
+/// Length of a share bar that shows the share 1, as a share of the picture. The rest of the picture is room for the
+/// number after the bar.
 const FULL_LENGTH: f64 = 0.72;
 /// A meter is nearly full if it shows at least this share.
 const NEARLY_FULL: f64 = 0.9;
@@ -19,8 +19,8 @@ pub fn share_bar(name: &str, share: f64) -> Vec<Item> {
     vec![Item::rect(At::new(0.0, 0.19), At::new(end, 0.81), stage(name).plain()), Item::Text(number)]
 }
 
-/// Returns a meter that shows the used share of a limit, 0 to 1, and whether the meter is nearly full. The meter is a bar
-/// on a track that ends at the limit.
+/// Returns a meter that shows the used share of a limit, 0 to 1, and whether the meter is nearly full. The meter is a
+/// bar on a track that ends at the limit.
 pub fn meter(share: f64) -> (Vec<Item>, bool) {
     let share = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
     let end = if share > 0.0 { share.max(MIN_LENGTH) } else { 0.0 };
@@ -28,8 +28,8 @@ pub fn meter(share: f64) -> (Vec<Item>, bool) {
     (vec![bar(1.0, "track"), bar(end, "fill")], share >= NEARLY_FULL)
 }
 
-/// Returns a line through values from 0 to 1 at evenly spaced times, with the area below the line. A missing value leaves
-/// a gap in the line and in the area.
+/// Returns a line through values from 0 to 1 at evenly spaced times, with the area below the line. A missing value
+/// leaves a gap in the line and in the area.
 pub fn sparkline(values: &[Option<f64>]) -> Vec<Item> {
     let step = 1.0 / values.len().saturating_sub(1).max(1) as f64;
     let point = |(index, value): (usize, &Option<f64>)| {

@@ -1,4 +1,5 @@
-//! Plot of points for some iterations, with the distribution of each quantity over all iterations at a side of the plot.
+//! Plot of points for some iterations, with the distribution of each quantity over all iterations at a side of the
+//! plot.
 
 use std::collections::BTreeMap;
 
@@ -37,8 +38,8 @@ pub struct Joint<'a> {
 }
 
 impl Joint<'_> {
-    /// Returns the position of a point, as shares from the left and from the top; `None` for a point beyond the end of an
-    /// axis.
+    /// Returns the position of a point, as shares from the left and from the top; `None` for a point beyond the end of
+    /// an axis.
     fn position(&self, (x, y): (f64, f64)) -> Option<(f64, f64)> {
         Some((self.x.0.at(x)?, 1.0 - self.y.0.at(y)?))
     }
@@ -91,8 +92,8 @@ impl Joint<'_> {
 }
 
 /// Divides the plot into `columns` × `rows` cells and counts the points in each cell. Returns the shades, the lightest
-/// first, each with a path of the cells that have this shade. A shade is an opacity from 0 to 1. The shade grows with the
-/// logarithm of the count, so that a cell with a single point is visible.
+/// first, each with a path of the cells that have this shade. A shade is an opacity from 0 to 1. The shade grows with
+/// the logarithm of the count, so that a cell with a single point is visible.
 fn cells_by_shade(points: impl Iterator<Item = (f64, f64)>, (columns, rows): (f64, f64)) -> Vec<(f64, Path)> {
     let mut counts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
     for (x, y) in points {

@@ -1,5 +1,5 @@
-//! Horizontal box plot of a distribution. Several box plots share a scale. Box plots are drawn only on web pages, not in
-//! files.
+//! Horizontal box plot of a distribution. Several box plots share a scale. Box plots are drawn only on web pages, not
+//! in files.
 
 use peernet_statistics::Summary;
 use peernet_statistics::number::{SPACE, count, milliseconds};

@@ -1,5 +1,5 @@
-//! Figure of a quantity against the size of messages, on logarithmic axes. Each size has a point with a bar and a whisker.
-//! A series can have a line.
+//! Figure of a quantity against the size of messages, on logarithmic axes. Each size has a point with a bar and a
+//! whisker. A series can have a line.
 
 use peernet_statistics::number::bytes;
 
@@ -21,8 +21,8 @@ const RADIUS: f64 = 1.9;
 const LINE_WIDTH: f64 = 0.75;
 /// Width of the line of a whisker, points.
 const WHISKER_WIDTH: f64 = 0.45;
-/// Exponent that gives the room beyond the values at each end of the vertical axis. The room is a factor: the ratio of the
-/// highest to the lowest value to this power.
+/// Exponent that gives the room beyond the values at each end of the vertical axis. The room is a factor: the ratio of
+/// the highest to the lowest value to this power.
 const AXIS_MARGIN: f64 = 0.06;
 /// Minimum of the factor that is the room beyond the values at each end of the vertical axis.
 const MIN_ROOM: f64 = 1.15;
@@ -61,15 +61,15 @@ pub struct Series {
 }
 
 impl Value {
-    /// Returns the ends of the whisker; `None` if there are no bounds, or if the bounds are equal because one clock stamped
-    /// both departure and arrival.
+    /// Returns the ends of the whisker; `None` if there are no bounds, or if the bounds are equal because one clock
+    /// stamped both departure and arrival.
     fn whisker(&self) -> Option<(f64, Option<f64>)> {
         self.bounds.filter(|(lo, hi)| hi.is_none_or(|hi| hi > *lo))
     }
 }
 
-/// Explanations of the points, whiskers and lines of a figure, in a few words each. The figure shows the explanations of
-/// what is drawn.
+/// Explanations of the points, whiskers and lines of a figure, in a few words each. The figure shows the explanations
+/// of what is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Explanations {
     /// Explanation of the points.
@@ -87,8 +87,8 @@ pub struct Scaling {
     pub title: String,
     /// Unit of the vertical axis.
     pub unit: Unit,
-    /// Explanations of points, whiskers and lines. Bars need no explanation here, because they always show the 5th to the
-    /// 95th percentile.
+    /// Explanations of points, whiskers and lines. Bars need no explanation here, because they always show the 5th to
+    /// the 95th percentile.
     pub explanations: Explanations,
     /// Further notes on the values.
     pub notes: Vec<String>,
@@ -101,8 +101,8 @@ impl Scaling {
         self.series.iter().flat_map(|series| &series.values).filter(|value| value.value > 0.0)
     }
 
-    /// Returns the lowest and the highest of all values, ends of bars and bounds, SI units. A bound that is far from its
-    /// value is replaced by a nearer number.
+    /// Returns the lowest and the highest of all values, ends of bars and bounds, SI units. A bound that is far from
+    /// its value is replaced by a nearer number.
     fn heights(&self) -> Option<(f64, f64)> {
         let extent = |value: &Value| {
             let (lo, hi) = value.p5_and_p95.unwrap_or((value.value, value.value));
@@ -128,8 +128,8 @@ impl Scaling {
         self.level_line(series).is_some_and(|(_, is_near)| !is_near)
     }
 
-    /// Returns notes on how to read the figure: the explanations of what is drawn, the names of lines that are not drawn,
-    /// and the further notes.
+    /// Returns notes on how to read the figure: the explanations of what is drawn, the names of lines that are not
+    /// drawn, and the further notes.
     fn reading_notes(&self) -> Vec<String> {
         let mut explanations = vec![format!("point: {}", self.explanations.point)];
         if self.values().any(|value| value.p5_and_p95.is_some()) {
@@ -194,16 +194,16 @@ impl Scaling {
         }
     }
 
-    /// Returns the items of a series. The series is moved to the right by `dx` points, so that the points of two series at
-    /// the same size are both visible.
+    /// Returns the items of a series. The series is moved to the right by `dx` points, so that the points of two series
+    /// at the same size are both visible.
     fn series_items(&self, plot: &Plot, series: &Series, dx: f64) -> Vec<Item> {
         let in_shown_unit = |value: f64| value * self.unit.per_si;
         let (line_style, mark_style) = look(series);
         let mut items = Vec::new();
         if let Some((intercept, slope)) = series.line.filter(|_| !self.is_line_too_far(series)) {
             let line = plot.curve(plot.x.scale.ends(), |bytes| in_shown_unit(intercept + slope * bytes));
-            // A line that is not level is moved by the same distance as the points, so that points that fit the line lie on
-            // the line.
+            // A line that is not level is moved by the same distance as the points, so that points that fit the line
+            // lie on the line.
             let dx = if slope == 0.0 { 0.0 } else { dx };
             items.push(Item::path(line.within(dx / PLOT_WIDTH).offset_by(dx), line_style));
         }

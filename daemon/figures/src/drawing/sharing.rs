@@ -249,8 +249,8 @@ impl Sharing {
         line.into_iter().chain(marks).collect()
     }
 
-    /// Returns the distance by which the curve with this index is moved to the right, so that curves do not hide each other;
-    /// points.
+    /// Returns the distance by which the curve with this index is moved to the right, so that curves do not hide each
+    /// other; points.
     fn curve_offset(&self, index: usize) -> f64 {
         HALF_DISTANCE * (2.0 * index as f64 - (self.curves.len() as f64 - 1.0))
     }

@@ -19,8 +19,8 @@ pub enum Orientation {
 }
 
 impl Orientation {
-    /// Returns the place at a share along the scale and a share across the scale. The share across the scale is measured
-    /// from the left or from the top.
+    /// Returns the place at a share along the scale and a share across the scale. The share across the scale is
+    /// measured from the left or from the top.
     pub fn at(self, along: f64, across: f64) -> At {
         match self {
             Self::Vertical => At::new(across, 1.0 - along),
@@ -28,8 +28,8 @@ impl Orientation {
         }
     }
 
-    /// Returns a whisker along the scale. `has_cap` says which of its two ends have a cap. A cap extends `cap` points to each
-    /// side.
+    /// Returns a whisker along the scale. `has_cap` says which of its two ends have a cap. A cap extends `cap` points
+    /// to each side.
     pub fn whisker(self, ends: [At; 2], has_cap: [bool; 2], cap: f64, style: &Style) -> Vec<Item> {
         if self == Self::Vertical {
             return Item::whisker(ends, has_cap, cap, style);
@@ -66,8 +66,8 @@ impl Stack<'_> {
         self.parts.iter().map(|(_, value)| value.max(0.0)).sum()
     }
 
-    /// Returns the name, the start and the end of each part that is not zero, in the unit of the scale. Negative parts are
-    /// stacked from zero downwards.
+    /// Returns the name, the start and the end of each part that is not zero, in the unit of the scale. Negative parts
+    /// are stacked from zero downwards.
     pub fn segments(&self) -> Vec<(&str, f64, f64)> {
         let (mut negative_end, mut positive_end) = (0.0, 0.0);
         let parts = self.parts.iter().filter(|(_, value)| *value != 0.0);

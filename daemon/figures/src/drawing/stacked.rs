@@ -43,8 +43,8 @@ pub struct Stacked {
     pub title: String,
     /// Unit of the axis of values: ms.
     pub unit: Unit,
-    /// Stages in the order of time. Every bar has a value for each stage. The value is 0 for a stage that the configuration
-    /// does not have.
+    /// Stages in the order of time. Every bar has a value for each stage. The value is 0 for a stage that the
+    /// configuration does not have.
     pub stages: Vec<String>,
     /// One bar for each configuration.
     pub bars: Vec<Bar>,
@@ -112,8 +112,8 @@ impl Stacked {
         }
     }
 
-    /// Lays each bar out as a separate picture with the values of its parts, for pages. Returns the pictures and their common
-    /// scale, in ms.
+    /// Lays each bar out as a separate picture with the values of its parts, for pages. Returns the pictures and their
+    /// common scale, in ms.
     pub fn rows(&self) -> (Vec<Vec<Item>>, Scale) {
         let (low, high) = self.range();
         let scale = if low < 0.0 { Scale::from_zero((low, high)) } else { Scale::up_to(high, 6) };
@@ -233,7 +233,8 @@ impl Stacked {
     }
 
     /// Returns the items of a bar and its error bar, and the highest value that they reach, in the unit that is shown.
-    /// `middle` is the centre of the bar and `half_width` is half its width, both as shares of the plot across the bars.
+    /// `middle` is the centre of the bar and `half_width` is half its width, both as shares of the plot across the
+    /// bars.
     fn bar_items(
         &self,
         bar: &Bar,

@@ -1,5 +1,5 @@
-//! Bar of the stages of one iteration, run or configuration, with their values and the distribution of the total. In files,
-//! [`Stacked`](super::Stacked) draws such bars.
+//! Bar of the stages of one iteration, run or configuration, with their values and the distribution of the total. In
+//! files, [`Stacked`](super::Stacked) draws such bars.
 
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
 use peernet_statistics::number::{figure, fixed};
@@ -42,8 +42,8 @@ pub struct StagePart {
     pub name: String,
     /// Length, seconds.
     pub seconds: f64,
-    /// Half the width of the interval that contains the length according to the clock bounds, seconds; `None` for stages
-    /// that are not one-way delays.
+    /// Half the width of the interval that contains the length according to the clock bounds, seconds; `None` for
+    /// stages that are not one-way delays.
     pub bound: Option<f64>,
 }
 
@@ -56,10 +56,10 @@ pub struct StageBar<'a> {
     pub scale: Scale,
     /// True if grid lines are drawn at the marks of the scale.
     pub has_grid: bool,
-    /// True if values and clock bounds are shown. A low bar has no room for them.
+    /// True if values and clock bounds are shown. A low bar has no room for values and bounds.
     pub has_values: bool,
-    /// Mean and standard deviation of the total, seconds; `None` if they are not shown. A whisker extends by one standard
-    /// deviation to both sides of the mean.
+    /// Mean and standard deviation of the total, seconds; `None` if they are not shown. A whisker extends by one
+    /// standard deviation to both sides of the mean.
     pub mean_and_std: Option<(f64, f64)>,
     /// 95th and 99th percentile of the total, seconds.
     pub quantiles: [Option<f64>; 2],
@@ -119,8 +119,8 @@ impl<'a> StageBar<'a> {
         Some([mean - std, mean + std].map(|seconds| self.scale.at(seconds * 1e3)))
     }
 
-    /// Returns the label of a stage: the value, and before the value the name of the stage if there is room. The label is
-    /// hidden if the whisker of the total would cross the label.
+    /// Returns the label of a stage: the value, and before the value the name of the stage if there is room. The label
+    /// is hidden if the whisker of the total would cross the label.
     fn value_label(&self, (name, from, to): (&str, f64, f64)) -> Label {
         let (begin, end) = (self.scale.at(from), self.scale.at(to));
         let (middle, value) = (f64::midpoint(begin, end), to - from);
@@ -137,8 +137,8 @@ impl<'a> StageBar<'a> {
     }
 
     /// Returns the whiskers of the clock bounds. The sum of both directions is exact, but the boundaries between the
-    /// network and the stages on the cloud are uncertain. The whiskers are therefore at the end of the upload and at the
-    /// beginning of the download.
+    /// network and the stages on the cloud are uncertain. The whiskers are therefore at the end of the upload and at
+    /// the beginning of the download.
     fn bound_whiskers(&self, stack: &Stack<'_>) -> Vec<Item> {
         let whisker = |(name, from, to): (&str, f64, f64)| {
             let part = self.parts.iter().find(|part| part.name == name)?;
@@ -153,8 +153,8 @@ impl<'a> StageBar<'a> {
         stack.segments().into_iter().filter_map(whisker).flatten().collect()
     }
 
-    /// Returns the whiskers after the end of the bar: a solid line to the 95th percentile, and a dotted line from the 95th
-    /// to the 99th percentile. A percentile beyond the scale has an arrow.
+    /// Returns the whiskers after the end of the bar: a solid line to the 95th percentile, and a dotted line from the
+    /// 95th to the 99th percentile. A percentile beyond the scale has an arrow.
     fn quantile_whiskers(&self, stack: &Stack<'_>) -> Vec<Item> {
         let solid = || Style::line("whisk", INK_2.light, 0.75);
         let dotted = Style::line("whisk far", INK_3.light, 0.75).dashed(Some((1.5, 1.5)));

@@ -1,5 +1,5 @@
-//! Plot of the stacked stages of a run over time, with the quantiles of the total. The plots of several runs have the same
-//! axes. The plots are drawn only on web pages, not in files.
+//! Plot of the stacked stages of a run over time, with the quantiles of the total. The plots of several runs have the
+//! same axes. The plots are drawn only on web pages, not in files.
 
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
 
@@ -10,8 +10,8 @@ use crate::scale::Scale;
 
 /// The vertical axis extends beyond the largest latency that it must show by this share of the latency.
 const MARGIN: f64 = 0.05;
-/// Units of the horizontal axis, as tuples: length of the longest axis with the unit, seconds; length of the unit, seconds;
-/// name of the unit.
+/// Units of the horizontal axis, as tuples: length of the longest axis with the unit, seconds; length of the unit,
+/// seconds; name of the unit.
 const UNITS: [(f64, f64, &str); 4] = [
     (180.0, 1.0, "seconds"),
     (10_800.0, 60.0, "minutes"),
@@ -72,9 +72,9 @@ pub struct StagesOverTime {
 }
 
 impl StagesOverTime {
-    /// Returns the largest latency that the axis must show: the largest median or 95th percentile of a bucket. If no bucket
-    /// has enough samples for a 95th percentile, the 95th percentile of the whole run takes its place. If the run has too few
-    /// samples, too, the largest mean of a bucket takes its place.
+    /// Returns the largest latency that the axis must show: the largest median or 95th percentile of a bucket. If no
+    /// bucket has enough samples for a 95th percentile, the 95th percentile of the whole run takes its place. If the
+    /// run has too few samples, too, the largest mean of a bucket takes its place.
     fn largest_latency(&self) -> f64 {
         let largest = |latency: fn(&StageBucket) -> Option<f64>| {
             self.buckets.iter().filter_map(latency).reduce(f64::max)
@@ -88,19 +88,20 @@ impl StagesOverTime {
         self.buckets.iter().any(|bucket| bucket.p95.is_some())
     }
 
-    /// Returns the line through the values of all buckets, as points of time and value. `None` interrupts the line where
-    /// buckets or values are missing. The line has a point in the middle of each bucket. Each piece between interruptions
-    /// begins at the beginning of its first bucket and ends at the end of its last bucket.
+    /// Returns the line through the values of all buckets, as points of time and value. `None` interrupts the line
+    /// where buckets or values are missing. The line has a point in the middle of each bucket. Each piece between
+    /// interruptions begins at the beginning of its first bucket and ends at the end of its last bucket.
     fn outline(&self, value: impl Fn(&StageBucket) -> Option<f64>) -> Vec<Option<(f64, f64)>> {
-        // Statistics leave out the iterations of the warm-up. The values of the bucket in which the warm-up ends are those of
-        // iterations after the warm-up, so the line begins at the end of the warm-up and not at the beginning of the bucket.
+        // Statistics leave out the iterations of the warm-up. The values of the bucket in which the warm-up ends are
+        // those of iterations after the warm-up, so the line begins at the end of the warm-up and not at the beginning
+        // of the bucket.
         let first_warm_up = self.warm_up.first().filter(|(from, _)| *from <= 0.0);
         let start = first_warm_up.map_or(0.0, |(_, until)| until.clamp(0.0, self.length));
         let within_run = |time: f64| time.clamp(start, self.length);
         let mut points = Vec::with_capacity(self.buckets.len() + 4);
         for consecutive in self.buckets.chunk_by(|a, b| b.begin - a.begin < self.width * 1.5) {
-            // A bucket with few iterations can lack a value, such as the 95th percentile. The bucket then interrupts the
-            // line, although no bucket is missing.
+            // A bucket with few iterations can lack a value, such as the 95th percentile. The bucket then interrupts
+            // the line, although no bucket is missing.
             for piece in consecutive.chunk_by(|a, b| value(a).is_some() == value(b).is_some()) {
                 let point = |bucket: &StageBucket, share: f64| {
                     Some((within_run(bucket.begin + self.width * share), value(bucket)?))
@@ -126,8 +127,8 @@ impl StagesOverTime {
         names
     }
 
-    /// Lays the run out on shared axes: areas of the stages, and lines over the areas. The area of each stage reaches down to
-    /// the axis. The areas of lower stages are drawn over the lower part of this area.
+    /// Lays the run out on shared axes: areas of the stages, and lines over the areas. The area of each stage reaches
+    /// down to the axis. The areas of lower stages are drawn over the lower part of this area.
     pub fn plot(&self, axes: &OverTimeAxes) -> Plot {
         let x = Axis::new(axes.x_scale(), "", "").marked(Marks::Round(4));
         let y = Axis::new(axes.y_scale(), "", "").marked(Marks::Round(5)).with_grid();
@@ -187,8 +188,8 @@ pub struct OverTimeAxes {
 }
 
 impl OverTimeAxes {
-    /// Returns axes for these runs. Both axes begin at zero. The time axis is as long as the longest run. The axis of latencies
-    /// ends a little above the largest latency that it must show. `None` if no run has a bucket.
+    /// Returns axes for these runs. Both axes begin at zero. The time axis is as long as the longest run. The axis of
+    /// latencies ends a little above the largest latency that it must show. `None` if no run has a bucket.
     pub fn of(runs: &[StagesOverTime]) -> Option<Self> {
         let max = |value: fn(&StagesOverTime) -> f64| runs.iter().map(value).fold(0.0, f64::max);
         let top = max(StagesOverTime::largest_latency) * (1.0 + MARGIN);

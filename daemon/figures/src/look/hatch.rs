@@ -28,8 +28,8 @@ pub enum Hatch {
 /// Ends of a line.
 type Line = [(f64, f64); 2];
 
-/// Returns the lines of a hatch over a rectangle, which is given by its left upper and its right lower corner. The lines
-/// of all rectangles of a figure are on one grid.
+/// Returns the lines of a hatch over a rectangle, which is given by its left upper and its right lower corner. The
+/// lines of all rectangles of a figure are on one grid.
 pub(crate) fn lines([(left, top), (right, bottom)]: [(f64, f64); 2], hatch: Hatch) -> Vec<Line> {
     // Multiples of `step` between two edges. All areas use the same multiples, so that the lines of neighbouring areas
     // meet at their border.

@@ -29,8 +29,8 @@ impl Mark {
         }
     }
 
-    /// Returns the corners of the mark around its middle, for a radius of 1. A disc has no corners. The corners of a cross
-    /// are the ends of its two strokes.
+    /// Returns the corners of the mark around its middle, for a radius of 1. A disc has no corners. The corners of a
+    /// cross are the ends of its two strokes.
     pub(crate) const fn corners(self) -> &'static [(f64, f64)] {
         match self {
             Self::Disc => &[],

@@ -3,8 +3,8 @@
 //! A colour always means a stage, a direction, a verdict or a failure. Runs, placements (local or a cloud) and
 //! configurations differ by black and greys, marks and dashes ([`series`]). A [`Style`] says how a shape looks: on a
 //! page, by a class of the dashboard's style sheet; in a file, by fill and stroke. To add a look, add a function or
-//! constant to `style.rs` and a rule to `web/assets/css`. A look that only pages have ([`Style::of_page`]) needs no more
-//! than the rule.
+//! constant to `style.rs` and a rule to `web/assets/css`. A look that only pages have ([`Style::of_page`]) needs no
+//! more than the rule.
 
 mod colour;
 mod hatch;

@@ -6,7 +6,8 @@ use super::style::{Fill, Style, TextStyle};
 
 /// Name of the part of `total` that belongs to no stage.
 pub const UNATTRIBUTED: &str = "unattributed";
-/// Name of the time from the intended to the actual start of an iteration. This time is a part of the unattributed time.
+/// Name of the time from the intended to the actual start of an iteration. This time is a part of the unattributed
+/// time.
 pub const LATENESS: &str = "lateness";
 /// Class of the sum of upload and download. The sum is shown if the clocks cannot separate the two.
 const NETWORK: &str = "network";
@@ -24,11 +25,11 @@ pub struct Stage {
     pub colour: Token,
     /// Darker edge of a fill that is pale on paper, so that every boundary has a contrast of at least 3.
     pub edge: Option<Token>,
-    /// Hatch in a file, so that stages differ without colour, too. On pages, only stages of waiting and the unattributed
-    /// time have a hatch.
+    /// Hatch in a file, so that stages differ without colour, too. On pages, only stages of waiting and the
+    /// unattributed time have a hatch.
     pub hatch: Hatch,
-    /// Colour of a line in a file, for totals and for stages whose fill and edge have the colours of another stage; `None`
-    /// if lines have the colour of the edge or, without an edge, of the fill.
+    /// Colour of a line in a file, for totals and for stages whose fill and edge have the colours of another stage;
+    /// `None` if lines have the colour of the edge or, without an edge, of the fill.
     line: Option<Rgb>,
 }
 
@@ -108,8 +109,8 @@ const CUSTOM_STAGE: Stage = Stage {
     line: None,
 };
 
-/// Returns the label of a stage, or of a part of a stage, in legends, tables and sentences. The label is the name, except
-/// for [`LATENESS`].
+/// Returns the label of a stage, or of a part of a stage, in legends, tables and sentences. The label is the name,
+/// except for [`LATENESS`].
 pub fn label(name: &str) -> &str {
     if name == LATENESS { "late start" } else { name }
 }
@@ -161,7 +162,8 @@ impl Stage {
         }
     }
 
-    /// Returns the style of the stage's area without a hatch, for bars that are side by side. A hatch would blur such bars.
+    /// Returns the style of the stage's area without a hatch, for bars that are side by side. A hatch would blur such
+    /// bars.
     pub fn plain(&self) -> Style {
         Style::area(class("f-", self.class), Fill::of(self.colour.light))
     }

@@ -11,7 +11,7 @@ use super::mark::Mark;
 pub struct Fill {
     /// Colour of the fill.
     pub colour: Rgb,
-    /// Opacity from 0 to 1. Pages use the opacity, too, because it represents a number. They do not use the colour.
+    /// Opacity from 0 to 1. Pages use the opacity, too, because it represents a number. Pages do not use the colour.
     pub opacity: f64,
     /// Lines over the fill, and their colour.
     pub hatch: Option<(Hatch, Rgb)>,

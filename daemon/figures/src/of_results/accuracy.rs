@@ -59,7 +59,8 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
             number::count(score_count as u64)
         ));
     }
-    // The values of a quality of episodes are counted in episodes, so notes on numbers of iterations do not explain them.
+    // The values of a quality of episodes are counted in episodes, so notes on numbers of iterations do not explain
+    // them.
     if !quality.is_of_episodes() {
         notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
         if omitted_groups > 0 {
@@ -76,7 +77,8 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     Some(Drawing::new(stem(quality), AnyFigure::Accuracy(figure)).with_left_out(left_out))
 }
 
-/// Returns notes on the iterations without a score. Iterations of configurations that are not in the figure are not counted.
+/// Returns notes on the iterations without a score. Iterations of configurations that are not in the figure are not
+/// counted.
 fn unscored_notes(runs: &[Loaded], groups: &[(String, Vec<&Loaded>)], quality: Quality) -> Vec<String> {
     let is_scored = |row: &RowRef<'_>| quality.is_scored(*row);
     // Iterations whose label the model does not know are not counted here, because they have their own note.

@@ -1,4 +1,4 @@
-//! Values, units and notes of the columns of results, as figures show them.
+//! Values, units and notes that figures show for the columns of results.
 
 use peernet_statistics::number::{count, counted};
 
@@ -22,8 +22,8 @@ pub(super) fn values(rows: &Rows, column: &str) -> SortedValues {
     rows.values_in_statistics(column).filter(|value| is_drawable(*value)).collect()
 }
 
-/// Returns the unit in which the numbers of a column are shown, such as ms for a time. A quantity that custom code logged has
-/// the unit that was logged with the quantity.
+/// Returns the unit in which the numbers of a column are shown, such as ms for a time. A quantity that custom code
+/// logged has the unit that was logged with the quantity.
 pub(super) fn unit(units: &Units, column: &str, quantity: &str) -> Unit {
     let unscaled = |title: String, symbol: String| Unit { title, symbol: symbol.into(), per_si: 1.0 };
     if ["iteration", "episode", "step"].contains(&column) {
@@ -48,8 +48,8 @@ pub(super) fn heading(column: &str) -> String {
     chars.next().map_or_else(String::new, |first| first.to_uppercase().chain(chars).collect())
 }
 
-/// Returns the note on the number of values that are shown and the numbers of rows that are left out: `n = 10,000 · left
-/// out: 5 warm-up, 3 failed`.
+/// Returns the note on the number of values that are shown and the numbers of rows that are left out: `n = 10,000 ·
+/// left out: 5 warm-up, 3 failed`.
 pub(super) fn count_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown_count: usize,
@@ -58,8 +58,8 @@ pub(super) fn count_note<'a>(
     undrawn_rows_note(rows, shown_count).map_or(n.clone(), |note| format!("{n} · {note}"))
 }
 
-/// Returns the note on the numbers of rows that are left out, with the rows that have no value to draw; `None` if nothing is
-/// left out. It is the second half of [`count_note`], for figures that show the number of values elsewhere.
+/// Returns the note on the numbers of rows that are left out, with the rows that have no value to draw; `None` if
+/// nothing is left out. It is the second half of [`count_note`], for figures that show the number of values elsewhere.
 pub(super) fn undrawn_rows_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown_count: usize,
@@ -69,14 +69,14 @@ pub(super) fn undrawn_rows_note<'a>(
     left_out_note(excluded_rows(rows).into_iter().chain([undrawn]))
 }
 
-/// Returns the note on the numbers of rows that are not in the statistics: `left out: 5 warm-up, 3 failed`; `None` if all
-/// rows are in the statistics.
+/// Returns the note on the numbers of rows that are not in the statistics: `left out: 5 warm-up, 3 failed`; `None` if
+/// all rows are in the statistics.
 pub(super) fn excluded_note<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> Option<String> {
     left_out_note(excluded_rows(rows))
 }
 
-/// Returns the number of rows that are warm-up and the number of rows that failed after the warm-up, each with the reason for
-/// leaving the rows out.
+/// Returns the number of rows that are warm-up and the number of rows that failed after the warm-up, each with the
+/// reason for leaving the rows out.
 fn excluded_rows<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> [(usize, &'static str); 2] {
     let count = |matches: &dyn Fn(&RowRef<'_>) -> bool| rows.clone().filter(|row| matches(row)).count();
     [
@@ -85,7 +85,8 @@ fn excluded_rows<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> [(usi
     ]
 }
 
-/// Returns the note on rows that are left out. Each number of rows is given with the reason. `None` if all numbers are 0.
+/// Returns the note on rows that are left out. Each number of rows is given with the reason. `None` if all numbers are
+/// 0.
 fn left_out_note(counts: impl IntoIterator<Item = (usize, &'static str)>) -> Option<String> {
     let counts: Vec<String> = counts
         .into_iter()
@@ -95,7 +96,7 @@ fn left_out_note(counts: impl IntoIterator<Item = (usize, &'static str)>) -> Opt
     (!counts.is_empty()).then(|| format!("left out: {}", counts.join(", ")))
 }
 
-/// Returns a title followed by the name of a run or link, if it has a name.
+/// Returns a title followed by the name of a run or link; the title alone if the name is empty.
 pub(super) fn with_name(title: &str, name: &str) -> String {
     if name.is_empty() { title.to_owned() } else { format!("{title} · {name}") }
 }

@@ -17,8 +17,8 @@ const LINE_WIDTH: f64 = 0.9;
 /// Width of the line of the total, points.
 const TOTAL_LINE_WIDTH: f64 = 1.2;
 
-/// Returns the figure with a curve for the total and a curve for each of the longest stages. If a column is given, returns
-/// the figure with the curve of this column instead.
+/// Returns the figure with a curve for the total and a curve for each of the longest stages. If a column is given,
+/// returns the figure with the curve of this column instead.
 pub(super) fn drawings(
     record: &RunRecord,
     rows: &Rows,
@@ -65,8 +65,8 @@ fn notes(rows: &Rows, columns: &[&str], values: &SortedValues) -> Vec<String> {
     std::iter::once(count_note).chain(too_large_note(rows.iter(), columns)).collect()
 }
 
-/// Returns the curve of a stage in the stage's colour with the mark of this index, or the curve of another quantity, such as
-/// the total, in ink.
+/// Returns the curve of a stage in the stage's colour with the mark of this index, or the curve of another quantity,
+/// such as the total, in ink.
 fn curve(name: &str, values: SortedValues, mark_index: usize) -> CumulativeCurve {
     let look = look(name);
     let (line, mark) = if !look.has_colour() {

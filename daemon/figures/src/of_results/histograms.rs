@@ -15,8 +15,8 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 use peernet_analysis::summary::{Scale, median_bounds_of};
 
-/// Returns the histograms of the paper's original program. A histogram without values is left out if runs at the placement
-/// of this run do not have such values.
+/// Returns the histograms of the paper's original program. A histogram without values is left out if runs at the
+/// placement of this run do not have such values.
 pub(super) fn original_histograms(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
     let has_placement = |kind| record.placement.is(kind);
     let is_remote = !has_placement(PlacementKind::Local) && !has_placement(PlacementKind::None);
@@ -62,8 +62,8 @@ fn histogram(record: &RunRecord, rows: &Rows, column: &str, title: &str) -> Hist
     }
 }
 
-/// Returns a note on the number of delays below zero; `None` if there are none. Negative delays are impossible. They are
-/// measured if the clocks are not related, as in results of other programs.
+/// Returns a note on the number of delays below zero; `None` if there are none. Negative delays are impossible. They
+/// are measured if the clocks are not related, as in results of other programs.
 fn negative_delays_note(column: &str, values: &SortedValues) -> Option<String> {
     let count = values.values().partition_point(|value| *value < 0.0) as u64;
     let is_delay = ["upload", "download"].contains(&column);
@@ -71,9 +71,9 @@ fn negative_delays_note(column: &str, values: &SortedValues) -> Option<String> {
         .then(|| format!("below zero because of the clocks' error: {}", fixed(count as f64, 0)))
 }
 
-/// Returns a note on the bounds of the true median. The true median lies between the median of the lower clock bounds and
-/// the median of the upper clock bounds. `None` if a value of the column in the statistics has no bounds, or if the two
-/// medians are equal because one clock stamped both departure and arrival of all messages.
+/// Returns a note on the bounds of the true median. The true median lies between the median of the lower clock bounds
+/// and the median of the upper clock bounds. `None` if a value of the column in the statistics has no bounds, or if the
+/// two medians are equal because one clock stamped both departure and arrival of all messages.
 fn clock_bounds_note(rows: &Rows, column: &str) -> Option<String> {
     let (lo, hi) = median_bounds_of(rows, column)?;
     let interval = match Scale::for_column(column, None) {

@@ -38,8 +38,8 @@ pub(super) fn drawings(
         columns.x.clone().unwrap_or_else(|| answer_length(columns_with_values.iter().copied()).to_owned());
     // If a column of lengths was named, it does not matter that the server reports no numbers of tokens.
     let lacks_usage = columns.x.is_none() && lacks_usage(columns_with_values.iter().copied());
-    // If the model runs on the robot, no answer is sent over a network. The column of bytes then has no positive value and
-    // is no substitute for a length.
+    // If the model runs on the robot, no answer is sent over a network. The column of bytes then has no positive value
+    // and is no substitute for a length.
     let has_lengths = rows.values_in_statistics(&x).any(|value| value > 0.0);
     let substitute = has_lengths.then(|| x.clone());
     // Without numbers of tokens, their absence is the reason that helps most.

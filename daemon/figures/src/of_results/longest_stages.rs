@@ -17,8 +17,8 @@ pub(super) struct LongestStages {
 }
 
 impl LongestStages {
-    /// Divides the stages by the sums of their latencies over the rows in the statistics. Stages that took no time are in
-    /// neither group.
+    /// Divides the stages by the sums of their latencies over the rows in the statistics. Stages that took no time are
+    /// in neither group.
     pub(super) fn new(rows: &Rows) -> Self {
         let sums = stage::ORDER.into_iter().map(|name| {
             let sum: f64 = values(rows, &name).values().iter().sum();

@@ -41,8 +41,8 @@ pub enum MissingData {
         /// The columns of nodes with this name.
         columns: Vec<String>,
     },
-    /// A language model's server reported no numbers of tokens (`usage`), and the column that would be used as length instead
-    /// shows no differences.
+    /// A language model's server reported no numbers of tokens (`usage`), and the column that would be used as length
+    /// instead shows no differences.
     #[error("the lengths of the answers are not known{}: {NO_USAGE}", .substitute.as_ref().map_or_else(String::new, |column| format!(" ({column} does not show how they differ)")))]
     TokenCounts {
         /// The column that would be used as length instead; `None` if this column has no positive value.
@@ -66,7 +66,8 @@ pub enum MissingData {
     },
     /// No model has numbers in the column at two placements.
     #[error(
-        "it needs the column {column} of one model at two placements, such as a local and a remote run of the same model"
+        "it needs the column {column} of one model at two placements, such as a local and a remote run of the same \
+         model"
     )]
     SecondPlacement {
         /// The column to be compared.
@@ -98,16 +99,17 @@ pub enum MissingData {
     /// No run had several edges.
     #[error("it needs runs of an experiment with several edges at the same time: set experiment.users")]
     Users,
-    /// In no run did all edges measure at the same time. A figure against the number of edges shows only iterations from such
-    /// a time.
+    /// In no run did all edges measure at the same time. A figure against the number of edges shows only iterations
+    /// from such a time.
     #[error(
-        "the edges of each run measured at different times, so no iteration counts for `total`; run the edges at the same time"
+        "the edges of each run measured at different times, so no iteration counts for `total`; run the \
+         edges at the same time"
     )]
     CommonTotal,
 }
 
-/// End of the text of [`MissingData::Labels`]: the number of iterations that cannot have a score. The text is empty if there
-/// are none.
+/// End of the text of [`MissingData::Labels`]: the number of iterations that cannot have a score. The text is empty if
+/// there are none.
 struct UnscoredIterations<'a>(&'a Option<UnknownLabels>);
 
 impl fmt::Display for UnscoredIterations<'_> {

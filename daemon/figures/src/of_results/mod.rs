@@ -61,7 +61,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All kinds: first the kinds that are drawn for each run separately, then the kinds that are drawn for all runs together.
+    /// All kinds: first the kinds that are drawn for each run separately, then the kinds that are drawn for all runs
+    /// together.
     pub const ALL: [Self; 10] = [
         Self::Histograms,
         Self::Cumulative,
@@ -96,14 +97,14 @@ impl Kind {
         matches!(self, Self::Histograms | Self::Cumulative | Self::Series | Self::Length)
     }
 
-    /// Returns whether all results should have the data for the figure. If a person requests all figures, only the absence of
-    /// an expected figure is reported.
+    /// Returns whether all results should have the data for the figure. If a person requests all figures, only the
+    /// absence of an expected figure is reported.
     pub const fn is_expected(self) -> bool {
         matches!(self, Self::Series | Self::Stacked)
     }
 
-    /// Returns whether a figure of these runs is drawn even if nobody asks for this kind. A figure that compares configurations
-    /// is then drawn only for at least two configurations.
+    /// Returns whether a figure of these runs is drawn even if nobody asks for this kind. A figure that compares
+    /// configurations is then drawn only for at least two configurations.
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {
             Self::Stacked | Self::Totals | Self::Accuracy => {
@@ -118,19 +119,20 @@ impl Kind {
     }
 }
 
-/// Columns that a figure shows instead of its default columns. Each column is given by its name or by the name of its node
-/// ([`Rows::columns_named`]); `None` stands for the default column.
+/// Columns that a figure shows instead of its default columns. Each column is given by its name or by the name of its
+/// node ([`Rows::columns_named`]); `None` stands for the default column.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
-    /// Column of the horizontal axis: the quantity of a histogram or of a cumulative distribution, or the length of an answer.
+    /// Column of the horizontal axis: the quantity of a histogram or of a cumulative distribution, or the length of an
+    /// answer.
     pub x: Option<String>,
     /// Column of the vertical axis: a latency.
     pub y: Option<String>,
 }
 
 impl Columns {
-    /// Replaces the names of nodes by the names of their columns in `data.csv`. A name that no run has is kept. The figure then
-    /// reports that the column has no numbers.
+    /// Replaces the names of nodes by the names of their columns in `data.csv`. A name that no run has is kept. The
+    /// figure then reports that the column has no numbers.
     fn resolve(&self, runs: &[Loaded]) -> Result<Self, MissingData> {
         let resolve = |name: &Option<String>| {
             let Some(name) = name else { return Ok(None) };
@@ -152,18 +154,18 @@ impl Columns {
 pub enum PlotError {
     /// The results lack the data for figures of this kind.
     #[error("cannot draw {kind}: {missing}", kind = .0.name(), missing = .1)]
-    Lacking(Kind, #[source] MissingData),
+    MissingData(Kind, #[source] MissingData),
     /// A file could not be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }
 
 /// Draws the figures of a run into a folder: the six histograms of the paper's original program (`sensing-time` to
-/// `download-throughput`), `cumulative`, `series` and, for a language model, `length`. Each figure is written as `.png`,
-/// `.svg` and `.pdf`, and its notes as `-caption.txt`. Returns the paths of the files.
+/// `download-throughput`), `cumulative`, `series` and, for a language model, `length`. Each figure is written as
+/// `.png`, `.svg` and `.pdf`, and its notes as `-caption.txt`. Returns the paths of the files.
 ///
-/// A run that sent nothing over a network has the histograms of sensing and inference only. A histogram without values shows
-/// the text `no values`. A run without any total has neither `cumulative` nor `series`.
+/// A run that sent nothing over a network has the histograms of sensing and inference only. A histogram without values
+/// shows the text `no values`. A run without any total has neither `cumulative` nor `series`.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -191,15 +193,15 @@ pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, Wri
         match draw(kind, runs, &Columns::default(), folder) {
             Ok(written) => files.extend(written.files),
             Err(PlotError::Write(error)) => return Err(error),
-            Err(PlotError::Lacking(..)) => {}
+            Err(PlotError::MissingData(..)) => {}
         }
     }
     Ok(files)
 }
 
-/// Draws the figures of one kind into a folder. A kind that [is of one run](Kind::is_of_one_run) shows the first of `runs`.
-/// Other kinds show all runs together. The folder is created if there is something to draw. Returns the paths of the files,
-/// and notes on data that the figures do not show.
+/// Draws the figures of one kind into a folder. A kind that [is of one run](Kind::is_of_one_run) shows the first of
+/// `runs`. Other kinds show all runs together. The folder is created if there is something to draw. Returns the paths
+/// of the files, and notes on data that the figures do not show.
 ///
 /// # Errors
 /// If the runs lack the data that the kind shows, or a file cannot be written.
@@ -209,9 +211,9 @@ pub fn draw(
     columns: &Columns,
     folder: &Path,
 ) -> Result<WrittenFigures, PlotError> {
-    let first = runs.first().ok_or(PlotError::Lacking(kind, MissingData::Runs))?;
+    let first = runs.first().ok_or(PlotError::MissingData(kind, MissingData::Runs))?;
     let shown_runs = if kind.is_of_one_run() { std::slice::from_ref(first) } else { runs };
-    let columns = &columns.resolve(shown_runs).map_err(|missing| PlotError::Lacking(kind, missing))?;
+    let columns = &columns.resolve(shown_runs).map_err(|missing| PlotError::MissingData(kind, missing))?;
     let drawings = match kind {
         Kind::Histograms => histograms::drawings(first, columns.x.as_deref()),
         Kind::Cumulative => cumulative::drawings(&first.record, &first.rows, columns.x.as_deref()),
@@ -224,7 +226,7 @@ pub fn draw(
         Kind::Payload => payload::drawings(runs),
         Kind::Users => users::drawings(runs),
     };
-    let drawings = drawings.map_err(|missing| PlotError::Lacking(kind, missing))?;
+    let drawings = drawings.map_err(|missing| PlotError::MissingData(kind, missing))?;
     let replayed_note = if kind.is_of_one_run() {
         replayed::note_of_run(&first.record, &first.rows)
     } else {

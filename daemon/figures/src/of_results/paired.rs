@@ -12,8 +12,8 @@ use peernet_analysis::model_places::{ModelPlaces, PlacedModel};
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 
-/// Returns the figure of the models that ran at several placements. `column` is the column of the latency; `None` stands for
-/// `inference`.
+/// Returns the figure of the models that ran at several placements. `column` is the column of the latency; `None`
+/// stands for `inference`.
 pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
     let column = column.unwrap_or("inference");
     let runs_with_values: Vec<&Loaded> =
@@ -34,8 +34,8 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
     };
     let is_replayed = |run: &usize| is_replayed(&runs_with_values[*run].record);
     let runs_at_placement = |placement: usize| models.iter().flat_map(move |(_, runs)| &runs[placement]);
-    // If all latencies at a placement are replayed, the name of the placement is marked. Otherwise, the names of the models
-    // that have replayed latencies at the placement are marked.
+    // If all latencies at a placement are replayed, the name of the placement is marked. Otherwise, the names of the
+    // models that have replayed latencies at the placement are marked.
     let replayed_placements: Vec<bool> = (0..placements.len())
         .map(|placement| {
             runs_at_placement(placement).next().is_some() && runs_at_placement(placement).all(is_replayed)
@@ -80,8 +80,8 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
     Ok(vec![Drawing::new("paired", AnyFigure::Paired(paired)).with_left_out(left_out)])
 }
 
-/// Returns the model of a run and where it ran. For a run without a model, the name of the run takes the place of the model's
-/// name.
+/// Returns the model of a run and where it ran. For a run without a model, the name of the run takes the place of the
+/// model's name.
 fn placed_model(record: &RunRecord) -> PlacedModel {
     let model = record.model.as_ref();
     PlacedModel {

@@ -43,8 +43,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let [latency, throughput] = payload_figures(&study);
         let drawing =
             |name: &str, figure| Drawing::new(format!("payload-{name}{suffix}"), AnyFigure::Scaling(figure));
-        // Both figures show the notes on what is left out. Only the figure of latency passes the notes on to the terminal, so
-        // that each note is printed once.
+        // Both figures show the notes on what is left out. Only the figure of latency passes the notes on to the
+        // terminal, so that each note is printed once.
         [drawing("latency", latency).with_left_out(study.missing), drawing("throughput", throughput)]
     });
     Ok(drawings.collect())

@@ -30,14 +30,14 @@ pub(super) fn with_run(title: &str, record: &RunRecord) -> String {
     with_name(title, &marked(&record.title, is_replayed(record)))
 }
 
-/// Returns whether a column contains the latency of the model, a part of this latency or a sum with it. The other stages of a
-/// run with replayed latencies are measured.
+/// Returns whether a column contains the latency of the model, a part of this latency or a sum with it. The other
+/// stages of a run with replayed latencies are measured.
 pub(super) fn has_model_latency(column: &str) -> bool {
     ["inference", "total", "stages-total"].contains(&column) || column.starts_with("inference_")
 }
 
-/// Returns the note on the configurations whose latencies are replayed, each with its distribution; `None` if the latencies of
-/// all configurations are measured.
+/// Returns the note on the configurations whose latencies are replayed, each with its distribution; `None` if the
+/// latencies of all configurations are measured.
 pub(super) fn note(runs: &[Loaded]) -> Option<String> {
     let Configurations { axes, labels } = Configurations::from_runs(runs);
     let mut configurations: Vec<(String, Vec<ReplayedLatencies>)> = Vec::new();
@@ -55,7 +55,8 @@ pub(super) fn note(runs: &[Loaded]) -> Option<String> {
     replayed_configurations(described.iter().map(|(name, text)| (name.clone(), text.as_deref())))
 }
 
-/// Returns the note on a run whose latencies are replayed, with their distribution; `None` if the latencies are measured.
+/// Returns the note on a run whose latencies are replayed, with their distribution; `None` if the latencies are
+/// measured.
 pub(super) fn note_of_run(record: &RunRecord, rows: &Rows) -> Option<String> {
     let replayed = ReplayedLatencies::from_run(&record.facts, rows)?.describe();
     replayed_configurations([(String::new(), Some(replayed.as_str()))])

@@ -53,8 +53,8 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
 }
 
-/// Returns the note on the number of iterations in the statistics and on the number of iterations of the warm-up, which this
-/// figure shows, too: `n = 54 and 5 warm-up · lines: medians`.
+/// Returns the note on the number of iterations in the statistics and on the number of iterations of the warm-up, which
+/// this figure shows, too: `n = 54 and 5 warm-up · lines: medians`.
 fn count_and_warm_up_note(rows: &Rows, shown_count: usize) -> String {
     let rows_in_statistics = rows.iter().filter(|row| row.is_in_statistics()).count();
     let note = count_note(&rows.iter(), rows_in_statistics);
@@ -68,8 +68,9 @@ fn count_and_warm_up_note(rows: &Rows, shown_count: usize) -> String {
     format!("{n}{warm_up} · lines: medians")
 }
 
-/// Returns the title of the horizontal axis and a function that returns the position of a row on this axis. The position is the
-/// time since the first iteration in seconds if all times are known, and the number of the iteration otherwise.
+/// Returns the title of the horizontal axis and a function that returns the position of a row on this axis. The
+/// position is the time since the first iteration in seconds if all times are known, and the number of the iteration
+/// otherwise.
 fn horizontal_axis(rows: &Rows) -> (&'static str, impl Fn(RowRef<'_>) -> f64) {
     let has_times = !rows.is_empty() && rows.iter().all(|row| row.value("at").is_some());
     let start = rows.iter().map(|row| row.at()).fold(f64::INFINITY, f64::min);

@@ -65,8 +65,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     Ok(vec![Drawing::new("stacked", AnyFigure::Stacked(stacked)).with_left_out(left_out)])
 }
 
-/// Adds the range of the numbers of iterations per bar to a [`count_note`]: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`. With a
-/// single bar, returns the note unchanged.
+/// Adds the range of the numbers of iterations per bar to a [`count_note`]: `n = 88 (44 each)`, `n = 120 (10 to 110
+/// each)`. With a single bar, returns the note unchanged.
 fn with_count_per_bar(count_note: &str, counts: &[u64]) -> String {
     let (Some(each), true) = (number::range_of_counts(counts.iter().copied()), counts.len() > 1) else {
         return count_note.to_owned();

@@ -35,8 +35,9 @@ impl ChangeRows for Rows {
     }
 }
 
-/// Returns a run with rows 1 to `count`. The first five rows are warm-up, and the seventh iteration is lost. `values_of` returns the
-/// values of a row. Values of columns whose names contain `-` are taken as they are; other values are in milliseconds.
+/// Returns a run with rows 1 to `count`. The first five rows are warm-up, and the seventh iteration is lost.
+/// `values_of` returns the values of a row. Values of columns whose names contain `-` are taken as they are; other
+/// values are in milliseconds.
 fn run(count: u64, values_of: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loaded {
     let row = |number: u64| Row {
         iteration: number,
@@ -67,7 +68,8 @@ fn remote(count: u64) -> Loaded {
     })
 }
 
-/// Returns a run of an experiment that compares models and placements. `inference` is the shortest latency of the model in ms.
+/// Returns a run of an experiment that compares models and placements. `inference` is the shortest latency of the model
+/// in ms.
 fn placed(model: &str, kind: &str, inference: f64) -> Loaded {
     let mut run = run(50, |number| vec![("sensing", 1.0), ("inference", inference + number as f64 % 3.0)]);
     run.record.model = Some(ModelRecord { name: model.to_owned(), device: None, sha256: None });

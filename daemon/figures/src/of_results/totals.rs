@@ -16,8 +16,8 @@ use peernet_analysis::total_column::TotalColumn;
 /// Width of a curve, points.
 const LINE_WIDTH: f64 = 1.0;
 
-/// Returns figures with one curve for each configuration, at most [`MAX_CURVES`] in a figure. Repeats of a configuration are
-/// pooled.
+/// Returns figures with one curve for each configuration, at most [`MAX_CURVES`] in a figure. Repeats of a
+/// configuration are pooled.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
     let all_rows = || groups.iter().flat_map(|(_, runs)| rows_in_statistics(runs));
@@ -62,8 +62,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
                 .collect(),
         };
         let drawing = Drawing::new(format!("totals{suffix}"), AnyFigure::Cumulative(figure));
-        // All figures show the notes on what is left out. Only the first figure passes the notes on to the terminal, so that
-        // each note is printed once.
+        // All figures show the notes on what is left out. Only the first figure passes the notes on to the terminal, so
+        // that each note is printed once.
         if index == 0 { drawing.with_left_out(left_out.clone()) } else { drawing }
     });
     Ok(drawings.collect())

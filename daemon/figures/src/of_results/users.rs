@@ -50,8 +50,8 @@ fn curve(curve: &Curve<'_>) -> SharingCurve {
     SharingCurve { name: marked(&curve.name, is_replayed && is_named), ..SharingCurve::new(curve) }
 }
 
-/// Returns a note on the points that these curves lack; `None` if no point is missing. The note names at most [`MAX_NAMED`]
-/// points.
+/// Returns a note on the points that these curves lack; `None` if no point is missing. The note names at most
+/// [`MAX_NAMED`] points.
 fn missing_points_note(curves: &[Curve<'_>]) -> Option<String> {
     let missing_points = |curve: &Curve<'_>| -> Vec<String> {
         let lines = curve.points.iter().filter(|line| !has_total(line));

@@ -85,8 +85,8 @@ impl Drawing {
     }
 }
 
-/// Writes figures into a folder. `replayed_note` is the note on replayed latencies. The note is added to each figure that
-/// shows latencies of a model.
+/// Writes figures into a folder. `replayed_note` is the note on replayed latencies. The note is added to each figure
+/// that shows latencies of a model.
 pub(super) fn write(
     drawings: &[Drawing],
     replayed_note: Option<&str>,

@@ -105,8 +105,8 @@ impl Axis {
         self.marked(Marks::At(labelled_ticks))
     }
 
-    /// Returns the marks. `max_round_marks` limits the number of marks at round numbers. It does not limit the number of
-    /// marks at given positions.
+    /// Returns the marks. `max_round_marks` limits the number of marks at round numbers. It does not limit the number
+    /// of marks at given positions.
     pub fn ticks(&self, max_round_marks: usize) -> Vec<Tick> {
         match &self.marks {
             Marks::Round(max_marks) => self.scale.ticks((*max_marks).min(max_round_marks.max(1))),
@@ -114,15 +114,15 @@ impl Axis {
         }
     }
 
-    /// Returns the title on a page: the unit, followed by `logarithmic` for a logarithmic axis. The title of a linear axis
-    /// without a unit is empty.
+    /// Returns the title on a page: the unit, followed by `logarithmic` for a logarithmic axis. The title of a linear
+    /// axis without a unit is empty.
     pub fn page_title(&self) -> String {
         let scale = if self.scale.is_logarithmic() { "logarithmic" } else { "" };
         [&*self.unit, scale].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ")
     }
 
-    /// Returns the title in a file, followed by `(log scale)` if the scale is logarithmic. The result is empty for an axis
-    /// without a title.
+    /// Returns the title in a file, followed by `(log scale)` if the scale is logarithmic. The result is empty for an
+    /// axis without a title.
     pub fn full_title(&self) -> String {
         if self.scale.is_logarithmic() && !self.title.is_empty() {
             format!("{} (log scale)", self.title)

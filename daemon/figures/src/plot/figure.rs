@@ -5,8 +5,8 @@ use super::item::{At, Item};
 use super::legend::Key;
 use super::path::Path;
 
-/// Number of straight pieces of the graph of a function. Even a straight line needs several pieces, because it is a curve
-/// on logarithmic axes.
+/// Number of straight pieces of the graph of a function. Even a straight line needs several pieces, because it is a
+/// curve on logarithmic axes.
 const CURVE_PIECES: u32 = 64;
 /// Number of bisections that find the place at which a curve leaves the plot. The error of this place is a millionth of
 /// the length of a piece.
@@ -25,8 +25,8 @@ pub struct Strip {
 /// Height of a plot in a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Height {
-    /// Share of the height that the header, the titles, the labels and the plots with a fixed height leave. All flexible
-    /// plots of a figure are equally high.
+    /// Share of the height that the header, the titles, the labels and the plots with a fixed height leave. All
+    /// flexible plots of a figure are equally high.
     Flexible,
     /// Height in points.
     Points(f64),

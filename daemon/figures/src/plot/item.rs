@@ -68,8 +68,8 @@ pub struct Label {
     pub text: String,
     /// Look.
     pub style: TextStyle,
-    /// Minimum width of a picture in which a page shows the text, rem. With 0, the text is always shown; with `None`, the
-    /// text is never shown.
+    /// Minimum width of a picture in which a page shows the text, rem. With 0, the text is always shown; with `None`,
+    /// the text is never shown.
     pub min_width: Option<u16>,
     /// Text before this text, and the minimum width of a picture in which a page shows both. Files do not show the text
     /// before it.
@@ -80,7 +80,7 @@ pub struct Label {
 const MIDDLE: f64 = 0.36;
 
 impl Label {
-    /// Returns a text that begins at a place and is vertically centred on it.
+    /// Returns a text that begins at a place and is vertically centred at this place.
     pub fn new(at: At, text: impl Into<String>, style: TextStyle) -> Self {
         let text = text.into();
         Self {
@@ -106,7 +106,8 @@ impl Label {
         Self { shift: (right, down), ..self }
     }
 
-    /// Returns the same text with another text before it. A page shows the text before it only if there is room for both.
+    /// Returns the same text with another text before it. A page shows the text before it only if there is room for
+    /// both.
     #[must_use]
     pub fn with_prefix(self, prefix: String) -> Self {
         Self { prefix: Some((prefix, Some(0))), ..self }
@@ -116,7 +117,8 @@ impl Label {
     /// `share` of the picture's width. If the method is called several times, the smallest share applies.
     #[must_use]
     pub fn with_max_width(self, share: f64) -> Self {
-        // Returns the minimum width that satisfies the earlier limits and this limit; `None` if no picture is wide enough.
+        // Returns the minimum width that satisfies the earlier limits and this limit; `None` if no picture is wide
+        // enough.
         let raised_min_width = |min_width: Option<u16>, text: &str| {
             Some(min_width?.max(text::width_step(text::width_rem(text) / share.max(1e-9))?))
         };
@@ -145,7 +147,7 @@ impl Label {
 /// Something that is drawn in a plot.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
-    /// Rectangle between two corners. In a file it has a minimum width and height in points, so that it is visible.
+    /// Rectangle between two corners. In a file, the rectangle has a minimum width and height, so that it is visible.
     Rect {
         /// Any corner.
         from: At,

@@ -9,8 +9,8 @@
 //! A kind of figure is a function, or a type with a method, that makes [`Plot`]s. The kind chooses the scales and uses
 //! them to place [`Item`]s. Positions are neither pixels nor points, but shares of the plot from the left and from the
 //! top ([`Plot::at`] computes the shares from values). Lengths that stay the same when the plot grows (marks, caps,
-//! distances of text) are given in points or as multiples of the type size. The look of an item is a [`Style`](crate::look::Style),
-//! which has a class for pages and literal attributes for files.
+//! distances of text) are given in points or as multiples of the type size. The look of an item is a
+//! [`Style`](crate::look::Style), which has a class for pages and literal attributes for files.
 //!
 //! ```
 //! use peernet_figures::look::Style;

@@ -17,7 +17,7 @@ pub enum Step {
 pub struct Path {
     /// Steps of the path.
     pub steps: Vec<Step>,
-    /// Distance by which a file moves the whole path to the right, points. Pages ignore it.
+    /// Distance by which a file moves the whole path to the right, points. Pages ignore this distance.
     pub dx: f64,
 }
 
@@ -44,8 +44,8 @@ impl Path {
         Self { dx, ..self }
     }
 
-    /// Returns the same path without the points that would lie outside of the plot if the path were moved to the right by
-    /// this share of the plot's width.
+    /// Returns the same path without the points that would lie outside of the plot if the path were moved to the right
+    /// by this share of the plot's width.
     #[must_use]
     pub fn within(mut self, share: f64) -> Self {
         let inside = |x: f64| (0.0..=1.0).contains(&(x + share));
@@ -86,9 +86,9 @@ impl Path {
         Self::from_steps(steps)
     }
 
-    /// Returns the area between two lines. A missing point (`None`) interrupts the area. A point has three shares of the
-    /// plot: its position from the left, the position of the upper line from the top, and the position of the lower line
-    /// from the top.
+    /// Returns the area between two lines. A missing point (`None`) interrupts the area. A point has three shares of
+    /// the plot: its position from the left, the position of the upper line from the top, and the position of the lower
+    /// line from the top.
     pub fn band(points: impl IntoIterator<Item = Option<(f64, f64, f64)>>) -> Self {
         let mut steps = Vec::new();
         let mut piece: Vec<(f64, f64, f64)> = Vec::new();
@@ -140,8 +140,8 @@ impl Path {
         Self::from_steps(steps.collect())
     }
 
-    /// Returns upright error bars. Each error bar is given by its position from the left, its upper end and its lower end,
-    /// as shares of the plot. The caps extend to each side by the share `cap` of the plot's width.
+    /// Returns upright error bars. Each error bar is given by its position from the left, its upper end and its lower
+    /// end, as shares of the plot. The caps extend to each side by the share `cap` of the plot's width.
     pub fn whiskers(points: impl IntoIterator<Item = (f64, f64, f64)>, cap: f64) -> Self {
         let steps = points.into_iter().flat_map(|(x, upper, lower)| {
             let stroke = |from: Point, to: Point| [Step::Move(from.0, from.1), Step::Line(to.0, to.1)];

@@ -21,11 +21,11 @@ const UNITS_PER_INCH: f32 = 96.0;
 /// Number of bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1).
 /// [`DENSITY_CHUNK`] is inserted after them.
 const HEADER_BYTES: usize = 8 + 25;
-/// Chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 pixels per metre, and the checksum. Without this chunk,
-/// programs that typeset papers place a picture at the resolution of a screen.
+/// Chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 pixels per metre, and the checksum. Without this
+/// chunk, programs that typeset papers place a picture at the resolution of a screen.
 const DENSITY_CHUNK: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
-/// Endings of the names of a figure's files. The caption's file is not `STEM.txt`, because this is the name of the table
-/// with the same stem.
+/// Endings of the names of a figure's files. The caption's file is not `STEM.txt`, because this is the name of the
+/// table with the same stem.
 pub const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 
 /// Error while an SVG is turned into pixels or PDF.

@@ -2,8 +2,8 @@
 //!
 //! [`page`] writes SVG for the dashboard: lengths in percent, text in the page's own size, classes instead of colours.
 //! This SVG has no `style` attributes, because the content security policy forbids them. [`file`] writes an SVG file as
-//! wide as a column of a paper, with lengths in points and literal attributes. [`export`] turns the SVG file into pixels
-//! and PDF.
+//! wide as a column of a paper, with lengths in points and literal attributes. [`export`] turns the SVG file into
+//! pixels and PDF.
 
 pub mod export;
 pub mod file;

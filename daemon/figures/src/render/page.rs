@@ -16,15 +16,15 @@ use crate::text::{width_rem, width_step};
 
 /// Distance from the top of a plot up to the baseline of a remark above the plot, as a multiple of the type size.
 const REMARK_RISE: f64 = 0.4;
-/// Distance from the top of a plot down to the baseline of a remark inside the plot, as a multiple of the type size. The
-/// remark is inside if labels are above the plot.
+/// Distance from the top of a plot down to the baseline of a remark inside the plot, as a multiple of the type size.
+/// The remark is inside if labels are above the plot.
 const REMARK_DROP: f64 = 0.9;
-/// A label that is nearer to an end of the axis than this share of the axis begins or ends at its tick, so that the label
-/// does not extend beyond the axis.
+/// A label that is nearer to an end of the axis than this share of the axis begins or ends at its tick, so that the
+/// label does not extend beyond the axis.
 const MAX_END_DISTANCE: f64 = 0.04;
 
-/// Draws a plot with its axes. `class` is the class of the plot's grid in the style sheet. `description` describes the plot
-/// for screen readers.
+/// Draws a plot with its axes. `class` is the class of the plot's grid in the style sheet. `description` describes the
+/// plot for screen readers.
 pub fn plot(plot: &Plot, class: &str, description: &str) -> String {
     let mut svg = Writer::default();
     svg.element(Tag::Div).set("class", class).set("role", "img").set("aria-label", description).open();
@@ -61,9 +61,9 @@ pub fn plot(plot: &Plot, class: &str, description: &str) -> String {
     svg.finish()
 }
 
-/// Draws items without axes in one picture, such as a bar or a sparkline. `description` describes the picture for screen
-/// readers. If `description` is empty, the picture is hidden from screen readers, because the text beside the picture
-/// has the same content.
+/// Draws items without axes in one picture, such as a bar or a sparkline. `description` describes the picture for
+/// screen readers. If `description` is empty, the picture is hidden from screen readers, because the text beside the
+/// picture has the same content.
 pub fn picture(items: &[Item], class: &str, description: &str) -> String {
     let mut svg = Writer::default();
     let picture = svg.element(Tag::Svg).set("class", class);
@@ -83,16 +83,16 @@ pub fn y_labels(class: &str, ticks: &[Tick]) -> String {
     svg.finish()
 }
 
-/// Draws labels in a row above bars or below a plot. If neighbouring labels would touch, every second label is hidden. If
-/// the remaining labels would touch, only every fourth label is shown, and so on.
+/// Draws labels in a row above bars or below a plot. If neighbouring labels would touch, every second label is hidden.
+/// If the remaining labels would touch, only every fourth label is shown, and so on.
 pub fn axis(class: &str, ticks: &[Tick]) -> String {
     let mut svg = Writer::default();
     write_x_labels(&mut svg, class, &ticks.iter().map(|tick| (Anchor::Middle, tick)).collect::<Vec<_>>());
     svg.finish()
 }
 
-/// Draws the same row as [`axis`], for a picture that has no room at its sides. Labels at the ends of the row stay inside
-/// the picture.
+/// Draws the same row as [`axis`], for a picture that has no room at its sides. Labels at the ends of the row stay
+/// inside the picture.
 pub fn axis_within(class: &str, ticks: &[Tick]) -> String {
     let anchor = |tick: &Tick| match tick.at {
         left if left < MAX_END_DISTANCE => Anchor::Start,
@@ -160,7 +160,7 @@ fn line(svg: &mut Writer, class: &str, x: [f64; 2], y: [f64; 2]) {
     line.set("y1", Share(y[0])).set("y2", Share(y[1])).leaf();
 }
 
-/// Writes labels in a row, each with the class of the minimum width at which it is shown.
+/// Writes labels in a row. Each label has the class of the minimum width of a picture that shows the label.
 fn write_x_labels(svg: &mut Writer, class: &str, labels: &[(Anchor, &Tick)]) {
     // Width of a label to the left and to the right of its tick.
     let side_widths = |(anchor, tick): &(Anchor, &Tick)| match anchor {
@@ -170,9 +170,9 @@ fn write_x_labels(svg: &mut Writer, class: &str, labels: &[(Anchor, &Tick)]) {
     };
     aria_hidden_element(svg, Tag::Svg, &format!("axisrow {class}")).open();
     for (index, label) in labels.iter().enumerate() {
-        // As the picture gets narrower, labels are hidden in steps: first the labels whose index is odd, then the labels
-        // whose index is an odd multiple of 2, then an odd multiple of 4, and so on. The first label is always shown. In
-        // the step in which a label is hidden, the distance of its visible neighbours is `stride` indexes.
+        // As the picture gets narrower, labels are hidden in steps: first the labels whose index is odd, then the
+        // labels whose index is an odd multiple of 2, then an odd multiple of 4, and so on. The first label is always
+        // shown. In the step in which a label is hidden, the distance of its visible neighbours is `stride` indexes.
         let stride = if index == 0 { labels.len() } else { 1 << index.trailing_zeros() };
         let previous = index.checked_sub(stride).and_then(|other| labels.get(other));
         let next = labels.get(index + stride);

@@ -5,7 +5,8 @@ const STEPS_S: [i64; 9] = [60, 120, 300, 600, 1_800, 3_600, 7_200, 14_400, 86_40
 /// Maximum number of steps on an axis. An axis that is longer than this number of days has more steps, because a day is
 /// the longest step.
 const MAX_STEPS: i64 = 12;
-/// Minimum distance of a mark from an end, as a share of the axis. The label of a nearer mark would extend beyond the axis.
+/// Minimum distance of a mark from an end, as a share of the axis. The label of a nearer mark would extend beyond the
+/// axis.
 const MIN_END_DISTANCE: f64 = 0.015;
 
 /// Returns round times of day, each with its position from 0 to 1, on an axis that begins at the time `from` and is

@@ -59,8 +59,8 @@ pub struct Tick {
 }
 
 impl Scale {
-    /// Returns a linear scale that ends exactly at these values. If the two values are equal, they lie in the middle of the
-    /// scale.
+    /// Returns a linear scale that ends exactly at these values. If the two values are equal, they lie in the middle of
+    /// the scale.
     pub fn linear(values: (f64, f64)) -> Self {
         let (lo, hi) = clamp_to_finite_range(values);
         let (lo, hi) = if hi > lo { (lo, hi) } else { range_around(lo) };
@@ -81,8 +81,8 @@ impl Scale {
         Self::linear(ends)
     }
 
-    /// Returns a linear scale from zero to a round number that is not below `largest`, in about `ticks` steps. If `largest`
-    /// is not a positive finite number, the scale ends at 1.
+    /// Returns a linear scale from zero to a round number that is not below `largest`, in about `ticks` steps. If
+    /// `largest` is not a positive finite number, the scale ends at 1.
     pub fn up_to(largest: f64, ticks: usize) -> Self {
         let largest = if largest.is_finite() && largest > 0.0 { largest } else { 1.0 };
         Self::linear((0.0, largest)).widened(ticks)
@@ -114,8 +114,8 @@ impl Scale {
         Self { has_plus_signs: true, ..self }
     }
 
-    /// Returns the same scale with its ends moved outwards to ticks. The scale has about `ticks` ticks. A logarithmic scale
-    /// is returned unchanged.
+    /// Returns the same scale with its ends moved outwards to ticks. The scale has about `ticks` ticks. A logarithmic
+    /// scale is returned unchanged.
     #[must_use]
     pub fn widened(self, ticks: usize) -> Self {
         if self.spacing == Spacing::Logarithmic {
@@ -137,14 +137,14 @@ impl Scale {
         self.spacing == Spacing::Logarithmic
     }
 
-    /// Returns the position of a value, from 0 to 1. A value beyond an end is placed at this end. NaN is placed at the lower
-    /// end.
+    /// Returns the position of a value, from 0 to 1. A value beyond an end is placed at this end. NaN is placed at the
+    /// lower end.
     pub fn at(&self, value: f64) -> f64 {
         self.at_or_outside(value).clamp(0.0, 1.0)
     }
 
-    /// Returns the position of a value. A value beyond an end is placed slightly outside of the scale, for lines that leave
-    /// their plot.
+    /// Returns the position of a value. A value beyond an end is placed slightly outside of the scale, for lines that
+    /// leave their plot.
     pub fn at_or_outside(&self, value: f64) -> f64 {
         let position = match self.spacing {
             _ if value.is_nan() => 0.0,
@@ -174,11 +174,11 @@ impl Scale {
         (0..=steps).map(move |step| scale.between(scale.lo, scale.hi, f64::from(step) / f64::from(steps)))
     }
 
-    /// Returns the ticks, which are round numbers. A linear scale has about `max_ticks` ticks or fewer, a logarithmic scale
-    /// up to twice as many. The ticks of a widened scale do not depend on `max_ticks`.
+    /// Returns the ticks, which are round numbers. A linear scale has about `max_ticks` ticks or fewer, a logarithmic
+    /// scale up to twice as many. The ticks of a widened scale do not depend on `max_ticks`.
     ///
-    /// A logarithmic scale has ticks at powers of ten. If fewer than three powers lie on the scale, ticks at 2 and 5 times
-    /// the powers are added. If there are still fewer than three ticks, the ticks are evenly spaced instead.
+    /// A logarithmic scale has ticks at powers of ten. If fewer than three powers lie on the scale, ticks at 2 and 5
+    /// times the powers are added. If there are still fewer than three ticks, the ticks are evenly spaced instead.
     pub fn ticks(&self, max_ticks: usize) -> Vec<Tick> {
         match self.spacing {
             Spacing::Linear => self.evenly_spaced_ticks(max_ticks),

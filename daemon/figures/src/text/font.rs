@@ -10,8 +10,8 @@ pub const FAMILY: &str = "Inter";
 /// Font of the dashboard in one weight, with the glyphs that figures use. `assets/instance.py` makes it.
 pub const FONT: &[u8] = include_bytes!("../../assets/inter.ttf");
 
-/// Assumed advance (width) of a character that the font lacks, as a share of the type size. A wide letter has about this
-/// advance.
+/// Assumed advance (width) of a character that the font lacks, as a share of the type size. A wide letter has about
+/// this advance.
 const UNKNOWN_ADVANCE: f64 = 0.7;
 
 /// Advances of the characters of Latin-1, as shares of the type size. The advances of other characters are looked up in
@@ -28,8 +28,8 @@ fn advance(character: char) -> Option<f64> {
     Some(f64::from(advance) / f64::from(face.units_per_em()))
 }
 
-/// Returns the width of a line of text, in the unit of the type size. The width ignores kerning, which would make the text
-/// narrower by less than 1 %.
+/// Returns the width of a line of text, in the unit of the type size. The width ignores kerning, which would make the
+/// text narrower by less than 1 %.
 pub fn width(text: &str, size: f64) -> f64 {
     let cached_advance = |character: char| {
         ADVANCES

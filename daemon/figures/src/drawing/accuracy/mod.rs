@@ -22,7 +22,8 @@ const LOGARITHMIC_RATIO: f64 = 12.0;
 pub const MAX_SCORES: usize = 24;
 /// Room beyond the intervals at each end of the axis of a quality that is a share, percentage points.
 const AXIS_MARGIN: f64 = 2.0;
-/// Minimum difference between the qualities of two points whose horizontal whiskers cannot overlap, as a share of the axis.
+/// Minimum difference between the qualities of two points whose horizontal whiskers cannot overlap, as a share of the
+/// axis.
 const MIN_QUALITY_DISTANCE: f64 = 0.03;
 
 /// Quality and latency of one configuration.
@@ -136,8 +137,8 @@ impl Accuracy {
         Presentation::of(self.quality).method
     }
 
-    /// Returns the scores that are drawn, each with the numbers that are shown: the lower end of the quality's interval, the
-    /// estimate, the upper end of the interval.
+    /// Returns the scores that are drawn, each with the numbers that are shown: the lower end of the quality's
+    /// interval, the estimate, the upper end of the interval.
     fn shown_scores(&self) -> impl Iterator<Item = (&Score, [f64; 3])> {
         let factor = Presentation::of(self.quality).factor;
         let drawable = self.scores.iter().filter(|score| score.median.is_finite() && score.median > 0.0);
@@ -198,8 +199,8 @@ impl Accuracy {
             .map(|(score, _)| (score.median * self.unit.per_si, right_end(score) * self.unit.per_si))
             .reduce(union)?;
         let presentation = Presentation::of(self.quality);
-        // If shares are near 0 or 100, the axis ends a little beyond 0 or 100, so that points there are not cut off. The axis
-        // ends before the next mark, because this mark would be an impossible share.
+        // If shares are near 0 or 100, the axis ends a little beyond 0 or 100, so that points there are not cut off.
+        // The axis ends before the next mark, because this mark would be an impossible share.
         let room_for_points = (high - low).max(1.0) * 0.04;
         let margin = self.margin((low, high));
         let ends = (

@@ -1,5 +1,5 @@
-//! Placement of the numbers of the points. Numbers do not overlap as long as there is room. If a number is not next to its
-//! point, a thin line connects the number and the point.
+//! Placement of the numbers of the points. Numbers do not overlap as long as there is room. If a number is not next to
+//! its point, a thin line connects the number and the point.
 
 use super::{CAP_HALF_WIDTH, RADIUS, Spot};
 use crate::look::{INK_2, Style, TextStyle};
@@ -96,8 +96,8 @@ impl FileSpot {
         ]
     }
 
-    /// Returns whether a place for this point's number is at least as near to another point as to this point. A reader would
-    /// then take the number for the number of the other point.
+    /// Returns whether a place for this point's number is at least as near to another point as to this point. A reader
+    /// would then take the number for the number of the other point.
     fn is_nearer_to_other(&self, place: &Rect, spots: &[Self]) -> bool {
         let distance_to =
             |spot: &Self| spot.areas().iter().map(|area| distance(place, area)).fold(f64::INFINITY, f64::min);
@@ -144,9 +144,9 @@ fn distance(a: &Rect, b: &Rect) -> f64 {
     gap(0).max(gap(1))
 }
 
-/// Returns the place within the limits that overlaps the occupied rectangles least. If several places overlap them equally,
-/// an unambiguous place is better than an ambiguous place. Among equally good places, the first place is the best. `None`
-/// if no place is within the limits.
+/// Returns the place within the limits that overlaps the occupied rectangles least. If several places overlap them
+/// equally, an unambiguous place is better than an ambiguous place. Among equally good places, the first place is the
+/// best. `None` if no place is within the limits.
 fn best_place(
     places: impl Iterator<Item = Rect>,
     (limits, occupied): (Rect, &[Rect]),

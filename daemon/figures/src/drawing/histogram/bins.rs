@@ -10,15 +10,16 @@ pub struct Bins {
     pub from: f64,
     /// Width of a bin.
     pub width: f64,
-    /// Number of values in each bin. A value on the border of two bins is counted in the upper bin. A value at the upper end
-    /// of the last bin is counted in the last bin.
+    /// Number of values in each bin. A value on the border of two bins is counted in the upper bin. A value at the
+    /// upper end of the last bin is counted in the last bin.
     pub counts: Vec<u64>,
     /// Number of values below the first bin, and number of values above the last bin.
     pub beyond: (u64, u64),
 }
 
 impl Bins {
-    /// Counts values into the bins of [`Binning`]. Values that are not finite are left out. `None` without a finite value.
+    /// Counts values into the bins of [`Binning`]. Values that are not finite are left out. `None` without a finite
+    /// value.
     pub fn of(values: &SortedValues) -> Option<Self> {
         let finite: SortedValues =
             values.values().iter().copied().filter(|value| value.is_finite()).collect();

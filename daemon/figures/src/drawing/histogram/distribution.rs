@@ -178,8 +178,8 @@ impl Distribution {
         (items, rows)
     }
 
-    /// Returns the numbers of values outside of the bins: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`. `None` if all values
-    /// are in bins.
+    /// Returns the numbers of values outside of the bins: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`. `None` if all
+    /// values are in bins.
     fn remark(&self) -> Option<String> {
         let ((below, above), (from, to)) = (self.beyond, self.value_range());
         let below =

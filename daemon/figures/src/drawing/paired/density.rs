@@ -8,8 +8,8 @@ const POINTS_PER_WIDTH: f64 = 4.0;
 const MIN_POINTS: usize = 24;
 /// Maximum number of evaluation points.
 const MAX_POINTS: usize = 768;
-/// Number of cells into which the values are counted before the densities are computed. The time to compute the density at a
-/// point then depends on the number of cells, not on the number of values.
+/// Number of cells into which the values are counted before the densities are computed. The time to compute the density
+/// at a point then depends on the number of cells, not on the number of values.
 const CELLS: usize = MAX_POINTS;
 
 /// Returns evaluation points between `lo` and `hi`, each with the density at this point as a share of the highest

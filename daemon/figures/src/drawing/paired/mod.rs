@@ -23,15 +23,15 @@ const RIM: f64 = 0.5;
 const RADIUS: f64 = 1.8;
 /// Maximum of half the width of a shape, as a share of the plot's width.
 const MAX_HALF_WIDTH: f64 = 0.09;
-/// Margin above the largest value, for the text at the top. On a linear axis, the margin is this share of the largest value.
-/// On a logarithmic axis, the margin is a factor: the ratio of the largest to the smallest value to this power.
+/// Margin above the largest value, for the text at the top. On a linear axis, the margin is this share of the largest
+/// value. On a logarithmic axis, the margin is a factor: the ratio of the largest to the smallest value to this power.
 const MARGIN_ABOVE: f64 = 0.12;
 /// Distance from the plot to the baseline of the counts, points.
 const COUNT_DISTANCE: f64 = 9.5;
 /// Maximum number of values that are drawn as points. A larger number of values is drawn as a shape.
 const MAX_POINTS: usize = 60;
-/// Points above the shown range are drawn up to this multiple of the end of the range, because there is room for them below
-/// the text at the top.
+/// Points above the shown range are drawn up to this multiple of the end of the range, because there is room for them
+/// below the text at the top.
 const ROOM_FOR_POINTS: f64 = 1.05;
 /// The axis is logarithmic if the ratio of the largest to the smallest median is at least this.
 const LOGARITHMIC_RATIO: f64 = 30.0;
@@ -65,8 +65,8 @@ pub struct Group {
 }
 
 impl Group {
-    /// Returns the ratio of the median at the first placement to the median at the second placement, such as `2.5 ×`; `None`
-    /// unless there are two placements.
+    /// Returns the ratio of the median at the first placement to the median at the second placement, such as `2.5 ×`;
+    /// `None` unless there are two placements.
     fn ratio(&self) -> Option<String> {
         let [first, second] = self.values.as_slice() else { return None };
         let (first, second) = (first.median()?, second.median()?);
@@ -120,13 +120,13 @@ impl Paired {
         distributions.all(|values| width(&count_text(values), SMALL) <= max_width)
     }
 
-    /// Returns the range of values that the axis must show: all distributions, except tails that would leave little space for
-    /// the rest. `None` without finite values.
+    /// Returns the range of values that the axis must show: all distributions, except tails that would leave little
+    /// space for the rest. `None` without finite values.
     fn shown_range(&self) -> Option<(f64, f64)> {
         let ends = |values: &SortedValues| {
             let (lo, hi) = shown_range_of(values)?;
-            // If values are drawn as points and all values are above zero, the axis shows the smallest value, even if it is far
-            // below the other values.
+            // If values are drawn as points and all values are above zero, the axis shows the smallest value, even if
+            // it is far below the other values.
             let smallest = values.values().first().copied().filter(|smallest| *smallest > 0.0);
             Some((smallest.filter(|_| values.len() <= MAX_POINTS).unwrap_or(lo), hi))
         };
@@ -143,8 +143,9 @@ impl Paired {
             && ends.is_some_and(|(lo, hi)| *hi >= LOGARITHMIC_RATIO * lo)
     }
 
-    /// Returns the largest of these values that is drawn. If there are few values, this is the largest value that fits on the
-    /// axis. If there are more than [`MAX_POINTS`] values, this is the largest value that is not in the far tail.
+    /// Returns the largest of these values that is drawn. If there are few values, this is the largest value that fits
+    /// on the axis. If there are more than [`MAX_POINTS`] values, this is the largest value that is not in the far
+    /// tail.
     fn largest_drawn(&self, values: &SortedValues) -> Option<f64> {
         let (_, hi) = shown_range_of(values)?;
         if values.len() > MAX_POINTS {
@@ -167,8 +168,8 @@ impl Paired {
         shown_range.map_or(0, count)
     }
 
-    /// Returns the outline of a distribution: values, each with its density from 0 to 1. The outline is empty if all values
-    /// are equal.
+    /// Returns the outline of a distribution: values, each with its density from 0 to 1. The outline is empty if all
+    /// values are equal.
     fn outline(&self, values: &SortedValues) -> Vec<(f64, f64)> {
         let Some(ends) = shown_range_of(values) else { return Vec::new() };
         if self.is_logarithmic() { log_density(values, ends) } else { density(values, ends) }
@@ -179,8 +180,8 @@ impl Paired {
         values.len() <= MAX_POINTS || self.outline(values).len() <= 1
     }
 
-    /// Returns the items of one distribution. `placement` is the index of its placement, `middle` is its horizontal position,
-    /// and `half_width` is half of its maximum width. Position and width are shares of the plot's width.
+    /// Returns the items of one distribution. `placement` is the index of its placement, `middle` is its horizontal
+    /// position, and `half_width` is half of its maximum width. Position and width are shares of the plot's width.
     fn distribution_items(
         &self,
         plot: &Plot,
@@ -207,8 +208,8 @@ impl Paired {
                 **value >= smallest_drawn && largest_drawn.is_some_and(|largest| **value <= largest)
             };
             for (index, value) in values.values().iter().filter(is_shown).enumerate() {
-                // Multiples of the golden ratio move consecutive points far apart sideways, so that each point is visible.
-                // Unlike random offsets, they make the figure reproducible.
+                // Multiples of the golden ratio move consecutive points far apart sideways, so that each point is
+                // visible. Unlike random offsets, these offsets are the same each time.
                 let offset = (index as f64 * 0.618_034).fract() - 0.5;
                 let at = At::new(middle + offset * half_width, y(*value));
                 items.push(Item::mark(at, look.mark, RADIUS, look.shape()));
@@ -245,8 +246,8 @@ impl Paired {
     }
 }
 
-/// Returns values between `lo` and `hi`, each with the density of its logarithm. This density is the width of the shape on a
-/// logarithmic axis.
+/// Returns values between `lo` and `hi`, each with the density of its logarithm. This density is the width of the shape
+/// on a logarithmic axis.
 fn log_density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
     let logarithms: SortedValues =
         values.values().iter().filter(|value| **value > 0.0).map(|value| value.ln()).collect();

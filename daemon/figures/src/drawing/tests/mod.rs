@@ -102,8 +102,8 @@ fn picture_size(svg: &str) -> (f64, f64) {
     (width.parse().expect("a number"), height.parse().expect("a number"))
 }
 
-/// Asserts that all elements lie in the picture, and that every text fits into the picture, is large enough, and has a glyph in
-/// the font for each character.
+/// Asserts that all elements lie in the picture, and that every text fits into the picture, is large enough, and has a
+/// glyph in the font for each character.
 fn assert_valid_file(svg: &str) {
     let (width, height) = picture_size(svg);
     for (tag, x, y) in [("rect", "x", "y"), ("circle", "cx", "cy"), ("text", "x", "y"), ("line", "x1", "y1")]

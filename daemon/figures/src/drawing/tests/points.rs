@@ -4,7 +4,8 @@ use super::*;
 use crate::look::Mark;
 use peernet_analysis::quality::Quality;
 
-/// Returns a figure of three values with this line. `bound` is the distance of the bounds from each value, as a share of the value.
+/// Returns a figure of three values with this line. `bound` is the distance of the bounds from each value, as a share
+/// of the value.
 fn scaling(line: Option<(f64, f64)>, bound: Option<f64>) -> Scaling {
     let value = |bytes: f64| Value {
         bytes,
@@ -45,7 +46,8 @@ fn level_line_is_drawn_unless_too_far_from_values() {
     let figure = scaling(Some((1e9, 0.0)), None);
     let svg = figure.svg();
     let discs = Elements::of(&svg, "circle").numbers("cy");
-    // The first disc is the sample in the legend. The other discs are a decade apart, and the line is a decade above the last.
+    // The first disc is the sample in the legend. The other discs are a decade apart, and the line is a decade above
+    // the last.
     let decade = discs[2] - discs[3];
     let ys = line_ys(&svg);
     assert!(!ys.is_empty() && ys.iter().all(|y| (discs[3] - y - decade).abs() < 0.5), "{discs:?} {ys:?}");

@@ -30,7 +30,8 @@ fn axis_ticks_are_measured_edge_counts() {
     assert!(texts(&svg).iter().any(|text| text.contains("Jain")), "{:?}", texts(&svg));
     let (x, y) = (Elements::of(&svg, "circle").numbers("cx"), Elements::of(&svg, "circle").numbers("cy"));
     assert_eq!((x.len(), &x[..4]), (8, &x[4..]), "the points of both plots are not below each other");
-    // Doublings of the number of edges are equally far apart on the logarithmic axis. Latencies rise by 10, 20 and 40 ms.
+    // Doublings of the number of edges are equally far apart on the logarithmic axis. Latencies rise by 10, 20 and 40
+    // ms.
     assert!(
         (x[1] - x[0] - (x[2] - x[1])).abs() <= 0.1 && (x[2] - x[1] - (x[3] - x[2])).abs() <= 0.1,
         "{x:?}"

@@ -145,8 +145,8 @@ fn joint_plot_has_points_and_both_distributions() {
     let html = page::plot(&plot, "joint", "A");
     let dots = html.split("class=\"dots d-inference\" d=\"").nth(1).and_then(|rest| rest.split('"').next());
     let dots = dots.expect("dots");
-    // The first point has 50 tokens on an axis that ends at 400, and 100 ms on an axis that ends at 500. The `viewBox` is 1,000
-    // wide and high, and positions are measured from the top.
+    // The first point has 50 tokens on an axis that ends at 400, and 100 ms on an axis that ends at 500. The `viewBox`
+    // is 1,000 wide and high, and positions are measured from the top.
     assert!(dots.starts_with("M125 800L") && dots.matches('M').count() == 300 && !has_cells, "{dots}");
     assert!(html.contains("<path class=\"fit\"") && !html.contains("class=\"halo\""), "{html}");
     for strip in [plot.top_strip, plot.right_strip] {

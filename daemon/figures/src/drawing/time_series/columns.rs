@@ -16,8 +16,8 @@ pub(super) struct Column {
 }
 
 /// Divides the time between `from` and `to` evenly into `count` columns, and returns the columns that have values, from
-/// left to right. Each item of `values` has a time and a value. Values that are not finite, and values whose time is not
-/// between `from` and `to`, are left out.
+/// left to right. Each item of `values` has a time and a value. Values that are not finite, and values whose time is
+/// not between `from` and `to`, are left out.
 pub(super) fn columns(values: &[(f64, f64)], (from, to): (f64, f64), count: usize) -> Vec<Column> {
     let inside = |(at, value): &&(f64, f64)| value.is_finite() && (from..=to).contains(at);
     let column_index =

@@ -22,8 +22,8 @@ const CROSS_HALF_WIDTH: f64 = 1.7;
 const RADIUS: f64 = 1.7;
 /// Maximum number of marks on a line.
 const MAX_MARKS: usize = 7;
-/// Number of different positions of a mark among the columns that share the mark. Each line has a different position, so
-/// that the marks of different lines do not overlap.
+/// Number of different positions of a mark among the columns that share the mark. Each line has a different position,
+/// so that the marks of different lines do not overlap.
 const MARK_POSITIONS: usize = 4;
 /// A line is interrupted between two values only if the distance of the values is more than this number of columns.
 const MIN_GAP_COLUMNS: f64 = 12.0;
@@ -176,8 +176,8 @@ impl TimeSeries {
         let y = |value: f64| plot.y_share(value * self.unit.per_si);
         let steps: SortedValues =
             columns.windows(2).map(|pair| (pair[1].index - pair[0].index) as f64).collect();
-        // If there are few values, their columns are far apart even without a gap in time. The maximum distance within a
-        // line therefore grows with the median distance.
+        // If there are few values, their columns are far apart even without a gap in time. The maximum distance within
+        // a line therefore grows with the median distance.
         let max_step = (4.0 * steps.median().unwrap_or_default()).max(MIN_GAP_COLUMNS);
         let pieces = || columns.chunk_by(|a, b| (b.index - a.index) as f64 <= max_step);
         let medians = pieces()
@@ -192,8 +192,8 @@ impl TimeSeries {
         };
         let look = stage(&line.name);
         let mut items = vec![Item::path(medians, look.line(0.9))];
-        // Consecutive columns share a mark. The position of the mark among these columns depends on the stage, so that no
-        // mark hides another.
+        // Consecutive columns share a mark. The position of the mark among these columns depends on the stage, so that
+        // no mark hides another.
         let columns_per_mark = (MAX_COLUMNS / MAX_MARKS).max(1);
         for group in columns.chunk_by(|a, b| a.index / columns_per_mark == b.index / columns_per_mark) {
             if let Some(column) = group.get(group.len() * (stage_index + 1) / (MARK_POSITIONS + 1)) {
@@ -231,8 +231,8 @@ impl TimeSeries {
         Some(Strip { items, size: STRIP_HEIGHT })
     }
 
-    /// Returns the number of totals above the end of the axis as text: `12 beyond 90 ms`. `None` if no total is above the
-    /// end. `end` is in the unit that is shown.
+    /// Returns the number of totals above the end of the axis as text: `12 beyond 90 ms`. `None` if no total is above
+    /// the end. `end` is in the unit that is shown.
     fn remark(&self, end: f64) -> Option<String> {
         let max_shown = end / self.unit.per_si;
         let beyond = self.total.values.iter().filter(|(_, value)| *value > max_shown).count();

@@ -8,8 +8,8 @@ use super::*;
 use crate::drawing::Scaling;
 use crate::of_calibration::messages;
 
-/// Returns the passage of a message that takes `delay_s` seconds. If `has_bounds`, the bounds are 40 µs below and 40 µs above the
-/// delay.
+/// Returns the passage of a message that takes `delay_s` seconds. If `has_bounds`, the bounds are 40 µs below and 40 µs
+/// above the delay.
 fn passage(payload_bytes: u64, delay_s: f64, has_bounds: bool) -> Passage {
     let [lo, value, hi] = [-40e-6, 0.0, 40e-6].map(|error| Span::from_seconds_f64(delay_s + error));
     let delay = OneWayDelay {
@@ -22,8 +22,9 @@ fn passage(payload_bytes: u64, delay_s: f64, has_bounds: bool) -> Passage {
     Passage { payload_bytes, metadata_bytes: 120, delay }
 }
 
-/// Asserts that a calibration and a payload study have the same series and the same notes on rates for the same messages. `delay_s`
-/// returns the delay of a message, given by its number and the index of its size. Returns the figures of the payload study.
+/// Asserts that a calibration and a payload study have the same series and the same notes on rates for the same
+/// messages. `delay_s` returns the delay of a message, given by its number and the index of its size. Returns the
+/// figures of the payload study.
 fn assert_equal_figures(
     delay_s: impl Fn(u64, usize) -> f64,
     has_bounds: impl Fn(u64) -> bool,
@@ -95,7 +96,8 @@ fn payload_study_equals_calibration() {
         |number| number > 40,
     );
     assert_eq!(unbounded[0].series[0].values[0].bounds, None);
-    // The delays vary more than they grow with the size, so they determine no rate. A delay that does not grow has no line.
+    // The delays vary more than they grow with the size, so they determine no rate. A delay that does not grow has no
+    // line.
     let noisy = assert_equal_figures(
         |number, size_index| [0.2, 0.21, 0.19, 0.22][size_index] * 1e-3 + variation(number),
         |_| true,

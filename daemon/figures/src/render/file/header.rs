@@ -13,8 +13,8 @@ const TOP_MARGIN: f64 = 3.0;
 const BASELINE: f64 = 7.5;
 /// Width of a sample in the legend, points.
 const SAMPLE_WIDTH: f64 = 13.5;
-/// Width of the sample of a line with long dashes, points. This sample is wider, so that a gap between dashes is visible
-/// on each side of the mark.
+/// Width of the sample of a line with long dashes, points. This sample is wider, so that a gap between dashes is
+/// visible on each side of the mark.
 const LONG_SAMPLE_WIDTH: f64 = 22.0;
 /// Distance from a sample in the legend to its text, points. The distance from the text to the next sample is twice as
 /// long.

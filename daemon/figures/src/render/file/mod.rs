@@ -1,7 +1,7 @@
 //! SVG for files: a picture as wide as a column of a paper, with lengths in points and literal attributes.
 //!
-//! The picture has a caption of one line, the legend, the plots from top to bottom, and a table that explains the numbers
-//! beside points. All other text is in the caption's file ([`Figure::caption_text`]).
+//! The picture has a caption of one line, the legend, the plots from top to bottom, and a table that explains the
+//! numbers beside points. All other text is in the caption's file ([`Figure::caption_text`]).
 
 mod axes;
 mod draw;

@@ -82,8 +82,8 @@ fn open_at(svg: &mut Writer, x: f64, y: f64) {
 }
 
 /// Draws a line. If an end has an offset in points (`dx`, `dy`), the line is drawn in a nested `<svg>`, because one
-/// attribute cannot add a share and an offset. Offsets in the direction of an upright or horizontal line are ignored. All
-/// offsets of a slanted line are ignored.
+/// attribute cannot add a share and an offset. Offsets in the direction of an upright or horizontal line are ignored.
+/// All offsets of a slanted line are ignored.
 fn draw_line(svg: &mut Writer, [from, to]: [At; 2], style: &Style) {
     let has_offset = [from, to].iter().any(|at| at.dx != 0.0 || at.dy != 0.0);
     if !has_offset {
@@ -154,8 +154,8 @@ pub(super) fn draw_label(svg: &mut Writer, label: &Label) {
     }
 }
 
-/// Adds the class of a style and, unless it is 1, the opacity of the style's fill. The opacity represents a number, so no
-/// class can set the opacity.
+/// Adds the class of a style and, unless it is 1, the opacity of the style's fill. The opacity represents a number, so
+/// no class can set the opacity.
 fn styled<'a>(element: Attributes<'a>, style: &Style) -> Attributes<'a> {
     let opacity = style.fill.map(|fill| fill.opacity).filter(|opacity| *opacity < 1.0);
     element.set("class", &*style.class).set_optional("fill-opacity", opacity)
