@@ -102,6 +102,7 @@ impl MessageSeries {
         line: Option<(f64, f64)>,
         value: impl Fn(&SizeSummary) -> Option<Value>,
     ) -> Series {
+        // Directions differ by mark as well as by colour.
         let mark = if self.name == "upload" { Mark::Disc } else { Mark::Triangle };
         Series { name, stage: self.name, mark, values: self.sizes.iter().filter_map(value).collect(), line }
     }

@@ -131,6 +131,8 @@ impl Cumulative {
             (at.x, at.y)
         };
         let last = values.len().saturating_sub(1);
+        // Points at evenly spaced indexes are evenly spaced in height, so a long tail gets no more points than it
+        // needs.
         let steps = CURVE_POINTS.min(last.max(1));
         let mut points: Vec<(f64, f64)> = (0..=steps).map(|step| point(last * step / steps)).collect();
         // The curve begins at a share of zero, straight below its first value.

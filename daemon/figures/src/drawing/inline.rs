@@ -22,6 +22,7 @@ pub fn share_bar(name: &str, share: f64) -> Vec<Item> {
 /// Returns a meter that shows the used share of a limit, 0 to 1, and whether the meter is nearly full. The meter is a
 /// bar on a track that ends at the limit.
 pub fn meter(share: f64) -> (Vec<Item>, bool) {
+    // A share of a limit of zero is not finite.
     let share = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
     let end = if share > 0.0 { share.max(MIN_LENGTH) } else { 0.0 };
     let bar = |end, class| Item::rect(At::new(0.0, 0.0), At::new(end, 1.0), Style::of_page(class));

@@ -135,6 +135,7 @@ impl Sharing {
             let room = ((most - fewest) * AXIS_MARGIN).max(0.5);
             Scale::linear((fewest - room, most + room))
         };
+        // Marks at round numbers could be numbers of edges that were not measured.
         let tick = |edges: usize| {
             let value = edges as f64;
             Tick { value, at: scale.at(value), text: fixed(value, 0) }

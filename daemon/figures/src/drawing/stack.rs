@@ -6,7 +6,8 @@ use crate::scale::Scale;
 
 /// Minimum length of a part in a file, points, so that a short part is visible.
 const MIN_LENGTH: f64 = 0.6;
-/// No line separates a part from the part before it if the part is shorter than this share of the scale.
+/// No line separates a part from the part before it if the part is shorter than this share of the scale, because the
+/// line would hide the part.
 const MIN_SEPARATED_SHARE: f64 = 0.006;
 
 /// Orientation of a bar or of a whisker.

@@ -227,6 +227,7 @@ impl Stacked {
         // Maximum width of the plot at which a bar and the sum after it fit into the available width.
         let max_plot_width = |bar: &Bar| {
             let sum_width = width(&bar.sum_text(&self.unit), SMALL) + SUM_DISTANCE;
+            // The minimum avoids a division by zero for a bar without length.
             (available_width - sum_width) / values.at(bar.range().1 * self.unit.per_si).max(0.1)
         };
         available_width - self.bars.iter().map(max_plot_width).fold(available_width, f64::min)

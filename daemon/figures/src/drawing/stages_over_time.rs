@@ -167,6 +167,8 @@ impl StagesOverTime {
         }
         let mut failed: Vec<f64> = self.failed.iter().map(x_share).collect();
         failed.sort_by(f64::total_cmp);
+        // Each failure is compared with the last mark that is kept, so marks of a long series of failures keep this
+        // distance.
         failed.dedup_by(|later, earlier| *later - *earlier < MIN_MARK_DISTANCE);
         if !failed.is_empty() {
             let rail = Item::line(At::new(0.0, 1.0), At::new(1.0, 1.0), Style::rail());

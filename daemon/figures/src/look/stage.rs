@@ -150,6 +150,7 @@ impl Stage {
 
     /// Returns the style of the stage's area in a stack.
     pub fn area(&self) -> Style {
+        // White lines would not be visible on a pale fill.
         let hatch = match self.edge {
             Some(edge) => (self.hatch, edge.light),
             None => (self.hatch, WHITE),

@@ -212,6 +212,7 @@ pub struct Series {
 
 /// Returns the look of the series with this index. There are four looks, so the fifth series looks like the first.
 pub fn series(index: usize) -> Series {
+    // Colours mean stages, directions, verdicts and failures, so series differ by brightness, mark and dash.
     const GREYS: [Rgb; 4] = [INK.light, Rgb::hex(0x7c_8694), Rgb::hex(0x45_4d59), Rgb::hex(0x8a_94a3)];
     const CLASSES: [[&str; 2]; 4] = [
         ["g-series-1", "f-series-1"],

@@ -26,6 +26,7 @@ pub(super) fn values(rows: &Rows, column: &str) -> SortedValues {
 /// logged has the unit that was logged with the quantity.
 pub(super) fn unit(units: &Units, column: &str, quantity: &str) -> Unit {
     let unscaled = |title: String, symbol: String| Unit { title, symbol: symbol.into(), per_si: 1.0 };
+    // These columns contain numbers of order, not measured quantities.
     if ["iteration", "episode", "step"].contains(&column) {
         return unscaled(quantity.to_owned(), String::new());
     }

@@ -20,6 +20,7 @@ impl<'a> ConfigurationGroups<'a> {
         let groups = group_by_labels(&labels);
         let names = readable_names(&axes, groups.iter().map(|group| labels[group[0]].as_slice()));
         let group = |(indexes, name): (Vec<usize>, String)| {
+            // Repeats are pooled, so a single repeat with replayed latencies is enough for the mark.
             let is_replayed = indexes.iter().any(|index| is_replayed(&runs[*index].record));
             (marked(&name, is_replayed), indexes.into_iter().map(|index| &runs[index]).collect())
         };

@@ -18,6 +18,7 @@ const ITERATION: &str = "Iteration";
 /// Returns the figure of the total and the longest stages over time.
 pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, MissingData> {
     let (x_title, time) = horizontal_axis(rows);
+    // The rows include the warm-up, so that a reader sees how latency settles.
     let successful = || rows.iter().filter(|row| row.outcome() == Outcome::Ok);
     let line = |column: &str| {
         let values = successful().filter_map(|row| Some((time(row), row.value(column)?)));

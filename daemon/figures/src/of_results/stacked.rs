@@ -82,6 +82,7 @@ fn unknown_delays_note<'a, I: Iterator<Item = RowRef<'a>>>(all_rows: impl Fn() -
         .iter()
         .enumerate()
         .filter_map(|(index, direction)| {
+            // A message with a verdict was sent, so its delay is unknown if it has no value.
             let is_unknown =
                 |row: &RowRef<'_>| row.verdicts()[index].is_some() && row.value(direction).is_none();
             let count = all_rows().filter(is_unknown).count();

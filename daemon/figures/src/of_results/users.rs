@@ -25,6 +25,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     if !users.lines.iter().any(has_total) {
         return Err(MissingData::CommonTotal);
     }
+    // Latency at a number of edges is comparable only while all these edges measured, which this note says.
     let mut notes = vec![COUNTED_TIME.to_owned()];
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     let curves = Curve::from_users(&users);

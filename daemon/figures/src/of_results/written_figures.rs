@@ -92,6 +92,7 @@ pub(super) fn write(
     replayed_note: Option<&str>,
     folder: &Path,
 ) -> Result<WrittenFigures, WriteError> {
+    // Without figures, no empty folder is created.
     if !drawings.is_empty() {
         std::fs::create_dir_all(folder).map_err(WriteError::at(folder))?;
     }

@@ -34,6 +34,7 @@ pub fn plot(plot: &Plot, class: &str, description: &str) -> String {
         draw_items(&mut svg, &strip.items);
         svg.close();
     }
+    // The server does not know the height of the plot, so it does not limit the number of marks further.
     let (y_ticks, x_ticks) = (plot.y.ticks(usize::MAX), plot.x.ticks(usize::MAX));
     write_y_labels(&mut svg, "yaxis", &y_ticks);
     aria_hidden_element(&mut svg, Tag::Svg, "plot").open();

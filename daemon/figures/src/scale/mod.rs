@@ -209,6 +209,7 @@ impl Scale {
             let inside = values.filter(|value| self.has(*value));
             inside.map(|value| Tick { value, at: self.at(value), text: power_label(value) }).collect()
         };
+        // A single mark, or two, would not show how values are spaced along the axis.
         let candidates = [ticks_at(&[1.0]), ticks_at(&[1.0, 2.0, 5.0])];
         let ticks = candidates.into_iter().find(|ticks| ticks.len() >= 3);
         let ticks = ticks.unwrap_or_else(|| self.evenly_spaced_ticks(max_ticks));

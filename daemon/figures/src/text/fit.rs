@@ -16,6 +16,7 @@ pub fn shorten(text: &str, size: f64, room: f64) -> String {
         let (head, tail) = (text_of(&chars[..count - tail_len]), text_of(&chars[chars.len() - tail_len..]));
         format!("{}…{}", head.trim_end(), tail.trim_start())
     };
+    // The width is not proportional to the number of characters, so every number is tried, the largest first.
     let longest_fitting = (0..chars.len()).rev().map(keep_chars).find(|text| width(text, size) <= room);
     longest_fitting.unwrap_or_else(|| "…".to_owned())
 }

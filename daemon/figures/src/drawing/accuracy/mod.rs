@@ -141,6 +141,7 @@ impl Accuracy {
     /// interval, the estimate, the upper end of the interval.
     fn shown_scores(&self) -> impl Iterator<Item = (&Score, [f64; 3])> {
         let factor = Presentation::of(self.quality).factor;
+        // The axis of latencies may be logarithmic, so a latency of zero has no position.
         let drawable = self.scores.iter().filter(|score| score.median.is_finite() && score.median > 0.0);
         drawable.map(move |score| {
             let QualityEstimate { value, interval: (low, high), .. } = score.estimate;

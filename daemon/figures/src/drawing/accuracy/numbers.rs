@@ -109,6 +109,7 @@ impl FileSpot {
 
     /// Returns the side of the point with fewer neighbours: 1 for the right, −1 for the left.
     fn free_side(&self, spots: &[Self]) -> f64 {
+        // A point straight above or below is on neither side.
         let neighbours = spots.iter().filter(|other| {
             let distance = (other.at.0 - self.at.0, other.at.1 - self.at.1);
             distance.0.abs() < NEIGHBOUR_DISTANCE

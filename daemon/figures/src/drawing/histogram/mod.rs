@@ -51,6 +51,7 @@ impl Histogram {
             beyond: bins.beyond,
             quantiles: quantiles.into_iter().filter_map(|(name, value)| Some((name, value?))).collect(),
             unit: self.unit.clone(),
+            // A throughput has the colour of the stage that it belongs to.
             stage: stage(self.stage.trim_end_matches("-throughput")),
             view: View::Counts,
             is_logarithmic: false,

@@ -281,6 +281,7 @@ impl Paired {
     fn scale(&self, (lo, hi): (f64, f64)) -> Scale {
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
         if self.is_logarithmic() {
+            // Below the values there is no text, so a smaller margin is enough.
             let margin = (hi / lo).powf(MARGIN_ABOVE);
             Scale::logarithmic((lo / margin.sqrt(), hi * margin))
         } else {

@@ -20,6 +20,7 @@ pub(super) struct Column {
 /// not between `from` and `to`, are left out.
 pub(super) fn columns(values: &[(f64, f64)], (from, to): (f64, f64), count: usize) -> Vec<Column> {
     let inside = |(at, value): &&(f64, f64)| value.is_finite() && (from..=to).contains(at);
+    // A time at the end of the range belongs to the last column.
     let column_index =
         |at: f64| (((at - from) / (to - from) * count as f64) as usize).min(count.saturating_sub(1));
     let mut values_by_column: Vec<(usize, f64)> =

@@ -40,6 +40,7 @@ pub(super) fn draw(svg: &mut Writer, plot: &Plot, area: &Area) {
     if !remark.is_empty() {
         text(svg, remark, (right, baseline), (SMALL, INK_2.light, Anchor::End));
     }
+    // Title and remark share a line, so the title is shortened to the room that the remark leaves.
     let room = WIDTH - 2.0 * EDGE - if remark.is_empty() { 0.0 } else { width(remark, SMALL) + 3.0 * GAP };
     let title = shorten(&y_title(&plot.y, room), TEXT, room);
     text(svg, &title, (EDGE, baseline), (TEXT, INK_2.light, Anchor::Start));

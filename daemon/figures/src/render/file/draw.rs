@@ -138,6 +138,7 @@ fn path_data(path: &Path, area: &Area) -> String {
 /// Appends a command of the attribute `d` with its point.
 fn append_command(out: &mut String, command: char, (x, y): (f64, f64)) {
     out.push(command);
+    // A hundredth of a point is finer than a pixel of the PNG.
     append_number(out, x, 2);
     out.push(' ');
     append_number(out, y, 2);

@@ -33,6 +33,7 @@ fn places(legend: &[Key]) -> Vec<(f64, usize)> {
     let (mut x, mut line) = (EDGE, 0);
     let place = |key: &Key| {
         let entry_width = sample_width(&key.swatch) + GAP + width(&key.text, TEXT);
+        // An entry that is wider than the picture stays at the beginning of its line and is shortened.
         if x > EDGE && x + entry_width > WIDTH - EDGE {
             (x, line) = (EDGE, line + 1);
         }

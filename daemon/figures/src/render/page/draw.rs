@@ -50,6 +50,7 @@ fn path_data(path: &Path) -> String {
             }
         };
         out.push(command);
+        // One decimal is a ten-thousandth of the plot, which is finer than a pixel.
         append_number(&mut out, x * VIEW_BOX, 1);
         out.push(' ');
         append_number(&mut out, y * VIEW_BOX, 1);
