@@ -22,7 +22,7 @@ pub(super) fn original_histograms(record: &RunRecord, rows: &Rows) -> Vec<Drawin
     let is_remote = !has_placement(PlacementKind::Local) && !has_placement(PlacementKind::None);
     let drawings = HISTOGRAMS.iter().filter_map(|(stem, column, title)| {
         let histogram = histogram(record, rows, column, title);
-        // Every run senses, but an observed ROS system has no model, and only a cloud is reached over a network.
+        // Every run senses. A run of a sensor only has no model, and only a cloud is reached over a network.
         let is_expected = match *column {
             "sensing" => true,
             "inference" => !has_placement(PlacementKind::None),

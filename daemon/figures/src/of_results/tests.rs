@@ -2,9 +2,9 @@
 
 mod calibration;
 mod extremes;
-mod holes;
+mod left_out;
 mod length;
-mod missing;
+mod missing_values;
 mod replayed;
 mod scores;
 

@@ -25,7 +25,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     if !users.lines.iter().any(has_total) {
         return Err(MissingData::CommonTotal);
     }
-    // Latency at a number of edges is comparable only while all these edges measured, which this note says.
+    // A total counts only if all edges of its repeat measured at that time, which a reader must know.
     let mut notes = vec![COUNTED_TIME.to_owned()];
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     let curves = Curve::from_users(&users);

@@ -1,4 +1,4 @@
-//! Tests of figures of runs with missing data.
+//! Tests of figures of runs in which values are missing.
 
 use peernet_clock::{OneWayDelay, Span};
 
