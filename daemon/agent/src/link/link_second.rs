@@ -84,7 +84,7 @@ impl LinkSecond {
         }
     }
 
-    /// Adds the round round_trip of a probe.
+    /// Adds the round trip of a probe.
     pub(super) fn add_round_trip(&mut self, round_trip: Span) {
         self.min_round_trip =
             Some(self.min_round_trip.map_or(round_trip, |min_round_trip| min_round_trip.min(round_trip)));
@@ -116,7 +116,7 @@ impl LinkSecond {
         self.delays.remove(network);
     }
 
-    /// Returns the round round_trips of probes.
+    /// Returns the round trips of probes.
     pub(super) fn round_trips(&self) -> Option<RoundTrip> {
         Some(RoundTrip {
             min: self.min_round_trip?,

@@ -78,7 +78,11 @@ impl SharingCurve {
                 edges: line.edges,
                 median: drawable(line.totals.median)?,
                 p95: drawable(line.totals.p95),
-                edge_medians: line.edge_performances.iter().filter_map(|edge| drawable(edge.median)).collect(),
+                edge_medians: line
+                    .edge_performances
+                    .iter()
+                    .filter_map(|edge| drawable(edge.median))
+                    .collect(),
                 fairness: line.fairness,
             })
         };

@@ -332,7 +332,8 @@ fn payloads_of_several_sizes_are_fitted() {
         throughput.series[0].name.starts_with("upload: 99.98") && throughput.series[0].name.contains(" ± ")
     );
     assert!(latency.title.starts_with("One-way delay against payload"));
-    let download_note = "not drawn: download of 8 B, because the largest size must be at least twice the smallest";
+    let download_note =
+        "not drawn: download of 8 B, because the largest size must be at least twice the smallest";
     let expected_notes = [download_note, "left out: 5 warm-up, 1 failed", "messages of each size: 73 to 74"];
     assert_eq!(latency.notes, expected_notes);
     assert_eq!(throughput.notes, latency.notes);

@@ -93,7 +93,7 @@ async fn backup_is_not_spoilt_by_log_of_previous_database() {
         message.contains("peernet.sqlite-wal belongs to another database, which was at this path before"),
         "{message}"
     );
-    assert!(message.contains("delete it"), "{message}");
+    assert!(message.contains("delete the log"), "{message}");
     let examined = examine(&path, Examination { full: false, now: NOW }).await;
     assert!(matches!(examined, Err(DoctorError::ForeignLog(_))), "{examined:?}");
     let repaired = repair(&path, NOW, "now", |_| {}).await;

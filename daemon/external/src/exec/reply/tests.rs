@@ -222,7 +222,7 @@ proptest! {
             .collect();
         let sample = Sample { parts, source: String::new(), label: None };
         let request_bytes = Request::Answer { answer: &sample, source: "" }.pieces().concat();
-        // An empty source is output_text as `-` at the end of each header. A reply has no such word.
+        // An empty source is written as `-` at the end of each header. A reply has no such word.
         let (parsed_parts, _) = feed_without_source(&request_bytes);
         prop_assert_eq!(parsed_parts, sample.parts);
     }

@@ -29,8 +29,7 @@ fn omitted_direction_is_noted_with_sizes() {
     });
     let drawn =
         draw(Kind::Payload, &[similar_uploads], &Columns::default(), folder.path()).expect("downloads vary");
-    let expected_note =
-        "payload-latency: not drawn: upload of 106 kB to 158 kB, because the largest size must be at least twice the smallest";
+    let expected_note = "payload-latency: not drawn: upload of 106 kB to 158 kB, because the largest size must be at least twice the smallest";
     assert_eq!(drawn.left_out, [expected_note], "the note stands once for both figures");
     let caption =
         std::fs::read_to_string(folder.path().join("payload-throughput-caption.txt")).expect("read");
@@ -68,7 +67,8 @@ fn link_without_figure_is_noted_in_first_figure() {
     let drawings =
         payload::drawings(&[with_two_upload_sizes(60), other]).expect("uploads of one link have two sizes");
     assert_eq!(drawings.len(), 2);
-    let expected_note = "not drawn: upload of 500 B, because the largest size must be at least twice the smallest · arm";
+    let expected_note =
+        "not drawn: upload of 500 B, because the largest size must be at least twice the smallest · arm";
     assert_eq!(drawings[0].left_out, [expected_note]);
 }
 

@@ -11,7 +11,7 @@ fn length_is_counted_in_tokens_if_available() {
         .expect("there are lengths");
     let AnyFigure::Lengths(figure) = &drawings[0].figure else { panic!("lengths") };
     assert_eq!((figure.points.len(), figure.x.title.as_str()), (54, "Tokens"));
-    let note = "no line: it needs 60 answers, and there are 54";
+    let note = "no line: a line needs 60 answers, and there are 54";
     assert!(figure.line.is_none() && figure.notes.iter().any(|text| text == note), "{:?}", figure.notes);
     let equal_lengths = run(60, |_| vec![("download-bytes", 96.0), ("inference", 5.0)]);
     let reason = length::drawings(&equal_lengths.record, &equal_lengths.rows, &Columns::default())
