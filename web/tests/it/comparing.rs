@@ -5,7 +5,7 @@ use peernet_analysis::compare::{Comparison, Differences};
 use peernet_analysis::trust::{Report, TrustInput};
 use peernet_analysis::users::Users;
 use peernet_results::ResultFolder;
-use peernet_statistics::number::{fixed_or_less_than, mean_std_ms, rate};
+use peernet_statistics::number::{fixed_or_less_than, join_ends, mean_std_ms, rate};
 use peernet_stream::ExperimentPosition;
 
 use crate::test_dashboard::TestDashboard;
@@ -229,8 +229,8 @@ async fn many_users_count_as_one_configuration() {
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
-    assert!(page.text().contains("Latency against the number of users"), "{}", page.text());
-    assert!(page.text().contains(">3</td>") && page.text().contains("at 3 users"), "{}", page.text());
+    assert!(page.text().contains("Latency against the number of edges"), "{}", page.text());
+    assert!(page.text().contains(">3</td>") && page.text().contains("at 3 edges"), "{}", page.text());
 
     site.store_grid(30, 50).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
@@ -291,7 +291,7 @@ async fn rates_of_users_are_equal_on_page_and_in_files() {
         let cells = [
             format!("data-h=\"edges\">{}</td>", line.edges),
             format!("data-h=\"iterations, /s\">{}</td>", rate(line.rate.expect("a common time"))),
-            format!("data-h=\"per edge, /s\">{} – {}</td>", rate(least), rate(most)),
+            format!("data-h=\"per edge, /s\">{}</td>", join_ends([least, most].map(rate))),
             format!(
                 "data-h=\"fairness\">{}</td>",
                 fixed_or_less_than(line.fairness.expect("a common time"), 3)

@@ -158,7 +158,8 @@ impl Simulation {
         match job {
             Action::Append { batches, totals } => {
                 file.append(batches, totals.clone());
-                batches.iter().for_each(|batch| self.expected_content.record_appended(batch));
+                let stream = file.stream;
+                batches.iter().for_each(|batch| self.expected_content.record_appended(stream, batch));
             }
             Action::Load { from, bytes } => return file.load(*from, *bytes),
             Action::Delete { through, chain } => {
@@ -167,6 +168,7 @@ impl Simulation {
             }
             Action::Renew { stream, previous_stream, first, events_before_first } => {
                 file.renew(*stream, *previous_stream, *first, *events_before_first);
+                self.expected_content.record_renewed(file);
             }
             Action::Send(_) => unreachable!("sending is not an action of the spool"),
         }
