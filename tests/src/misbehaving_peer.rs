@@ -8,7 +8,7 @@ use bytes::Bytes;
 use peernet_clock::ClockIdentity;
 use peernet_logger::HostId;
 use peernet_stream::{
-    BatchHead, Chain, Event, Hardware, Hello, HostDescription, HostSecret, Incident, IncidentKind, Proof,
+    BatchHead, ChainHash, Event, Hardware, Hello, HostDescription, HostSecret, Incident, IncidentKind, Proof,
     STREAM_VERSIONS, StreamId, ToAgent, ToAggregator, codec,
 };
 use tokio::runtime::{Builder, Runtime};
@@ -80,7 +80,8 @@ impl MisbehavingPeer {
         Some(codec::decode(message.part_slice(0).expect("a frame")).expect("a message of the aggregator"))
     }
 
-    /// Answers a challenge for the stream of `hello` with the proof of its host. Returns whether `message` is a challenge.
+    /// Answers a challenge for the stream of `hello` with the proof of its host. Returns whether `message` is a
+    /// challenge.
     pub fn answer_challenge(&self, hello: &Hello, secret: &HostSecret, message: &ToAgent) -> bool {
         let ToAgent::Challenge { aggregator, stream, nonce, enrol, .. } = message else { return false };
         if *stream == hello.stream {
@@ -144,8 +145,8 @@ pub struct InventedHost {
     pub hello: Hello,
     /// The secret with which it proves its id.
     pub secret: HostSecret,
-    /// Number and chain of the newest batch.
-    newest: (u64, Chain),
+    /// Number and chain hash of the newest batch.
+    newest: (u64, ChainHash),
     /// Number of events in all batches up to the newest.
     events: u64,
 }
@@ -169,14 +170,14 @@ impl InventedHost {
             previous_stream: None,
             first: 1,
             oldest: 1,
-            chain_before_oldest: Chain::START,
+            chain_before_oldest: ChainHash::START,
             events_before_oldest: 0,
             events_before_first: Some(0),
             batch_bytes: 128 << 10,
             process: rng.bits(),
             extension: None,
         };
-        Self { hello, secret: HostSecret::random(), newest: (0, Chain::START), events: 0 }
+        Self { hello, secret: HostSecret::random(), newest: (0, ChainHash::START), events: 0 }
     }
 
     /// Sends the hello and waits until the host is welcomed.
@@ -226,7 +227,8 @@ impl InventedHost {
         self.batch_of(events.len() as u32, &body, false)
     }
 
-    /// Returns the next batch of the stream with an arbitrary body. The head is correct; `events` is its number of events.
+    /// Returns the next batch of the stream with an arbitrary body. The head is correct; `events` is its number of
+    /// events.
     pub fn batch_of(&mut self, events: u32, body: &[u8], compress: bool) -> Vec<u8> {
         let (newest, previous_chain) = self.newest;
         let (number, chain) = (newest + 1, previous_chain.next(events, body));

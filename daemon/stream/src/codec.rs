@@ -9,7 +9,7 @@
 //! | 1 | form of the body: 0 not compressed, 1 compressed with Zstandard |
 //! | 16, 16 | host, stream |
 //! | 8, 8 | process that sends the batch, number of the batch |
-//! | 16, 16 | chain of the previous batch, chain of this batch |
+//! | 16, 16 | chain hash of the previous batch, chain hash of this batch |
 //! | 8 | number of events in all batches of the spool before this batch |
 //! | 4, 4 | number of events, number of bytes of the body before compression |
 //! | rest | the body: wire forms of the events, one after the other |
@@ -23,7 +23,7 @@ use bytes::{Buf, Bytes};
 use serde::Serialize;
 use serde::de::{Deserialize, DeserializeOwned, IgnoredAny};
 
-use super::{BatchHead, Chain, Event, StreamId, ToAgent, ToAggregator};
+use super::{BatchHead, ChainHash, Event, StreamId, ToAgent, ToAggregator};
 use peernet_logger::HostId;
 
 pub(super) use self::parts::PART_HEAD_BYTES;
@@ -74,7 +74,7 @@ pub enum CodecError {
     /// Bytes follow the message.
     #[error("{0} bytes follow the message")]
     Trailing(usize),
-    /// The body does not match the chain of its batch.
+    /// The body does not match the chain hash of its batch.
     #[error("batch {0} does not match its hash: it was damaged in the spool or in transit")]
     Damaged(u64),
 }
@@ -178,10 +178,11 @@ pub fn decode_batch_head(frame: &[u8]) -> Option<BatchHead> {
     read_head(frame).map(|head| head.batch)
 }
 
-/// Returns the wire form of a batch's events from its frame, decompressed and checked against the batch's chain.
+/// Returns the wire form of a batch's events from its frame, decompressed and checked against the batch's chain hash.
 ///
 /// # Errors
-/// If the frame does not contain a batch, or its body is longer than [`MAX_MESSAGE_BYTES`] or does not match the chain.
+/// If the frame does not contain a batch, or its body is longer than [`MAX_MESSAGE_BYTES`] or does not match the chain
+/// hash.
 pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
     let Some(Head { form, batch, length }) = read_head(&frame) else {
         return Err(CodecError::Malformed("the frame is not a batch".into()));
@@ -200,8 +201,8 @@ pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
         }
         other => return Err(CodecError::Malformed(format!("the form {other} of the body is unknown"))),
     };
-    // The chain covers the body and, through the previous chain, all batches before this batch. The receiver compares
-    // the previous chain with the last stored batch, and thus detects a batch of a copied spool.
+    // The chain hash covers the body and, through the previous chain hash, all batches before this batch. The receiver
+    // compares the previous chain hash with the last stored batch, and thus detects a batch of a copied spool.
     if body.len() != length || batch.previous_chain.next(batch.events, &body) != batch.chain {
         return Err(CodecError::Damaged(batch.number));
     }
@@ -261,8 +262,8 @@ fn read_head(frame: &[u8]) -> Option<Head> {
         stream: StreamId::from_bytes(stream),
         process: u64::from_be_bytes(process),
         number: u64::from_be_bytes(number),
-        previous_chain: Chain::from_bytes(previous_chain),
-        chain: Chain::from_bytes(chain),
+        previous_chain: ChainHash::from_bytes(previous_chain),
+        chain: ChainHash::from_bytes(chain),
         events: u32::from_be_bytes(events),
         events_before: u64::from_be_bytes(events_before),
     };

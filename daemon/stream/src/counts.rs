@@ -48,7 +48,7 @@ pub struct CountedEvents {
     pub runs: Vec<CountedRun>,
 }
 
-/// Events of a process that its spool accounts for.
+/// Events of a process that its spool has in batches or has counted as dropped.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SettledEvents {
     /// Events in batches, and dropped events.
@@ -104,7 +104,7 @@ impl RunCounts {
 }
 
 impl SubmittedEvents {
-    /// Returns these events as events that the spool accounts for.
+    /// Returns these events as events that are in batches of the spool or counted as dropped.
     pub fn settled(&self) -> SettledEvents {
         let mut events = self.batched.clone();
         events.total += self.dropped.total;
@@ -138,7 +138,7 @@ impl CountedEvents {
     pub(super) fn gaps(&self, settled: &SettledEvents, accounted: u64, lost: u64) -> Vec<Gap> {
         let mut unassigned = lost;
         let gap = |pipeline, run, count, to: WallTime| {
-            // The lost events are newer than the events that the spool accounts for.
+            // The lost events are newer than the events that the spool has in batches or has counted as dropped.
             let from = settled.last.unwrap_or(to).min(to);
             Gap { pipeline, run, from, to, count, reason: KILLED_REASON.to_owned() }
         };

@@ -4,7 +4,7 @@ use peernet_logger::random_id;
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Serialize, Serializer};
 
-use crate::{Chain, HostDescription, Release, VersionRange};
+use crate::{ChainHash, HostDescription, Release, VersionRange};
 
 /// Versions of the event stream that an aggregator of this release supports.
 pub const STREAM_VERSIONS: VersionRange = VersionRange::new(5, 7, Release(0, 1, 0));
@@ -43,9 +43,9 @@ pub struct Hello {
     /// Number of the oldest batch that the agent still holds; the number after the newest batch if the agent holds
     /// none.
     pub oldest: u64,
-    /// Chain of the batch before `oldest`.
+    /// Chain hash of the batch before `oldest`.
     #[serde(rename = "before")]
-    pub chain_before_oldest: Chain,
+    pub chain_before_oldest: ChainHash,
     /// Number of events in all batches of the spool before `oldest`. The aggregator computes from this number how many
     /// events are missing from its database.
     pub events_before_oldest: u64,

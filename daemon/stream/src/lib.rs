@@ -23,10 +23,10 @@
 //!   events are missing from the database.
 //! - *Exactly once* follows from the mark: a batch whose number is not above the mark is acknowledged and not stored
 //!   again.
-//! - *The identity of a spool* is its chain of hashes ([`Chain`]). Numbers alone cannot distinguish a restored disk, a
+//! - *The identity of a spool* is its chain hash ([`ChainHash`]). Numbers alone cannot distinguish a restored disk, a
 //!   copied machine, or a spool that lost its last batches in a power failure, from the original spool. Both ends
-//!   compare the chain at the mark at each welcome, before anything is deleted. If the chains differ, the agent
-//!   continues in a new stream.
+//!   compare the chain hash at the mark at each welcome, before anything is deleted. If the chain hashes differ, the
+//!   agent continues in a new stream.
 //! - *Memory* is bounded everywhere: the agent's queue, the memory before the spool, the spool, the bytes in flight,
 //!   and the aggregator's queue. When all these places are full, the newest event is dropped, counted for its run, and
 //!   reported in a gap. `produced = stored + waiting + dropped` always holds.
@@ -35,7 +35,7 @@
 //! with failing disks, kills at any point, restored databases, and copied and deleted spools.
 
 mod bounded;
-mod chain;
+mod chain_hash;
 mod clock;
 mod clock_fault_fact;
 pub mod codec;
@@ -61,7 +61,7 @@ mod totals;
 mod unresolved;
 mod versions;
 
-pub use chain::Chain;
+pub use chain_hash::ChainHash;
 pub use clock::{
     ClockSample, DelayPoint, DelaySecond, HostClock, LinkLive, ProbeCounts, Probing, ReflectorLive, RoundTrip,
 };

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use peernet_logger::{HostId, Slug};
 
-use crate::{Chain, Event, Hello, HostSecret, LiveUpdate, Nonce, ProofCode, StreamId};
+use crate::{ChainHash, Event, Hello, HostSecret, LiveUpdate, Nonce, ProofCode, StreamId};
 
 /// Maximum number of batches of one agent in flight, regardless of their size.
 pub const MAX_IN_FLIGHT_BATCHES: usize = 1_024;
@@ -82,7 +82,7 @@ pub enum ToAgent {
         /// All batches of the stream up to this number are stored; [`Hello::first`] minus 1 if no batch is stored.
         stored: u64,
         /// Chain hash up to and including the last stored batch; `None` if no batch is stored.
-        chain: Option<Chain>,
+        chain: Option<ChainHash>,
         /// Process that sent the last stored batch ([`Hello::process`]); `None` if it is unknown.
         process: Option<u64>,
         /// Window of batches in flight, see [`ToAgent::Ack`].
@@ -135,9 +135,9 @@ pub struct BatchHead {
     /// Number of the batch, contiguous from the stream's first.
     pub number: u64,
     /// Chain hash up to and including the previous batch.
-    pub previous_chain: Chain,
+    pub previous_chain: ChainHash,
     /// Chain hash up to and including this batch.
-    pub chain: Chain,
+    pub chain: ChainHash,
     /// Number of events in the batch.
     pub events: u32,
     /// Number of events in all batches of the spool before this batch.

@@ -5,7 +5,7 @@ use peernet_clock::WallTime;
 
 use crate::counts::{CountedEvents, SettledEvents};
 use crate::totals::{NewestSentBatch, Totals};
-use crate::{Chain, Gap, StreamId, UnresolvedBatches};
+use crate::{ChainHash, Gap, StreamId, UnresolvedBatches};
 
 /// Maximum number of gaps of earlier processes that are kept separately. Further gaps are merged.
 const MAX_UNREPORTED: usize = 64;
@@ -54,8 +54,8 @@ pub struct SpooledBatch {
     pub since: WallTime,
     /// Number of events.
     pub events: u32,
-    /// Chain of the batch.
-    pub chain: Chain,
+    /// Chain hash of the batch.
+    pub chain: ChainHash,
     /// Wire forms of the events.
     pub body: Bytes,
 }
@@ -80,10 +80,10 @@ pub struct SpoolState {
     pub events_before_first: Option<u64>,
     /// Number of the oldest batch in the spool; the number after the newest batch if the spool contains none.
     pub oldest: u64,
-    /// Chain of the batch before the oldest.
-    pub chain_before_oldest: Chain,
-    /// Number and chain of the newest batch that was ever written.
-    pub newest: (u64, Chain),
+    /// Chain hash of the batch before the oldest.
+    pub chain_before_oldest: ChainHash,
+    /// Number and chain hash of the newest batch that was ever written.
+    pub newest: (u64, ChainHash),
     /// Time of the first event of the oldest batch.
     pub since: Option<WallTime>,
     /// Number of events and bytes in the spool.
@@ -110,8 +110,8 @@ impl SpoolState {
             first: 1,
             events_before_first: Some(0),
             oldest: 1,
-            chain_before_oldest: Chain::START,
-            newest: (0, Chain::START),
+            chain_before_oldest: ChainHash::START,
+            newest: (0, ChainHash::START),
             since: None,
             waiting_usage: Usage::default(),
             totals: Totals::default(),

@@ -16,14 +16,14 @@ pub const MAX_SENT_UNSPOOLED: usize = MAX_IN_FLIGHT_BATCHES + 1;
 /// The last batches of a process, some of which may be stored although its spool does not contain them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnresolvedBatches {
-    /// Events that the process counted.
+    /// Events that were submitted to the process, as counted in shared memory.
     pub counted: CountedEvents,
-    /// Events that the spool accounts for.
+    /// Those of these events that the spool has in batches, or has counted as dropped.
     pub settled: SettledEvents,
-    /// Number of dropped events that gaps had reported ([`super::Totals::reported_drops`]).
+    /// Number of dropped events that gaps in the spool have reported ([`super::Totals::reported_drops`]).
     pub reported_drops: u64,
-    /// Number of events in all batches that were written to the spool.
-    pub events: u64,
+    /// Number of events in all batches that were written to the spool since it was created, including gaps.
+    pub spooled_events: u64,
 }
 
 /// Numbers of events of an earlier process, after a welcome has stated which of its batches are stored. The numbers are
@@ -34,10 +34,11 @@ pub(super) struct ResolvedBatches {
     pub(super) stored: u64,
     /// Number of lost events.
     pub(super) lost: u64,
-    /// Number of dropped events that stored gaps report and the totals of the spool do not yet count as reported.
+    /// Number of dropped events that stored gaps report, but that the spool's totals do not count as reported yet.
     pub(super) reported_drops: u64,
-    /// Number of submitted events in these batches: `stored` without the gaps.
-    batched: u64,
+    /// Number of submitted events in the batches of `stored`. The other events of these batches are gaps, which the
+    /// stream itself adds.
+    stored_submitted: u64,
 }
 
 impl CountedEvents {
@@ -51,8 +52,8 @@ impl CountedEvents {
 
 impl UnresolvedBatches {
     pub(super) fn new(counted: CountedEvents, settled: SettledEvents, totals: &Totals) -> Self {
-        let events = totals.produced.saturating_sub(totals.dropped);
-        Self { counted, settled, reported_drops: totals.reported_drops, events }
+        let spooled_events = totals.produced.saturating_sub(totals.dropped);
+        Self { counted, settled, reported_drops: totals.reported_drops, spooled_events }
     }
 
     /// Returns which events are stored and which are lost, if the aggregator has stored all batches up to batch
@@ -62,18 +63,19 @@ impl UnresolvedBatches {
         // If another process or a copy of the spool sent the last stored batch, none of these batches counts as
         // stored.
         let sent = self.counted.sent.iter().find(is_last_stored).copied().unwrap_or_default();
-        let batched = sent.batched.saturating_sub(self.settled.batched);
+        let stored_submitted = sent.batched.saturating_sub(self.settled.batched);
         ResolvedBatches {
-            stored: sent.events.saturating_sub(self.events),
-            lost: self.counted.total.saturating_sub(self.settled.events.total + batched),
+            stored: sent.events.saturating_sub(self.spooled_events),
+            lost: self.counted.total.saturating_sub(self.settled.events.total + stored_submitted),
             reported_drops: sent.reported_drops.saturating_sub(self.reported_drops),
-            batched,
+            stored_submitted,
         }
     }
 
-    /// Updates the losses that no gap reports yet: the gaps in `earlier_gaps`, `earlier_drops` events that earlier
-    /// processes dropped, and the losses of the killed process. Losses that stored gaps of the killed process reported
-    /// are removed, the oldest first.
+    /// Updates the losses that must still be reported. `earlier_gaps` are gaps that are not sent yet. `earlier_drops`
+    /// is the number of events that earlier processes dropped and that are in no gap. Removes, the oldest first, the
+    /// losses that stored gaps of the killed process have reported. Adds gaps for the other losses of the killed
+    /// process.
     pub(super) fn update_unreported(
         &self,
         resolved: &ResolvedBatches,
@@ -86,14 +88,15 @@ impl UnresolvedBatches {
         while let Some(gap) = earlier_gaps.pop_front_if(|gap| gap.count <= reported_drops) {
             reported_drops -= gap.count;
         }
-        // After these gaps, the killed process reported drops that the spool counts, and then drops that the spool does
-        // not know.
+        // The killed process reported its losses in this order: the gaps above, the drops that the spool's totals count
+        // (`earlier_drops`), and the drops that were not written to the spool (a part of `resolved.lost`).
         let reported_earlier_drops = reported_drops.min(*earlier_drops);
         *earlier_drops -= reported_earlier_drops;
         reported_drops -= reported_earlier_drops;
         let reported_lost = reported_drops.min(resolved.lost);
         reported_drops -= reported_lost;
-        // One gap may contain losses of a later process together with reported losses.
+        // A gap in `earlier_gaps` may be merged: it then contains reported losses together with losses of a process
+        // that was started after the killed process.
         while let Some(mut gap) = (reported_drops > 0).then(|| earlier_gaps.pop_front()).flatten() {
             let reported_in_gap = reported_drops.min(gap.count);
             reported_drops -= reported_in_gap;
@@ -104,7 +107,7 @@ impl UnresolvedBatches {
         }
         earlier_gaps.extend(self.counted.gaps(
             &self.settled,
-            resolved.batched + reported_lost,
+            resolved.stored_submitted + reported_lost,
             resolved.lost - reported_lost,
         ));
     }
@@ -132,8 +135,8 @@ mod tests {
 
     const PROCESS: u64 = 7;
 
-    /// Returns a spool with the batches up to 3, which accounts for 10 of 30 events. Two further batches were sent:
-    /// batch 4 with 6 events, and batch 5 with 3 events and a gap of 2 events.
+    /// Returns a spool with the batches up to 3, which has 10 of 30 events in batches or as dropped. Two further
+    /// batches were sent: batch 4 with 6 events, and batch 5 with 3 events and a gap of 2 events.
     fn unresolved(run: RunId) -> (SpoolState, UnresolvedBatches) {
         let mut state = SpoolState::new(StreamId::random());
         (state.totals.produced, state.totals.dropped, state.totals.reported_drops) = (15, 3, 1);

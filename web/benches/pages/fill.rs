@@ -1,5 +1,5 @@
-//! Fills a database with several short runs and one long run of one agent. They reach the aggregator over an event stream,
-//! as the runs of a real agent do.
+//! Fills a database with several short runs and one long run of one agent. They reach the aggregator over an event
+//! stream, as the runs of a real agent do.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use bytes::Bytes;
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    BatchHead, Chain, EndReason, Event, ExperimentPosition, Hello, HostSecret, Incident, IncidentKind,
+    BatchHead, ChainHash, EndReason, Event, ExperimentPosition, Hello, HostSecret, Incident, IncidentKind,
     Outcome, Proof, RunEnded, STREAM_VERSIONS, StreamId, ToAgent, ToAggregator, codec,
 };
 use tokio_util::sync::CancellationToken;
@@ -56,7 +56,7 @@ struct Agent {
     /// The edge host and the cloud host.
     hosts: (HostId, HostId),
     stream: StreamId,
-    chain: Chain,
+    chain: ChainHash,
     /// Number of the newest batch that was sent.
     newest_sent: u64,
     /// Number of events in all batches so far.
@@ -83,7 +83,7 @@ impl Agent {
             previous_stream: None,
             first: 1,
             oldest: 1,
-            chain_before_oldest: Chain::START,
+            chain_before_oldest: ChainHash::START,
             events_before_oldest: 0,
             events_before_first: Some(0),
             batch_bytes: 128 * 1024,
@@ -96,7 +96,7 @@ impl Agent {
             socket,
             hosts: (edge, cloud),
             stream,
-            chain: Chain::START,
+            chain: ChainHash::START,
             newest_sent: 0,
             events: 0,
             newest_acknowledged: 0,

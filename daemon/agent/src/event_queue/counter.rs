@@ -144,8 +144,8 @@ impl EventCounter {
         }
     }
 
-    /// Frees the record of an ended run if the spool accounts for all events of the run. `events` is the number of
-    /// events that the spool accounts for. Returns whether the record is free.
+    /// Frees the record of an ended run if the spool has all events of the run, in batches or as dropped. `events` is the
+    /// number of the run's events that the spool has. Returns whether the record is free.
     pub(crate) fn release(&self, run: RunId, events: u64) -> bool {
         let Some(mut count_file) = self.lock_file() else { return true };
         let Some((record_index, counted_events)) = count_file.runs.get(&run).copied() else { return true };

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    BatchHead, Chain, Event, Hello, MAX_IN_FLIGHT_BATCHES, STREAM_VERSIONS, StreamId, batch_weight, codec,
+    BatchHead, ChainHash, Event, Hello, MAX_IN_FLIGHT_BATCHES, STREAM_VERSIONS, StreamId, batch_weight, codec,
 };
 
 use crate::generate;
@@ -82,7 +82,7 @@ impl LoadPlan {
         let (host, stream, run) = (HostId::random(), StreamId::random(), RunId::random());
         let cloud = HostId::random();
         let mut random = generate::Numbers::new(agent);
-        let (mut previous_chain, mut events_before) = (Chain::START, 0);
+        let (mut previous_chain, mut events_before) = (ChainHash::START, 0);
         let mut frames = Vec::new();
         let mut longest = 0;
         for number in 1..=self.batches {
@@ -119,7 +119,7 @@ impl LoadPlan {
             previous_stream: None,
             first: 1,
             oldest: 1,
-            chain_before_oldest: Chain::START,
+            chain_before_oldest: ChainHash::START,
             events_before_oldest: 0,
             events_before_first: Some(0),
             batch_bytes: BATCH_BYTES as u32,

@@ -1,7 +1,7 @@
 //! Tests of agents that are refused, crash, repeat batches or send invalid data.
 
 use peernet_logger::RunId;
-use peernet_stream::{Chain, Hello, Notice, StreamId, ToAgent, ToAggregator};
+use peernet_stream::{ChainHash, Hello, Notice, StreamId, ToAgent, ToAggregator};
 use sqlx::Connection;
 
 use crate::agent::Agent;
@@ -58,7 +58,7 @@ async fn duplicate_missing_and_early_batches_are_distinguished() {
     scripted_agent.socket.send_frame(batches[0].clone()).await;
     scripted_agent.expect(Reply::Unknown).await;
     let hello = scripted_agent.hello("edge");
-    let hello = Hello { oldest: 1, chain_before_oldest: Chain::START, ..hello };
+    let hello = Hello { oldest: 1, chain_before_oldest: ChainHash::START, ..hello };
     assert!(matches!(scripted_agent.socket.greet(&hello).await, ToAgent::Welcome { stored: 0, .. }));
     scripted_agent.socket.send_frame(batches[2].clone()).await;
     scripted_agent.expect(Reply::Resend(1)).await;

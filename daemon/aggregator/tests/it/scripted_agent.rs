@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{BatchHead, Chain, Event, Hello, STREAM_VERSIONS, StreamId, ToAgent, codec};
+use peernet_stream::{BatchHead, ChainHash, Event, Hello, STREAM_VERSIONS, StreamId, ToAgent, codec};
 
 use crate::agent::AgentSocket;
 use crate::generate;
@@ -19,8 +19,8 @@ pub(crate) struct ScriptedAgent {
     pub(crate) process: u64,
     /// Number of the newest batch.
     pub(crate) number: u64,
-    /// Chain of the newest batch.
-    pub(crate) previous_chain: Chain,
+    /// Chain hash of the newest batch.
+    pub(crate) previous_chain: ChainHash,
     /// Number of events in all batches so far.
     pub(crate) events: u64,
 }
@@ -35,7 +35,7 @@ impl ScriptedAgent {
             run: RunId::random(),
             process: 1,
             number: 0,
-            previous_chain: Chain::START,
+            previous_chain: ChainHash::START,
             events: 0,
         }
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use peernet_clock::Stamp;
 use peernet_stream::{
-    Action, Chain, NewestSentBatch, Notice, Sending, SpoolState, SpooledBatch, StreamId, Totals, Usage,
+    Action, ChainHash, NewestSentBatch, Notice, Sending, SpoolState, SpooledBatch, StreamId, Totals, Usage,
 };
 
 /// The state that survives the agent's process.
@@ -14,8 +14,8 @@ pub(crate) struct Spool {
     previous_stream: Option<StreamId>,
     first: u64,
     events_before_first: Option<u64>,
-    /// Number and chain of the last deleted batch.
-    deleted: (u64, Chain),
+    /// Number and chain hash of the last deleted batch.
+    deleted: (u64, ChainHash),
     batches: BTreeMap<u64, SpooledBatch>,
     totals: Totals,
     newest_sent: Vec<NewestSentBatch>,
@@ -28,7 +28,7 @@ impl Spool {
             previous_stream: None,
             first: 1,
             events_before_first: Some(0),
-            deleted: (0, Chain::START),
+            deleted: (0, ChainHash::START),
             batches: BTreeMap::new(),
             totals: Totals::default(),
             newest_sent: Vec::new(),

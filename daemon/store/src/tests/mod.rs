@@ -48,7 +48,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, MonoTime, RawTime, Stamp, SystemClock, WallTime};
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{BatchHead, Chain, Event, HostDescription, StreamId};
+use peernet_stream::{BatchHead, ChainHash, Event, HostDescription, StreamId};
 use sqlx::{ConnectOptions, SqliteConnection};
 use tempfile::TempDir;
 
@@ -114,7 +114,8 @@ impl TestStore {
     }
 
     fn head(&self, number: u64, body: &[u8], events: usize) -> BatchHead {
-        let (host, stream, previous_chain, events) = (self.edge, self.stream, Chain::START, events as u32);
+        let (host, stream, previous_chain, events) =
+            (self.edge, self.stream, ChainHash::START, events as u32);
         let (chain, events_before) = (previous_chain.next(events, body), 100 * number);
         BatchHead { host, stream, process: PROCESS, number, previous_chain, chain, events, events_before }
     }

@@ -3,7 +3,7 @@
 
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    Chain, Event, Gap, Hello, HighWaterMark, Iteration, MissingBatches, MissingPreviousBatches,
+    ChainHash, Event, Gap, Hello, HighWaterMark, Iteration, MissingBatches, MissingPreviousBatches,
     STREAM_VERSIONS, StreamId, StreamRecord,
 };
 
@@ -182,8 +182,8 @@ async fn commit_without_log_is_not_acknowledged() {
     store.close().await;
     writer.close().await.1.expect("closes");
     let mut writer = open(&path).await;
-    // When the writer closed, SQLite moved the deleted log, which it still had open, into the database file. The refused
-    // commit is not stored.
+    // When the writer closed, SQLite moved the deleted log, which it still had open, into the database file. The
+    // refused commit is not stored.
     assert_eq!(writer.streams().marks.get(&stream).map(|mark| mark.stored), Some(1));
     assert_eq!(writer.commit(&work, STAMP).await.expect("commits").marks[&stream].stored, 2);
 }
@@ -242,7 +242,7 @@ async fn gap_belongs_to_run_and_missing_batches_to_host() {
     assert_eq!((detail.gaps.len(), detail.gaps[0].count), (1, 1_050));
 
     let (host, stream) = (test_store.edge, test_store.stream);
-    let (from, through, chain, process) = (3, 9, Chain::START, 7);
+    let (from, through, chain, process) = (3, 9, ChainHash::START, 7);
     let (events, events_through) = (Some(40), 700);
     let missing = MissingBatches { host, stream, from, through, chain, process, events, events_through };
     let next_batch = test_store.batch_numbered(10, vec![]);
@@ -263,7 +263,7 @@ async fn gap_belongs_to_run_and_missing_batches_to_host() {
 #[tokio::test]
 async fn events_missed_before_first_contact_have_own_count() {
     let mut test_store = TestStore::new().await;
-    let (host, stream, chain, process) = (test_store.edge, test_store.stream, Chain::START, 7);
+    let (host, stream, chain, process) = (test_store.edge, test_store.stream, ChainHash::START, 7);
     let missing = |from, through, count| {
         let (events, events_through) = (Some(count), 700);
         Work::MissingBatches(MissingBatches {
@@ -415,7 +415,7 @@ fn hello_of(host: HostId, stream: StreamId, previous_stream: Option<StreamId>) -
         previous_stream,
         first: 5,
         oldest: 5,
-        chain_before_oldest: Chain::START,
+        chain_before_oldest: ChainHash::START,
         events_before_oldest: 0,
         events_before_first: None,
         batch_bytes: 1,

@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
 use peernet_stream::{
-    BatchHead, Chain, Hello, HighWaterMark, MissingPreviousBatches, StreamId, StreamRecord,
+    BatchHead, ChainHash, Hello, HighWaterMark, MissingPreviousBatches, StreamId, StreamRecord,
 };
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
@@ -91,13 +91,13 @@ impl Streams {
         for Row { uuid, host, stored, chain, process, events } in rows {
             let (stream, host) = (id(&uuid)?, id(&host)?);
             streams.record_hello(host, stream);
-            // A stream without a chain has no stored batches, or is of an earlier version. In that version each start of
-            // an agent began a new stream, so no agent continues the stream.
+            // A stream without a chain hash has no stored batches, or is of an earlier version. In that version each
+            // start of an agent began a new stream, so no agent continues the stream.
             let Some(chain) = chain else { continue };
             let chain = <[u8; 16]>::try_from(chain)
-                .map_err(|_| invalid_column("a chain that is not 16 bytes long"))?;
+                .map_err(|_| invalid_column("a chain hash that is not 16 bytes long"))?;
             let stored = u64::try_from(stored).map_err(|error| sqlx::Error::Decode(error.into()))?;
-            let (chain, process) = (Chain::from_bytes(chain), process.map(i64::cast_unsigned));
+            let (chain, process) = (ChainHash::from_bytes(chain), process.map(i64::cast_unsigned));
             let events = events.map(count);
             streams.marks.insert(stream, HighWaterMark { host, stored, chain, process, events });
         }

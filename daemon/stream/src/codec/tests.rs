@@ -103,7 +103,7 @@ fn body_of(events: &[Event]) -> Vec<u8> {
 }
 
 fn head_of(number: u64, events: u32, body: &[u8]) -> BatchHead {
-    let previous_chain = Chain::from_bytes([3; 16]);
+    let previous_chain = ChainHash::from_bytes([3; 16]);
     let (host, stream) = (HostId::random(), StreamId::random());
     let (chain, events_before) = (previous_chain.next(events, body), 100);
     BatchHead { host, stream, process: 7, number, previous_chain, chain, events, events_before }

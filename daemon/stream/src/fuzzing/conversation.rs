@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, Span, Stamp};
 use super::script::{Script, host, start_time};
 use crate::codec;
 use crate::{
-    Accounting, Action, Arrival, Chain, Event, HelloResult, HostSecret, Incident, IncidentKind, Nonce,
+    Accounting, Action, Arrival, ChainHash, Event, HelloResult, HostSecret, Incident, IncidentKind, Nonce,
     Receiving, ReceivingConfig, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, StreamRecord,
     ToAgent, ToAggregator, Usage,
 };
@@ -135,7 +135,7 @@ fn drive_sending(script: &mut Script<'_>) {
     let sending =
         Sending::new(config, host(HostId::from_bytes([1; 16])), HostSecret::from_bytes([9; 32]), 1, state);
     let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now, echo_bytes: 0 };
-    let mut last_sent = (stream, Chain::START, 0);
+    let mut last_sent = (stream, ChainHash::START, 0);
     for _ in 0..MAX_STEPS {
         if script.is_over() {
             return;
@@ -164,8 +164,8 @@ fn drive_sending(script: &mut Script<'_>) {
 }
 
 impl Agent {
-    /// Performs one step. `last_sent` contains the stream, chain and number of the last sent batch.
-    fn step(&mut self, script: &mut Script<'_>, last_sent: (StreamId, Chain, u64)) {
+    /// Performs one step. `last_sent` contains the stream, chain hash and number of the last sent batch.
+    fn step(&mut self, script: &mut Script<'_>, last_sent: (StreamId, ChainHash, u64)) {
         let now = self.now;
         match script.byte() % 10 {
             0 | 1 => self.sending.offer(&incident(script.byte()), now),
@@ -222,7 +222,10 @@ impl Agent {
     }
 }
 
-fn random_message(script: &mut Script<'_>, (mut stream, chain, number): (StreamId, Chain, u64)) -> ToAgent {
+fn random_message(
+    script: &mut Script<'_>,
+    (mut stream, chain, number): (StreamId, ChainHash, u64),
+) -> ToAgent {
     let choice = script.byte();
     let (mut number, mut chain, window) = (number, Some(chain), u32::from(script.byte()));
     // Without this bit, the message is that of an aggregator that stored everything that was sent.

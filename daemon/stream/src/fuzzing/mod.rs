@@ -8,7 +8,7 @@ pub use self::conversation::any_conversation;
 use bytes::Bytes;
 
 use crate::codec::{self, CodecError, MAX_MESSAGE_BYTES, Message};
-use crate::{BatchHead, Chain, StreamId, ToAgent, ToAggregator};
+use crate::{BatchHead, ChainHash, StreamId, ToAgent, ToAggregator};
 use peernet_logger::HostId;
 
 /// Bit of the first byte of [`any_batch`]: the other bytes are the body of a batch. Without this bit, hardly any random
@@ -21,15 +21,15 @@ const COMPRESSED_FLAG: u8 = 2;
 /// body of an intact batch.
 ///
 /// # Panics
-/// If a guarantee is violated: a body is accepted that does not match its chain or is too long, or a written frame is
-/// read as another batch.
+/// If a guarantee is violated: a body is accepted that does not match its chain hash or is too long, or a written frame
+/// is read as another batch.
 pub fn any_batch(data: &[u8]) {
     let Some((&flags, bytes)) = data.split_first() else { return };
     if flags & BODY_FLAG == 0 {
         handle_frame(bytes);
         return;
     }
-    let (chain_before, events) = (Chain::from_bytes([flags; 16]), u32::from(flags >> 2));
+    let (chain_before, events) = (ChainHash::from_bytes([flags; 16]), u32::from(flags >> 2));
     let head = BatchHead {
         host: HostId::from_bytes([1; 16]),
         stream: StreamId::from_bytes([2; 16]),
@@ -54,7 +54,11 @@ fn handle_frame(frame: &[u8]) -> Option<BatchHead> {
     assert!(codec::decode::<ToAggregator>(frame).is_err(), "a batch's frame is not a message");
     let body = codec::decode_batch_body(Bytes::copy_from_slice(frame)).ok()?;
     assert!(body.len() <= MAX_MESSAGE_BYTES);
-    assert_eq!(head.previous_chain.next(head.events, &body), head.chain, "an intact body matches its chain");
+    assert_eq!(
+        head.previous_chain.next(head.events, &body),
+        head.chain,
+        "an intact body matches its chain hash"
+    );
     if let Ok(events) = codec::decode_events(&body, head.events) {
         assert_eq!(events.len(), head.events as usize);
     }

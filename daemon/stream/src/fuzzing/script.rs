@@ -3,7 +3,7 @@
 use peernet_clock::{ClockIdentity, WallTime};
 
 use crate::{
-    BatchHead, Chain, Hardware, Hello, HelloExtension, HighWaterMark, HostDescription, STREAM_VERSIONS,
+    BatchHead, ChainHash, Hardware, Hello, HelloExtension, HighWaterMark, HostDescription, STREAM_VERSIONS,
     StreamId,
 };
 use peernet_logger::HostId;
@@ -48,15 +48,15 @@ impl Script<'_> {
         StreamId::from_bytes([self.byte() % 4; 16])
     }
 
-    /// Returns the chain that belongs to `number`, so that chains often agree; sometimes another chain.
-    pub(super) fn chain(&mut self, number: u64) -> Chain {
+    /// Returns the chain hash that belongs to `number`, so that chain hashes often agree; sometimes another chain hash.
+    pub(super) fn chain(&mut self, number: u64) -> ChainHash {
         let mut bytes = [0; 16];
         let (head, tail) = bytes.split_at_mut(8);
         head.copy_from_slice(&number.to_be_bytes());
         if let other @ 224.. = self.byte() {
             tail.fill(other);
         }
-        Chain::from_bytes(bytes)
+        ChainHash::from_bytes(bytes)
     }
 
     pub(super) fn mark(&mut self, host: HostId) -> HighWaterMark {

@@ -17,7 +17,7 @@ use self::deferred::DeferredStreams;
 use self::parts::PartAssembler;
 use self::progress::Progress;
 use super::codec::Part;
-use super::{BatchHead, Chain, Hello, StreamId, ToAgent};
+use super::{BatchHead, ChainHash, Hello, StreamId, ToAgent};
 use peernet_logger::{HostId, Slug};
 
 /// Maximum number of streams of one host with batches that are accepted and not stored: the current stream and the
@@ -61,8 +61,8 @@ pub struct HighWaterMark {
     pub host: HostId,
     /// Number up to which all batches are stored.
     pub stored: u64,
-    /// Chain of the last stored batch.
-    pub chain: Chain,
+    /// Chain hash of the last stored batch.
+    pub chain: ChainHash,
     /// Process that sent the last stored batch; `None` if it is unknown.
     pub process: Option<u64>,
     /// Number of events in all batches of the spool up to the last stored batch; `None` if it is unknown, because an
@@ -157,8 +157,8 @@ pub struct MissingBatches {
     pub from: u64,
     /// Number of the last batch.
     pub through: u64,
-    /// Chain of the last batch, as stated by the agent.
-    pub chain: Chain,
+    /// Chain hash of the last batch, as stated by the agent.
+    pub chain: ChainHash,
     /// Process that stated that it no longer holds the batches.
     pub process: u64,
     /// Number of events in the batches; `None` if it is unknown.
@@ -207,8 +207,8 @@ pub enum Arrival {
 /// database.
 ///
 /// The memory of this state machine is bounded: it holds a session for each recently active host, and for each stream
-/// the chains of the batches that are accepted and not stored. The number of these batches is at most a little more
-/// than twice [`MAX_IN_FLIGHT_BATCHES`](super::MAX_IN_FLIGHT_BATCHES).
+/// the chain hashes of the batches that are accepted and not stored. The number of these batches is at most a little
+/// more than twice [`MAX_IN_FLIGHT_BATCHES`](super::MAX_IN_FLIGHT_BATCHES).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Receiving {
     config: ReceivingConfig,

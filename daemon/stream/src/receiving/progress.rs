@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::super::MAX_IN_FLIGHT_BATCHES;
-use super::{Arrival, BatchHead, Chain, Hello, HighWaterMark, MissingBatches, StreamId, ToAgent};
+use super::{Arrival, BatchHead, ChainHash, Hello, HighWaterMark, MissingBatches, StreamId, ToAgent};
 use peernet_logger::HostId;
 
 /// Largest accepted batch number: the largest integer of SQLite.
@@ -16,11 +16,11 @@ const MAX_DAMAGED_ARRIVALS: u32 = 3;
 /// many.
 const MAX_PENDING: usize = 2 * (MAX_IN_FLIGHT_BATCHES + 1);
 
-/// A position in a stream: number of a batch; its chain and the number of events up to it, if they are known.
+/// A position in a stream: number of a batch; its chain hash and the number of events up to it, if they are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Position {
     number: u64,
-    chain: Option<Chain>,
+    chain: Option<ChainHash>,
     events: Option<u64>,
 }
 
@@ -41,11 +41,11 @@ pub(super) struct Progress {
     stored: Position,
     accepted: Position,
     /// Number of the last batch that has the same content here and at the connected agent. This is known because the
-    /// agent compared the chains when it was welcomed, or because it has sent the batch since then.
+    /// agent compared the chain hashes when it was welcomed, or because it has sent the batch since then.
     confirmed: u64,
-    /// Number and chain of each accepted batch that is not stored or not confirmed, in ascending order. A gap is
+    /// Number and chain hash of each accepted batch that is not stored or not confirmed, in ascending order. A gap is
     /// represented by its last batch.
-    pending: VecDeque<(u64, Chain)>,
+    pending: VecDeque<(u64, ChainHash)>,
     /// Number of the first batch that was requested again; `None` once this batch arrives.
     requested: Option<u64>,
     /// The last batch that arrived damaged, and the number of its damaged arrivals in a row.
@@ -56,8 +56,8 @@ impl Progress {
     pub(super) fn new(hello: &Hello, mark: Option<HighWaterMark>) -> Self {
         let start = Position {
             number: hello.first.saturating_sub(1),
-            // The hello states the chain before the oldest batch. This is the chain before the first batch only if no
-            // batch was deleted.
+            // The hello states the chain hash before the oldest batch. This is the chain hash before the first batch
+            // only if no batch was deleted.
             chain: (hello.oldest == hello.first).then_some(hello.chain_before_oldest),
             events: hello.events_before_first,
         };
@@ -130,8 +130,8 @@ impl Progress {
             self.accept(number, head.chain, head.events_through());
             Arrival::Accept
         } else {
-            // The batch continues another chain: the spool is a copy or was restored. After its next hello, the agent
-            // compares the chains of both ends.
+            // The previous batch is not the last accepted batch: the spool is a copy or was restored. After its next
+            // hello, the agent compares the chain hashes of both ends.
             Arrival::Unknown(ToAgent::Unknown)
         }
     }
@@ -144,11 +144,11 @@ impl Progress {
             return Arrival::Pending;
         };
         // The batch has the same number and other content: the spool is a copy or was restored. After its next hello,
-        // the agent compares the chains of both ends.
+        // the agent compares the chain hashes of both ends.
         if *chain != head.chain {
             return Arrival::Unknown(ToAgent::Unknown);
         }
-        // The chain of a batch also identifies every earlier batch.
+        // The chain hash of a batch also identifies every earlier batch.
         self.confirmed = self.confirmed.max(number);
         self.drop_acknowledged();
         match number <= self.stored.number {
@@ -173,19 +173,20 @@ impl Progress {
             self.accept(head.number, head.chain, head.events_through());
             Arrival::AcceptDamaged
         } else {
-            // The chains in the spool are damaged. The agent finds this when it compares them after its next hello.
+            // The chain hashes in the spool are damaged. The agent finds this when it compares them after its next
+            // hello.
             Arrival::Unknown(ToAgent::Unknown)
         }
     }
 
-    /// Returns whether the batch continues the chain of the accepted batches.
+    /// Returns whether the batch follows the last accepted batch, as its `previous_chain` shows.
     fn follows(&self, head: &BatchHead) -> bool {
         self.accepted.chain == Some(head.previous_chain)
     }
 
     /// Records all batches up to batch `number` as accepted; `events` is the number of events in these batches and all
     /// earlier batches of the spool.
-    fn accept(&mut self, number: u64, chain: Chain, events: u64) {
+    fn accept(&mut self, number: u64, chain: ChainHash, events: u64) {
         self.accepted = Position { number, chain: Some(chain), events: Some(events) };
         self.confirmed = number;
         self.pending.push_back((number, chain));

@@ -1,6 +1,6 @@
 //! Actions of the sending state machine, and its notices to the agent.
 
-use super::super::{Chain, StreamId};
+use super::super::{ChainHash, StreamId};
 #[cfg(doc)]
 use super::Sending;
 use crate::spool::SpooledBatch;
@@ -15,9 +15,9 @@ pub enum Action {
     /// Write these batches and totals to the spool in one transaction. Answer: [`Sending::on_appended`] or
     /// [`Sending::on_append_failed`].
     ///
-    /// Batches that were written while disconnected are sent only after an action without batches has recorded that
-    /// they may be sent ([`Totals::newest_sent`]). This record should be on the medium, not only in the system's
-    /// memory, before the action is answered.
+    /// While the spool can be written, a batch is sent only after an `Append` has recorded that the batch may be sent
+    /// ([`Totals::newest_sent`]). For batches that were written while disconnected, this is an `Append` with empty
+    /// `batches`. The record should be on the medium, not only in the system's memory, before the action is answered.
     Append {
         /// Contiguous batches that follow the newest batch in the spool; empty if only the totals changed.
         batches: Vec<SpooledBatch>,
@@ -32,20 +32,20 @@ pub enum Action {
         /// Number of bytes of bodies to read.
         bytes: usize,
     },
-    /// Delete the batches up to a number and keep the chain of the last deleted batch. Answer: [`Sending::on_deleted`],
-    /// or [`Sending::on_delete_failed`], after which the deletion is requested again later.
+    /// Delete the batches up to a number and keep the chain hash of the last deleted batch. Answer:
+    /// [`Sending::on_deleted`], or [`Sending::on_delete_failed`], after which the deletion is requested again later.
     ///
-    /// The number may be beyond the newest batch in the spool if batches were sent from memory and stored while the
-    /// spool failed. This number then becomes the newest number of the spool, and the next appended batch has the
-    /// following number.
+    /// The number may be beyond the newest batch in the spool if the aggregator stored batches that were sent from
+    /// memory while the spool failed. This number then becomes the newest number of the spool, and the next appended
+    /// batch has the following number.
     Delete {
         /// Number of the last batch.
         through: u64,
-        /// Chain of that batch.
-        chain: Chain,
+        /// Chain hash of that batch.
+        chain: ChainHash,
     },
-    /// Replace the stream by a new stream, in which the batches in the spool keep their numbers and chains. Answer:
-    /// [`Sending::on_renewed`] or [`Sending::on_renew_failed`].
+    /// Replace the stream by a new stream, in which the batches in the spool keep their numbers and chain hashes.
+    /// Answer: [`Sending::on_renewed`] or [`Sending::on_renew_failed`].
     Renew {
         /// New stream.
         stream: StreamId,
@@ -53,14 +53,14 @@ pub enum Action {
         previous_stream: StreamId,
         /// Number of the first batch of the new stream.
         first: u64,
-        /// Number of events in all batches of the spool before that first batch.
+        /// Number of events in all earlier batches, which are no longer in the spool.
         events_before_first: u64,
     },
     /// Send this frame.
     Send(Vec<u8>),
 }
 
-/// Notice that the agent should log and show.
+/// A notice for the agent to log and to show.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
     /// The aggregator has no secret of this host; the secret is sent now.

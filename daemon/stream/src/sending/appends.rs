@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, Span};
 
 use super::job::Job;
-use crate::Chain;
+use crate::ChainHash;
 use crate::spool::SpooledBatch;
 use crate::totals::Totals;
 
@@ -28,8 +28,8 @@ pub(super) struct Appends {
 /// A transaction in progress.
 #[derive(Clone, Debug)]
 struct RunningAppend {
-    /// Number and chain of the last batch; `None` if only the totals are written.
-    last: Option<(u64, Chain)>,
+    /// Number and chain hash of the last batch; `None` if only the totals are written.
+    last: Option<(u64, ChainHash)>,
     /// Bytes of the written bodies.
     bytes: u64,
     /// Number of written bytes whose batches the aggregator stored meanwhile.
@@ -43,8 +43,8 @@ struct RunningAppend {
 /// Result of a transaction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AppendResult {
-    /// Number and chain of the last batch; `None` if only the totals were written.
-    pub(super) last: Option<(u64, Chain)>,
+    /// Number and chain hash of the last batch; `None` if only the totals were written.
+    pub(super) last: Option<(u64, ChainHash)>,
     /// Bytes of the written bodies.
     pub(super) bytes: u64,
     /// Number of written bytes whose batches the aggregator stored meanwhile.

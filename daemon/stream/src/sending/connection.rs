@@ -3,8 +3,8 @@
 use peernet_clock::{MonoTime, Stamp};
 
 use super::super::{
-    AGENT_STREAM_VERSIONS, Chain, Hello, HelloExtension, Nonce, Proof, ToAgent, ToAggregator, VersionRange,
-    codec,
+    AGENT_STREAM_VERSIONS, ChainHash, Hello, HelloExtension, Nonce, Proof, ToAgent, ToAggregator,
+    VersionRange, codec,
 };
 use super::session::{ConnectionState, ScanPurpose, Welcome};
 use super::spool_reader::{LoadPurpose, ScanResult};
@@ -267,16 +267,17 @@ impl Sending {
         }
     }
 
-    /// Starts sending if the chain of the aggregator's last batch equals `own_chain`, and leaves the stream otherwise.
+    /// Starts sending if the chain hash of the aggregator's last batch equals `own_chain`, and leaves the stream
+    /// otherwise.
     fn compare_chains(
         &mut self,
         welcome: Welcome,
-        own_chain: Option<Chain>,
+        own_chain: Option<ChainHash>,
         scanned: Option<ScanResult>,
         now: Stamp,
     ) {
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
-        // The aggregator has no batch of this stream, or does not know the chain of the last acknowledged batch.
+        // The aggregator has no batch of this stream, or does not know the chain hash of the last acknowledged batch.
         let nothing_to_compare = welcome.last_stored < self.spooler.backlog.origin.first
             || welcome.last_stored == acknowledged && welcome.chain.is_none();
         if nothing_to_compare || own_chain.is_some() && own_chain == welcome.chain {
@@ -381,7 +382,7 @@ impl Sending {
         self.spooler.drop_missing(now);
     }
 
-    /// Handles batches that were read for a scan, which compares chains or precedes the leaving of the stream.
+    /// Handles batches that were read for a scan, which compares chain hashes or precedes the leaving of the stream.
     fn handle_scan(&mut self, from: u64, batches: &[SpooledBatch], now: Stamp) {
         let ConnectionState::Comparing { scan, .. } = &mut self.session.state else { return };
         if !scan.count(from, batches) {

@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, Span};
 
 use super::job::Job;
-use crate::Chain;
+use crate::ChainHash;
 
 /// Number of stored batches at which a deletion starts. Deletions are grouped, because each deletion is a write and the
 /// medium is often a memory card.
@@ -26,7 +26,7 @@ pub(super) struct Deletions {
 
 #[derive(Clone, Copy, Debug)]
 struct RunningDeletion {
-    through: (u64, Chain),
+    through: (u64, ChainHash),
     bytes: u64,
 }
 
@@ -80,7 +80,7 @@ impl Deletions {
     }
 
     /// Begins the deletion of all batches up to a batch.
-    pub(super) fn start(&mut self, through: (u64, Chain)) {
+    pub(super) fn start(&mut self, through: (u64, ChainHash)) {
         let bytes = std::mem::take(&mut self.waiting_bytes);
         self.waiting_since = None;
         self.job.start(RunningDeletion { through, bytes });
@@ -88,7 +88,7 @@ impl Deletions {
 
     /// Ends the deletion successfully. Returns the last batch and the number of deleted bytes; `None` if no deletion is
     /// in progress.
-    pub(super) fn finish(&mut self) -> Option<((u64, Chain), u64)> {
+    pub(super) fn finish(&mut self) -> Option<((u64, ChainHash), u64)> {
         let RunningDeletion { through, bytes } = self.job.end()?;
         self.through = through.0;
         Some((through, bytes))

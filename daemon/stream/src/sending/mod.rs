@@ -224,7 +224,7 @@ impl Sending {
         self.spooler.has_reported_all()
     }
 
-    /// Returns the number of events of this process that the spool accounts for, in batches or as dropped.
+    /// Returns the number of events of this process that the spool has in batches or has counted as dropped.
     pub const fn settled_events(&self) -> u64 {
         self.spooler.settled_events()
     }

@@ -5,7 +5,7 @@ use peernet_logger::Slug;
 
 use super::SendingConfig;
 use super::spool_reader::SpoolScan;
-use crate::{AGENT_STREAM_VERSIONS, Chain};
+use crate::{AGENT_STREAM_VERSIONS, ChainHash};
 
 /// Number of hellos without progress that are sent without a pause. Each later hello waits longer than the previous
 /// hello.
@@ -29,7 +29,7 @@ pub(super) enum ConnectionState {
 /// Purpose of reading the file.
 #[derive(Clone, Debug)]
 pub(super) enum ScanPurpose {
-    /// To find the chain of the aggregator's last batch.
+    /// To find the chain hash of the aggregator's last batch.
     Compare(Welcome),
     /// To count the stored batches before the stream is left.
     Leave,
@@ -41,8 +41,8 @@ pub(super) struct Welcome {
     pub(super) aggregator: Slug,
     /// Number of the last stored batch.
     pub(super) last_stored: u64,
-    /// Chain of the last stored batch, if the aggregator knows it.
-    pub(super) chain: Option<Chain>,
+    /// Chain hash of the last stored batch, if the aggregator knows it.
+    pub(super) chain: Option<ChainHash>,
     /// Process that sent the last stored batch.
     pub(super) process: Option<u64>,
 }

@@ -6,11 +6,11 @@ use super::Action;
 use super::backlog::Backlog;
 use super::job::Job;
 use super::session::ConnectionState;
-use crate::Chain;
+use crate::ChainHash;
 use crate::spool::{SpooledBatch, Usage};
 
-/// Total size of the scanned batches, which are not kept in memory, and the chain of the last scanned batch.
-pub(super) type ScanResult = (Usage, Chain);
+/// Total size of the scanned batches, which are not kept in memory, and the chain hash of the last scanned batch.
+pub(super) type ScanResult = (Usage, ChainHash);
 
 /// Scan of the batches that are in the file only, to compare and count them.
 #[derive(Clone, Copy, Debug)]
@@ -20,8 +20,8 @@ pub(super) struct SpoolScan {
     /// Number of the last batch.
     through: u64,
     usage: Usage,
-    /// Chain of the last batch.
-    chain: Option<Chain>,
+    /// Chain hash of the last batch.
+    chain: Option<ChainHash>,
 }
 
 impl SpoolScan {
@@ -64,16 +64,17 @@ impl SpoolScan {
 /// A gap in the file: batches that should be in the file and are missing, because they were deleted or the medium
 /// failed.
 ///
-/// The first batch after the gap is lost, too: its chain cannot be verified, because the chain of the last missing
-/// batch is unknown. Later batches can be verified against the stored chain of this first batch. The stream therefore
-/// continues with the second batch after the gap. The hello states this batch as the oldest, and the aggregator records
-/// the missing batches.
+/// The first batch after the gap is lost, too: its chain hash cannot be verified, because the chain hash of the last
+/// missing batch is unknown. Later batches can be verified against the stored chain hash of this first batch. The
+/// stream therefore continues with the second batch after the gap. The hello states this batch as the oldest, and the
+/// aggregator records the missing batches.
 #[derive(Clone, Copy, Debug)]
 enum SpoolGap {
     /// The end of the gap is not known yet. The search continues at this number.
     Open(u64),
-    /// The end of the gap is known: number of the first batch that can be sent, and the chain of the batch before it.
-    Closed(u64, Chain),
+    /// The end of the gap is known: number of the first batch that can be sent, and the chain hash of the batch before
+    /// it.
+    Closed(u64, ChainHash),
 }
 
 /// Purpose of reading batches.
@@ -183,9 +184,9 @@ impl SpoolReader {
         self.gap = None;
     }
 
-    /// Returns the number of the first batch that can be sent after the gap, and the chain before it, when the
+    /// Returns the number of the first batch that can be sent after the gap, and the chain hash before it, when the
     /// aggregator has stored everything before the gap. The gap is then forgotten.
-    pub(super) fn pass_gap(&mut self, backlog: &Backlog) -> Option<(u64, Chain)> {
+    pub(super) fn pass_gap(&mut self, backlog: &Backlog) -> Option<(u64, ChainHash)> {
         let Some(SpoolGap::Closed(resume, previous_chain)) = self.gap else { return None };
         // Batches before the gap are still in memory and will be stored first.
         if backlog.first_unloaded() != backlog.oldest() {

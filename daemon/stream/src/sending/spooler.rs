@@ -13,7 +13,7 @@ use super::spool_reader::ScanResult;
 use super::{Action, SendingConfig};
 use crate::spool::{SpoolState, SpooledBatch};
 use crate::totals::{NewestSentBatch, Totals};
-use crate::{Accounting, BatchHead, Chain, Event, Gap, SentUnspooled, StreamId, SubmittedEvents};
+use crate::{Accounting, BatchHead, ChainHash, Event, Gap, SentUnspooled, StreamId, SubmittedEvents};
 
 /// Maximum number of batches in one transaction, so that other work on the spool does not wait for long.
 const MAX_APPENDED: usize = 256;
@@ -262,8 +262,8 @@ impl EventSpooler {
     }
 
     /// Continues with batch `resume`, because the batches before it are missing from the file; `previous_chain` is
-    /// the chain of the last missing batch.
-    pub(super) fn skip_to(&mut self, resume: u64, previous_chain: Chain, now: MonoTime) {
+    /// the chain hash of the last missing batch.
+    pub(super) fn skip_to(&mut self, resume: u64, previous_chain: ChainHash, now: MonoTime) {
         self.backlog.skip_to(resume, previous_chain);
         self.deletions.add(0, now);
     }

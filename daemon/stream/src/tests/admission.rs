@@ -19,9 +19,9 @@ pub(crate) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, olde
     }
 }
 
-/// Returns the chain of a batch in the stream that these tests use.
-pub(super) fn chain(number: u64) -> Chain {
-    (0..number).fold(Chain::START, |chain, _| chain.next(1, b"event"))
+/// Returns the chain hash of a batch in the stream that these tests use.
+pub(super) fn chain(number: u64) -> ChainHash {
+    (0..number).fold(ChainHash::START, |chain, _| chain.next(1, b"event"))
 }
 
 /// Returns the mark of a stream of which `stored` batches are stored.
@@ -46,9 +46,9 @@ pub(super) fn expect_refusal(greeting: HelloResult) -> String {
     }
 }
 
-/// Returns the number and the chain of the last stored batch, and the window, from a welcome that reports nothing else.
-/// Panics for any other result.
-pub(super) fn expect_welcome(greeting: &HelloResult) -> (u64, Option<Chain>, u32) {
+/// Returns the number and the chain hash of the last stored batch, and the window, from a welcome that reports nothing
+/// else. Panics for any other result.
+pub(super) fn expect_welcome(greeting: &HelloResult) -> (u64, Option<ChainHash>, u32) {
     match greeting {
         HelloResult::Welcome {
             reply: ToAgent::Welcome { stored, chain, window, .. },
@@ -88,6 +88,7 @@ fn second_connected_host_of_same_name_is_refused() {
     let second_hello = hello(second, "edge", 2, StreamId::random(), 1);
     let reason = expect_refusal(aggregator.handle_hello(&second_hello, record_with(None), at(9_000).mono));
     assert!(reason.contains("the name edge") && reason.contains(&first.to_string()), "{reason}");
+    // After 10 s of silence the first host no longer counts as connected, so its name is free.
     expect_welcome(&aggregator.handle_hello(&second_hello, record_with(None), at(10_001).mono));
 }
 

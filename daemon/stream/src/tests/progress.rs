@@ -256,15 +256,16 @@ fn largest_batch_numbers_are_handled() {
     let stored = |number| HighWaterMark {
         host: id,
         stored: number,
-        chain: Chain::START,
+        chain: ChainHash::START,
         process: None,
         events: Some(number),
     };
-    let hello = Hello { oldest: last, chain_before_oldest: Chain::START, ..hello(id, "edge", 1, stream, 1) };
+    let hello =
+        Hello { oldest: last, chain_before_oldest: ChainHash::START, ..hello(id, "edge", 1, stream, 1) };
     let greeting = aggregator.handle_hello(&hello, record_with(None), at(0).mono);
     assert!(matches!(greeting, HelloResult::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
     let head = |number| {
-        let (host, previous_chain, chain) = (id, Chain::START, chain(1));
+        let (host, previous_chain, chain) = (id, ChainHash::START, chain(1));
         BatchHead {
             host,
             stream,

@@ -92,8 +92,8 @@ pub enum SpoolDefect {
     /// The id of the spool's stream cannot be read.
     #[error("its stream id {0:?} is invalid")]
     StreamId(String),
-    /// A chain has the wrong length.
-    #[error("one of its chains has {0} bytes instead of 16")]
+    /// A chain hash has the wrong length.
+    #[error("one of its chain hashes has {0} bytes instead of 16")]
     ChainLength(usize),
     /// The numbers of the spool's batches are inconsistent.
     #[error(

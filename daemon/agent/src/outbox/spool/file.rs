@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 use peernet_clock::WallTime;
-use peernet_stream::{Chain, SpooledBatch, StreamId, Totals};
+use peernet_stream::{ChainHash, SpooledBatch, StreamId, Totals};
 use sqlx::{Connection, SqliteConnection};
 use tokio::task::JoinHandle;
 
@@ -39,7 +39,7 @@ pub(in crate::outbox) struct SpoolFile {
 /// Result of reading batches.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::outbox) struct LoadedBatches {
-    /// Contiguous batches whose chains were checked. The first batch cannot be checked if the previous batch is
+    /// Contiguous batches whose chain hashes were checked. The first batch cannot be checked if the previous batch is
     /// missing.
     pub(in crate::outbox) batches: Vec<SpooledBatch>,
     /// Damage that ends the list; `None` if the list ends for another reason.
@@ -111,7 +111,8 @@ impl SpoolFile {
     ) -> Result<LoadedBatches, SpoolFileError> {
         let mut loaded = LoadedBatches { batches: Vec::new(), damage: None };
         let mut size = 0;
-        // If the chain before `from` is on a damaged page, the chain of the first batch is not checked, as after a gap.
+        // If the chain hash before `from` is on a damaged page, the chain hash of the first batch is not checked, as
+        // after a gap.
         let mut previous_chain = match self.chain_before(from).await {
             Err(SpoolFileError::Corrupt { .. }) => None,
             chain => chain?,
@@ -142,11 +143,11 @@ impl SpoolFile {
         Ok(loaded)
     }
 
-    /// Deletes the batches up to number `through` and stores the chain of that batch.
+    /// Deletes the batches up to number `through` and stores the chain hash of that batch.
     pub(in crate::outbox) async fn delete_through(
         &mut self,
         through: u64,
-        chain: Chain,
+        chain: ChainHash,
     ) -> Result<(), SpoolFileError> {
         self.check_in_place()?;
         match self.try_to_delete(through, chain).await {
@@ -236,14 +237,14 @@ impl SpoolFile {
         self.try_to_append(action, &[], totals).await
     }
 
-    async fn try_to_delete(&mut self, through: u64, chain: Chain) -> Result<(), SpoolFileError> {
+    async fn try_to_delete(&mut self, through: u64, chain: ChainHash) -> Result<(), SpoolFileError> {
         let result = delete(&mut self.connection, through, chain).await;
         self.end_transaction("delete from", result).await
     }
 
     /// Deletes batches after emptying the write-ahead log, which may be longer than the reserve. Returns the deleted
     /// pages to the file system.
-    async fn delete_on_full_disk(&mut self, through: u64, chain: Chain) -> Result<(), SpoolFileError> {
+    async fn delete_on_full_disk(&mut self, through: u64, chain: ChainHash) -> Result<(), SpoolFileError> {
         checkpoint(&mut self.connection).await.map_err(self.file_error("delete from"))?;
         self.try_to_delete(through, chain).await?;
         self.shrink_on_full_disk().await
@@ -258,8 +259,8 @@ impl SpoolFile {
         shrink.await.map_err(self.file_error("shrink"))
     }
 
-    /// Returns the chain of the batch before `number`; `None` if the file does not contain this chain.
-    async fn chain_before(&mut self, number: u64) -> Result<Option<Chain>, SpoolFileError> {
+    /// Returns the chain hash of the batch before `number`; `None` if the file does not contain this chain hash.
+    async fn chain_before(&mut self, number: u64) -> Result<Option<ChainHash>, SpoolFileError> {
         let bytes: Option<Vec<u8>> = sqlx::query_scalar(
             "SELECT chain FROM batch WHERE number = ?1 UNION ALL SELECT chain FROM stream WHERE acknowledged = ?1",
         )
@@ -270,11 +271,11 @@ impl SpoolFile {
         Ok(bytes.and_then(|bytes| chain_from_column(&bytes).ok()))
     }
 
-    /// Reads one batch and checks its chain. The inner error is damage of this batch only.
+    /// Reads one batch and checks its chain hash. The inner error is damage of this batch only.
     async fn read(
         &mut self,
         number: u64,
-        previous_chain: Option<Chain>,
+        previous_chain: Option<ChainHash>,
     ) -> Result<Result<SpooledBatch, BatchDamage>, SpoolFileError> {
         let row: Option<(i64, u32, Vec<u8>, Vec<u8>)> =
             sqlx::query_as("SELECT since_ns, events, chain, body FROM batch WHERE number = ?")
@@ -285,7 +286,7 @@ impl SpoolFile {
         let Some((since, events, stored_chain, body)) = row else { return Ok(Err(BatchDamage::Missing)) };
         let since = WallTime::from_unix_nanos(since);
         Ok(match chain_from_column(&stored_chain) {
-            // The chain of the first batch after a gap cannot be checked; the chain of the next batch can.
+            // The chain hash of the first batch after a gap cannot be checked; the chain hash of the next batch can.
             Ok(chain) if previous_chain.is_none_or(|previous| previous.next(events, &body) == chain) => {
                 Ok(SpooledBatch { number, since, events, chain, body: Bytes::from(body) })
             }

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use futures::TryStreamExt;
-use peernet_stream::Chain;
+use peernet_stream::ChainHash;
 use serde::Serialize;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
@@ -248,13 +248,13 @@ impl Inspection {
 
 impl Batch {
     /// Returns the hash that the batch must have if the previous batch has the hash `previous`.
-    fn chain_after(&self, previous: Chain) -> Option<Chain> {
+    fn chain_after(&self, previous: ChainHash) -> Option<ChainHash> {
         Some(previous.next(u32::try_from(self.events).unwrap_or(u32::MAX), &self.body))
     }
 }
 
-fn chain_from_bytes(bytes: &[u8]) -> Option<Chain> {
-    bytes.try_into().ok().map(Chain::from_bytes)
+fn chain_from_bytes(bytes: &[u8]) -> Option<ChainHash> {
+    bytes.try_into().ok().map(ChainHash::from_bytes)
 }
 
 /// Checks by the application id that the file is a spool. If it is not, the tables of the file determine the error.

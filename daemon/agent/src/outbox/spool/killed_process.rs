@@ -107,7 +107,7 @@ pub(super) async fn read_unresolved(
                 last: row.last_settled_ns.map(WallTime::from_unix_nanos),
             },
             reported_drops: row.reported_drops.cast_unsigned(),
-            events: row.events.cast_unsigned(),
+            spooled_events: row.events.cast_unsigned(),
         })
     }))
 }
@@ -209,7 +209,7 @@ async fn write_state(
             )
             .bind(encode_counts(&RunCounts::default()))
             .bind(unresolved.reported_drops.cast_signed())
-            .bind(unresolved.events.cast_signed())
+            .bind(unresolved.spooled_events.cast_signed())
             .execute(&mut *connection)
             .await?;
         }

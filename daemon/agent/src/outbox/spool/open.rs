@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use peernet_clock::{SharedClock, WallTime};
 use peernet_logger::HostId;
-use peernet_stream::{Chain, NewestSentBatch, SpoolState, StreamId, SubmittedEvents, Totals, Usage};
+use peernet_stream::{ChainHash, NewestSentBatch, SpoolState, StreamId, SubmittedEvents, Totals, Usage};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
@@ -271,7 +271,7 @@ async fn read_or_create_stream(
     )
     .bind(StreamId::random().to_string())
     .bind(host.to_string())
-    .bind(Chain::START.as_bytes().as_slice())
+    .bind(ChainHash::START.as_bytes().as_slice())
     .execute(&mut *connection)
     .await?;
     sqlx::query_as(
@@ -376,8 +376,8 @@ impl StreamRow {
     }
 }
 
-/// Reads a chain from a column.
-pub(super) fn chain_from_column(bytes: &[u8]) -> Result<Chain, SpoolDefect> {
+/// Reads a chain hash from a column.
+pub(super) fn chain_from_column(bytes: &[u8]) -> Result<ChainHash, SpoolDefect> {
     let bytes = <[u8; 16]>::try_from(bytes).map_err(|_| SpoolDefect::ChainLength(bytes.len()))?;
-    Ok(Chain::from_bytes(bytes))
+    Ok(ChainHash::from_bytes(bytes))
 }

@@ -1,16 +1,16 @@
 //! Recovers the intact batches of a quarantined spool.
 //!
 //! The batches before the first damaged batch are copied to a new spool of the same stream. Agent and aggregator treat
-//! this spool like a spool that lost its newest batches in a power cut: they compare the chains at the aggregator's
-//! mark before a batch is sent, so that no recovered batch is stored twice. Batches behind the damage are not copied,
-//! because without the damaged batches their chains cannot be checked.
+//! this spool like a spool that lost its newest batches in a power cut: they compare the chain hashes at the
+//! aggregator's mark before a batch is sent, so that no recovered batch is stored twice. Batches behind the damage are
+//! not copied, because without the damaged batches their chain hashes cannot be checked.
 
 use std::fs;
 use std::io;
 use std::path::Path;
 
 use peernet_logger::HostId;
-use peernet_stream::Chain;
+use peernet_stream::ChainHash;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
 use super::error::is_corrupt;
@@ -155,7 +155,7 @@ async fn copy_table(
     Ok(())
 }
 
-/// Copies the batches before the first batch that cannot be read or does not match its chain.
+/// Copies the batches before the first batch that cannot be read or does not match its chain hash.
 async fn copy_batches(
     source: &mut SqliteConnection,
     target: &mut SqliteConnection,
@@ -163,7 +163,7 @@ async fn copy_batches(
 ) -> Result<RecoveredBatches, RecoveryError> {
     let (acknowledged, first_chain): (i64, Vec<u8>) =
         sqlx::query_as("SELECT acknowledged, chain FROM stream WHERE id = 1").fetch_one(&mut *target).await?;
-    let mut previous: Chain = chain_from_column(&first_chain).map_err(|_| RecoveryError::NoBatch)?;
+    let mut previous: ChainHash = chain_from_column(&first_chain).map_err(|_| RecoveryError::NoBatch)?;
     let mut recovered = RecoveredBatches::default();
     let mut number = acknowledged;
     loop {

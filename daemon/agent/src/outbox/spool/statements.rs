@@ -1,7 +1,7 @@
 //! The SQL statements that change the spool file.
 
 use peernet_clock::WallTime;
-use peernet_stream::{Chain, SpooledBatch, Totals};
+use peernet_stream::{ChainHash, SpooledBatch, Totals};
 use sqlx::SqliteConnection;
 
 use super::killed_process;
@@ -69,7 +69,7 @@ pub(super) async fn insert(
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     through: u64,
-    chain: Chain,
+    chain: ChainHash,
 ) -> Result<(), sqlx::Error> {
     begin(connection).await?;
     sqlx::query("DELETE FROM batch WHERE number <= ?")

@@ -3,7 +3,7 @@
 use std::io;
 use std::time::Duration;
 
-use peernet_stream::{Chain, SpooledBatch, StreamId, Totals};
+use peernet_stream::{ChainHash, SpooledBatch, StreamId, Totals};
 use tokio::sync::mpsc::{self, error::TrySendError};
 use tokio::task::JoinError;
 use tokio::time::MissedTickBehavior;
@@ -26,7 +26,7 @@ pub(in crate::outbox) enum SpoolRequest {
     /// Reads batches; answered by [`SpoolResult::Loaded`].
     Load { from: u64, bytes: usize },
     /// Deletes batches; answered by [`SpoolResult::Deleted`].
-    Delete { through: u64, chain: Chain },
+    Delete { through: u64, chain: ChainHash },
     /// Starts another stream; answered by [`SpoolResult::Renewed`].
     Renew { stream: StreamId, previous_stream: StreamId, first: u64, events_before_first: u64 },
 }

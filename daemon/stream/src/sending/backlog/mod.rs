@@ -16,7 +16,7 @@ use super::intake::UnnumberedBatch;
 use super::spool_reader::{ScanResult, SpoolScan};
 use crate::spool::{SpoolState, SpooledBatch, Usage};
 use crate::totals::Totals;
-use crate::{BatchHead, Chain, SentUnspooled, StreamId, SubmittedEvents};
+use crate::{BatchHead, ChainHash, SentUnspooled, StreamId, SubmittedEvents};
 use peernet_logger::HostId;
 
 /// Batches from the oldest batch without an acknowledgement to the newest batch.
@@ -33,13 +33,13 @@ pub(super) struct Backlog {
     pub(super) origin: StreamOrigin,
     oldest: OldestBatch,
     ready: ReadyBatches,
-    /// Number and chain of the newest batch in the file.
-    spooled: (u64, Chain),
+    /// Number and chain hash of the newest batch in the file.
+    spooled: (u64, ChainHash),
     pending: PendingBatches,
     /// Totals up to the newest batch that is in the file or stored by the aggregator.
     settled: Totals,
-    /// Number and chain of the newest batch.
-    newest: (u64, Chain),
+    /// Number and chain hash of the newest batch.
+    newest: (u64, ChainHash),
     waiting_usage: Usage,
     sent: SentBatches,
     /// Number of events that the aggregator stored.
@@ -50,8 +50,8 @@ pub(super) struct Backlog {
 #[derive(Clone, Copy, Debug)]
 struct OldestBatch {
     number: u64,
-    /// Chain of the batch before the oldest.
-    previous_chain: Chain,
+    /// Chain hash of the batch before the oldest.
+    previous_chain: ChainHash,
     /// Time of the first event of the oldest batch, if it is in the file only.
     since: Option<WallTime>,
 }
@@ -107,8 +107,8 @@ impl Backlog {
         self.oldest.number
     }
 
-    /// Returns the number and the chain of the batch before the oldest batch.
-    pub(super) const fn acknowledged(&self) -> (u64, Chain) {
+    /// Returns the number and the chain hash of the batch before the oldest batch.
+    pub(super) const fn acknowledged(&self) -> (u64, ChainHash) {
         (self.oldest.number - 1, self.oldest.previous_chain)
     }
 
@@ -204,8 +204,8 @@ impl Backlog {
         self.pending.next_append(max_batches, max_bytes)
     }
 
-    /// Records that batches up to `through`, which has the chain `chain`, are in the file.
-    pub(super) fn mark_appended(&mut self, through: u64, chain: Chain) {
+    /// Records that batches up to `through`, which has the chain hash `chain`, are in the file.
+    pub(super) fn mark_appended(&mut self, through: u64, chain: ChainHash) {
         self.advance_file(through, chain);
         while let Some(pending) = self.pending.pop_through(through) {
             let (usage, batch) = (pending.batch.usage(), pending.batch);
@@ -221,7 +221,7 @@ impl Backlog {
     }
 
     /// Records that the file advanced to a batch, whether the file contains that batch or not.
-    pub(super) fn advance_file(&mut self, through: u64, chain: Chain) {
+    pub(super) fn advance_file(&mut self, through: u64, chain: ChainHash) {
         // Results of writes may arrive after an acknowledgement has advanced the file further.
         if through > self.spooled.0 {
             self.spooled = (through, chain);
@@ -249,8 +249,8 @@ impl Backlog {
         self.ready.get(index as usize).or_else(pending)
     }
 
-    /// Returns the chain of a batch if it is known without reading the file.
-    pub(super) fn chain(&self, number: u64) -> Option<Chain> {
+    /// Returns the chain hash of a batch if it is known without reading the file.
+    pub(super) fn chain(&self, number: u64) -> Option<ChainHash> {
         match number {
             _ if number == self.oldest.number - 1 => Some(self.oldest.previous_chain),
             _ if number == self.spooled.0 && number >= self.oldest.number => Some(self.spooled.1),
@@ -297,7 +297,7 @@ impl Backlog {
     }
 
     /// Frees the batches up to `through`, which the aggregator stored. If some of these batches are in the file only,
-    /// `scanned` contains the size of the batches in the file and the chain of the last of them.
+    /// `scanned` contains the size of the batches in the file and the chain hash of the last of them.
     ///
     /// Batches up to `writing` are being written to the file.
     pub(super) fn free(&mut self, through: u64, scanned: Option<ScanResult>, writing: u64) -> FreedBatches {
@@ -333,9 +333,9 @@ impl Backlog {
         (self.oldest.number, self.oldest.previous_chain) = (batch.number + 1, batch.chain);
     }
 
-    /// Returns the chain of a batch, and the scan result for the batches up to it that are in the file only; `None` if
-    /// the file must be read first.
-    pub(super) fn find_in_memory(&self, number: u64) -> Option<(Chain, Option<ScanResult>)> {
+    /// Returns the chain hash of a batch, and the scan result for the batches up to it that are in the file only;
+    /// `None` if the file must be read first.
+    pub(super) fn find_in_memory(&self, number: u64) -> Option<(ChainHash, Option<ScanResult>)> {
         let chain = self.chain(number)?;
         if number < self.first_unloaded() || self.first_unloaded() > self.spooled.0 {
             return Some((chain, None));
@@ -351,8 +351,8 @@ impl Backlog {
     }
 
     /// Skips the batches before batch `resume`, which no longer exist. No skipped batch is in memory. `previous_chain`
-    /// is the chain of the last skipped batch.
-    pub(super) fn skip_to(&mut self, resume: u64, previous_chain: Chain) {
+    /// is the chain hash of the last skipped batch.
+    pub(super) fn skip_to(&mut self, resume: u64, previous_chain: ChainHash) {
         self.oldest = OldestBatch { number: resume, previous_chain, since: None };
     }
 

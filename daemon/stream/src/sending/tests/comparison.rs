@@ -2,8 +2,8 @@
 
 use super::*;
 
-/// Chain that no batch of the agent's spool has.
-const OTHER_CHAIN: Option<Chain> = Some(Chain::from_bytes([9; 16]));
+/// Chain hash that no batch of the agent's spool has.
+const OTHER_CHAIN: Option<ChainHash> = Some(ChainHash::from_bytes([9; 16]));
 
 /// Returns an agent with unacknowledged batches in the file. A process with a connection created the first
 /// `before_restart` batches. Then a process without a connection created `after_restart` batches.

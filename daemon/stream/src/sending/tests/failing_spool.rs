@@ -101,7 +101,7 @@ fn restarted_process_repeats_no_batch_after_kill_with_full_disk() {
     assert_eq!((agent.file.newest.0, agent.file.batches.len()), (2, 2));
     agent.offer_batches(2);
     agent.connect();
-    agent.welcome_with_process(4, Some(Chain::from_bytes([9; 16])), Some(1));
+    agent.welcome_with_process(4, Some(ChainHash::from_bytes([9; 16])), Some(1));
     agent.welcome(2, None);
     assert_eq!(agent.deliver(), [3, 4], "the new batches have the first numbers of the new stream");
     let accounting = agent.accounting();

@@ -18,7 +18,7 @@ fn acknowledgement_of_unsent_batch_causes_new_hello() {
     assert_eq!(agent.take_sent_numbers().last(), Some(&3));
 }
 
-fn message(stream: StreamId, kind: u8, number: u64, window: u32, chain: Option<Chain>) -> ToAgent {
+fn message(stream: StreamId, kind: u8, number: u64, window: u32, chain: Option<ChainHash>) -> ToAgent {
     match kind {
         0 | 1 => {
             let aggregator = "base".parse().expect("a name");
@@ -49,7 +49,7 @@ proptest! {
                 10 => { agent.spool_is_broken = false; agent = agent.restart(); agent.connect(); }
                 _ => {
                     let stream = if flags == 0 { StreamId::random() } else { agent.stream() };
-                    let chain = match flags { 1 => agent.chain(number), 2 => Some(Chain::START), _ => None };
+                    let chain = match flags { 1 => agent.chain(number), 2 => Some(ChainHash::START), _ => None };
                     agent.receive(&message(stream, kind, number, window, chain));
                 }
             }

@@ -30,7 +30,7 @@ fn missing_batches_are_skipped_counted_and_reported() {
     agent.connect();
     agent.welcome(0, None);
     assert_eq!(agent.deliver(), [1, 2, 3]);
-    // The chain of batch 6, the first batch after the gap, cannot be checked. The agent therefore skips it, too.
+    // The chain hash of batch 6, the first batch after the gap, cannot be checked. The agent therefore skips it, too.
     let hello = agent.hellos.last().expect("a hello").clone();
     assert_eq!((agent.hellos.len(), hello.oldest, hello.first), (2, 7, 1));
     agent.welcome(3, None);
@@ -92,7 +92,7 @@ fn missing_batches_at_several_positions_are_skipped() {
 fn missing_compared_batch_causes_stream_renewal() {
     let mut agent = agent_with_missing_batches(&[6]);
     agent.connect();
-    agent.welcome(6, Some(Chain::from_bytes([9; 16])));
+    agent.welcome(6, Some(ChainHash::from_bytes([9; 16])));
     assert!(agent.notices.contains(&Notice::StreamRenewed { stored: 6, newest: 10 }));
     agent.welcome(0, None);
     assert_eq!(agent.deliver(), [1, 2, 3, 4, 5]);

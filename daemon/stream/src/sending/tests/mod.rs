@@ -20,7 +20,7 @@ use bytes::Bytes;
 use peernet_clock::{ClockIdentity, MonoTime, Span, Stamp, WallTime};
 
 use super::super::{
-    Accounting, BatchHead, Chain, Event, Hardware, Hello, HostDescription, HostSecret, Incident,
+    Accounting, BatchHead, ChainHash, Event, Hardware, Hello, HostDescription, HostSecret, Incident,
     IncidentKind, Proof, StreamId, ToAgent, ToAggregator, codec,
 };
 use super::{Action, Notice, Sending, SendingConfig};
@@ -61,8 +61,8 @@ struct File {
     previous_stream: Option<StreamId>,
     first: u64,
     events_before_first: Option<u64>,
-    previous_chain: Chain,
-    newest: (u64, Chain),
+    previous_chain: ChainHash,
+    newest: (u64, ChainHash),
     totals: Totals,
     newest_sent: Vec<NewestSentBatch>,
     /// Number of processes that opened the file.
@@ -77,8 +77,8 @@ impl File {
             previous_stream: None,
             first: 1,
             events_before_first: Some(0),
-            previous_chain: Chain::START,
-            newest: (0, Chain::START),
+            previous_chain: ChainHash::START,
+            newest: (0, ChainHash::START),
             totals: Totals::default(),
             newest_sent: Vec::new(),
             processes: 0,
@@ -130,7 +130,7 @@ impl File {
         loaded.cloned().collect()
     }
 
-    fn delete(&mut self, through: u64, chain: Chain) {
+    fn delete(&mut self, through: u64, chain: ChainHash) {
         self.batches = self.batches.split_off(&(through + 1));
         self.previous_chain = chain;
         if through > self.newest.0 {
@@ -326,12 +326,12 @@ impl Agent {
         self.settle();
     }
 
-    fn welcome(&mut self, stored: u64, chain: Option<Chain>) {
+    fn welcome(&mut self, stored: u64, chain: Option<ChainHash>) {
         self.welcome_with_process(stored, chain, None);
     }
 
     /// Delivers a welcome that states that `process` sent the last stored batch.
-    fn welcome_with_process(&mut self, stored: u64, chain: Option<Chain>, process: Option<u64>) {
+    fn welcome_with_process(&mut self, stored: u64, chain: Option<ChainHash>, process: Option<u64>) {
         let (aggregator, stream) = ("base".parse().expect("a name"), self.stream());
         self.receive(&ToAgent::Welcome { aggregator, stream, stored, chain, process, window: 100 });
     }
@@ -378,8 +378,8 @@ impl Agent {
         }
     }
 
-    /// Returns the chain of a batch in the file.
-    fn chain(&self, number: u64) -> Option<Chain> {
+    /// Returns the chain hash of a batch in the file.
+    fn chain(&self, number: u64) -> Option<ChainHash> {
         self.file.batches.get(&number).map(|batch| batch.chain)
     }
 

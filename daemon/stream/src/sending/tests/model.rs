@@ -10,8 +10,8 @@ use super::*;
 /// A correct aggregator.
 #[derive(Default)]
 struct Store {
-    /// For each stream, the number, the chain and the process of the last stored batch.
-    marks: HashMap<StreamId, (u64, Chain, Option<u64>)>,
+    /// For each stream, the number, the chain hash and the process of the last stored batch.
+    marks: HashMap<StreamId, (u64, ChainHash, Option<u64>)>,
     /// Stream of the last hello on the current connection.
     hello_stream: Option<StreamId>,
     /// Numbers of the stored events.

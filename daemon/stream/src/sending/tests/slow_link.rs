@@ -10,7 +10,7 @@ fn usual_config() -> SendingConfig {
 
 /// Returns a text that hardly compresses, because it is different for each event.
 fn incompressible_text(n: i64) -> String {
-    (0..8).map(|part| Chain::START.next(part, &n.to_be_bytes()).to_string()).collect()
+    (0..8).map(|part| ChainHash::START.next(part, &n.to_be_bytes()).to_string()).collect()
 }
 
 /// Runs for some seconds. Returns the largest delay of the live figures in milliseconds, and the share of the link's

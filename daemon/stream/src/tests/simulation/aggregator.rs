@@ -27,7 +27,7 @@ pub(in super::super) enum Entry {
     /// A batch and its events.
     Batch { number: u64, event_numbers: Vec<u64>, missing_in_gaps: u64 },
     /// A batch that was quarantined.
-    Damaged { number: u64, chain: Chain },
+    Damaged { number: u64, chain: ChainHash },
     /// Batches that neither end had, and the number of their events.
     Gap { from: u64, through: u64, events: Option<u64> },
 }
@@ -248,7 +248,7 @@ impl Database {
                     assert_eq!(head.number, previous.stored + 1, "batches are stored in order");
                     assert_eq!(
                         head.previous_chain, previous.chain,
-                        "a batch continues the chain of the last stored batch"
+                        "a batch continues the chain hash of the last stored batch"
                     );
                 }
                 assert_eq!(head.chain, head.previous_chain.next(head.events, &body));

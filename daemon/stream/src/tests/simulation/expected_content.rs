@@ -16,9 +16,9 @@ pub(in super::super) struct ExpectedContent {
     spooled_batches: BTreeSet<(StreamId, u64)>,
     /// For each event, the streams and batch numbers with which the event has been stored so far.
     places: BTreeMap<u64, BTreeSet<(StreamId, u64)>>,
-    /// Content of the sent batches by their chains: the batch's events, and the number of missing events that its gaps
-    /// report.
-    contents: HashMap<Chain, (Vec<u64>, u64)>,
+    /// Content of the sent batches by their chain hashes: the batch's events, and the number of missing events that its
+    /// gaps report.
+    contents: HashMap<ChainHash, (Vec<u64>, u64)>,
     /// Number of events of each sent batch, by stream and batch number.
     event_counts: BTreeMap<(StreamId, u64), u64>,
     /// Sent parts of the batch that is being sent in parts.

@@ -11,8 +11,8 @@ pub(in super::super) struct SpoolFile {
     previous_stream: Option<StreamId>,
     first: u64,
     events_before_first: Option<u64>,
-    previous_chain: Chain,
-    newest: (u64, Chain),
+    previous_chain: ChainHash,
+    newest: (u64, ChainHash),
     totals: Totals,
     newest_sent: Vec<NewestSentBatch>,
     /// Losses that no gap reports yet, each with the value that [`Totals::reported_drops`] has after the loss is
@@ -31,8 +31,8 @@ impl SpoolFile {
             previous_stream: None,
             first: 1,
             events_before_first: Some(0),
-            previous_chain: Chain::START,
-            newest: (0, Chain::START),
+            previous_chain: ChainHash::START,
+            newest: (0, ChainHash::START),
             totals: Totals::default(),
             newest_sent: Vec::new(),
             unreported: Vec::new(),
@@ -99,7 +99,7 @@ impl SpoolFile {
             assert_eq!(
                 batch.chain,
                 chain.next(batch.events, &batch.body),
-                "chains in the spool are contiguous"
+                "each batch in the spool continues the chain hash of the previous batch"
             );
             self.newest = (batch.number, batch.chain);
             self.batches.insert(batch.number, batch.clone());
@@ -131,11 +131,11 @@ impl SpoolFile {
     }
 
     /// Deletes batches, and returns them.
-    pub(super) fn delete(&mut self, through: u64, chain: Chain) -> Vec<SpooledBatch> {
+    pub(super) fn delete(&mut self, through: u64, chain: ChainHash) -> Vec<SpooledBatch> {
         let kept = self.batches.split_off(&(through + 1));
         let deleted = std::mem::replace(&mut self.batches, kept);
         if let Some(last) = deleted.get(&through) {
-            assert_eq!(last.chain, chain, "the action states the chain of the last deleted batch");
+            assert_eq!(last.chain, chain, "the action states the chain hash of the last deleted batch");
         }
         self.previous_chain = chain;
         if through > self.newest.0 {

@@ -3,7 +3,7 @@
 use std::fs;
 use std::io::{Seek, SeekFrom, Write};
 
-use peernet_stream::Chain;
+use peernet_stream::ChainHash;
 use sqlx::ConnectOptions;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
 
@@ -25,7 +25,7 @@ async fn invalid_database_is_quarantined_and_replaced() {
     assert!(
         fs::read(&quarantined.new_path).expect("the file still exists").starts_with(b"this is no database")
     );
-    file.append(&batches(Chain::START, 1..=2, 10), &totals(6)).await.expect("appends");
+    file.append(&batches(ChainHash::START, 1..=2, 10), &totals(6)).await.expect("appends");
     drop(file.close().await);
 
     let (file, reopened) = spool_folder.open_undamaged().await;
@@ -90,7 +90,7 @@ async fn spool_whose_tables_are_only_in_write_ahead_log_is_recognised() {
 async fn file_with_broken_tables_is_quarantined() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    file.append(&batches(Chain::START, 1..=20, 1000), &totals(60)).await.expect("appends");
+    file.append(&batches(ChainHash::START, 1..=20, 1000), &totals(60)).await.expect("appends");
     drop(file.close().await);
     // All pages except the first page, which has the header, are overwritten.
     let length = fs::metadata(spool_folder.path()).expect("the file exists").len();
@@ -101,7 +101,7 @@ async fn file_with_broken_tables_is_quarantined() {
 
     let OpenSpool { state, quarantined, .. } = spool_folder.open().await.expect("opens");
     assert!(quarantined.is_some());
-    assert_eq!(state.newest, (0, Chain::START));
+    assert_eq!(state.newest, (0, ChainHash::START));
     assert_eq!(list_files(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }
 
@@ -116,7 +116,7 @@ fn overwrite(path: &std::path::Path, from: u64, bytes: usize) {
 async fn intact_batches_of_damaged_spool_are_kept() {
     let spool_folder = SpoolFolder::new();
     let (mut file, before) = spool_folder.open_undamaged().await;
-    let written_batches = batches(Chain::START, 1..=200, 2000);
+    let written_batches = batches(ChainHash::START, 1..=200, 2000);
     file.append(&written_batches, &totals(602)).await.expect("appends");
     file.delete_through(10, written_batches[9].chain).await.expect("deletes");
     drop(file.close().await);
@@ -150,13 +150,13 @@ async fn intact_batches_of_damaged_spool_are_kept() {
 async fn batches_of_another_host_are_not_recovered() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    file.append(&batches(Chain::START, 1..=5, 100), &totals(15)).await.expect("appends");
+    file.append(&batches(ChainHash::START, 1..=5, 100), &totals(15)).await.expect("appends");
     sqlx::query("UPDATE stream SET host = 'another'").execute(file.connection()).await.expect("changed");
     drop(file.close().await);
     flag_as_damaged(&spool_folder.path(), "a page was broken");
     let OpenSpool { state, quarantined, .. } = spool_folder.open().await.expect("opens");
     assert_eq!(quarantined.expect("is quarantined").recovered, None);
-    assert_eq!(state.newest, (0, Chain::START));
+    assert_eq!(state.newest, (0, ChainHash::START));
 }
 
 #[tokio::test]
@@ -173,7 +173,7 @@ async fn empty_file_is_distinguished_from_new_spool() {
 async fn damaged_batch_ends_list_and_is_named() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written_batches = batches(Chain::START, 1..=5, 100);
+    let written_batches = batches(ChainHash::START, 1..=5, 100);
     file.append(&written_batches, &totals(15)).await.expect("appends");
     sqlx::query("UPDATE batch SET body = zeroblob(100) WHERE number = 3")
         .execute(file.connection())
@@ -196,7 +196,7 @@ async fn damaged_batch_ends_list_and_is_named() {
 async fn missing_batch_ends_list() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written_batches = batches(Chain::START, 1..=5, 100);
+    let written_batches = batches(ChainHash::START, 1..=5, 100);
     file.append(&written_batches, &totals(15)).await.expect("appends");
     sqlx::query("DELETE FROM batch WHERE number = 3").execute(file.connection()).await.expect("changed");
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written_batches[..2]);
@@ -234,7 +234,7 @@ async fn spool_of_newer_version_is_refused_and_kept() {
 async fn damaged_page_loses_only_its_batches() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written_batches = batches(Chain::START, 1..=200, 2000);
+    let written_batches = batches(ChainHash::START, 1..=200, 2000);
     file.append(&written_batches, &totals(600)).await.expect("appends");
     for statement in ["PRAGMA wal_checkpoint(TRUNCATE)", "PRAGMA shrink_memory"] {
         sqlx::query(statement).execute(file.connection()).await.expect("moves all pages to the file");
@@ -265,7 +265,7 @@ async fn damage_flag_without_spool_is_removed() {
     let spool_folder = SpoolFolder::new();
     flag_as_damaged(&spool_folder.path(), "a page was broken");
     let (_, state) = spool_folder.open_undamaged().await;
-    assert_eq!(state.newest, (0, Chain::START));
+    assert_eq!(state.newest, (0, ChainHash::START));
     assert_eq!(quarantine_reason(&spool_folder.path()), None);
     assert!(!with_suffix(&spool_folder.path(), "-condemned").exists());
 }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 
-use peernet_stream::Chain;
+use peernet_stream::ChainHash;
 
 use super::*;
 
@@ -19,7 +19,7 @@ async fn limit_growth(file: &mut SpoolFile, pages: i64) {
 async fn append_to_full_disk_writes_no_batch() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written_batches = batches(Chain::START, 1..=40, 10_000);
+    let written_batches = batches(ChainHash::START, 1..=40, 10_000);
     file.append(&written_batches[..2], &totals(6)).await.expect("appends");
     limit_growth(&mut file, 10).await;
     let error = file
@@ -70,7 +70,7 @@ async fn reserve_for_deleting_survives_restart() {
 async fn moved_file_is_not_written_until_moved_back() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written_batches = batches(Chain::START, 1..=2, 10);
+    let written_batches = batches(ChainHash::START, 1..=2, 10);
     file.append(&written_batches[..1], &totals(3)).await.expect("appends");
     let new_path = spool_folder.folder.path().join("away");
     fs::rename(spool_folder.path(), &new_path).expect("moved");

@@ -1,6 +1,6 @@
 //! Tests of writing a spool and reading it back.
 
-use peernet_stream::{Chain, NewestSentBatch, StreamId, Usage};
+use peernet_stream::{ChainHash, NewestSentBatch, StreamId, Usage};
 
 use super::*;
 
@@ -10,7 +10,7 @@ async fn new_spool_is_empty_and_keeps_its_stream() {
     let (file, fresh) = spool_folder.open_undamaged().await;
     assert_eq!(
         (fresh.first, fresh.oldest, fresh.chain_before_oldest, fresh.newest),
-        (1, 1, Chain::START, (0, Chain::START))
+        (1, 1, ChainHash::START, (0, ChainHash::START))
     );
     assert_eq!(
         (fresh.previous_stream, fresh.since, fresh.waiting_usage, fresh.totals.clone()),
@@ -27,7 +27,7 @@ async fn new_spool_is_empty_and_keeps_its_stream() {
 async fn batches_totals_and_deletions_survive_reopening() {
     let spool_folder = SpoolFolder::new();
     let (mut file, fresh) = spool_folder.open_undamaged().await;
-    let written_batches = batches(Chain::START, 1..=9, 100);
+    let written_batches = batches(ChainHash::START, 1..=9, 100);
     file.append(&written_batches[..4], &totals(12)).await.expect("appends");
     file.append(&written_batches[4..], &totals(29)).await.expect("appends");
     file.delete_through(3, written_batches[2].chain).await.expect("deletes");
@@ -57,7 +57,7 @@ async fn batches_totals_and_deletions_survive_reopening() {
 async fn emptied_spool_keeps_batch_number_and_chain() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written_batches = batches(Chain::START, 1..=2, 10);
+    let written_batches = batches(ChainHash::START, 1..=2, 10);
     file.append(&written_batches, &totals(6)).await.expect("appends");
     file.delete_through(2, written_batches[1].chain).await.expect("deletes");
     drop(file.close().await);
@@ -75,7 +75,7 @@ async fn batches_that_were_never_spooled_are_not_missing() {
     // While the disk failed, batches 3 to 5 were sent from memory and acknowledged.
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let created_batches = batches(Chain::START, 1..=7, 10);
+    let created_batches = batches(ChainHash::START, 1..=7, 10);
     file.append(&created_batches[..2], &totals(6)).await.expect("appends");
     file.delete_through(5, created_batches[4].chain).await.expect("deletes");
     file.append(&created_batches[5..], &totals(21)).await.expect("appends");
@@ -92,7 +92,7 @@ async fn batches_that_were_never_spooled_are_not_missing() {
 async fn renewed_spool_keeps_batches_under_new_stream_id() {
     let spool_folder = SpoolFolder::new();
     let (mut file, fresh) = spool_folder.open_undamaged().await;
-    let written_batches = batches(Chain::START, 1..=3, 10);
+    let written_batches = batches(ChainHash::START, 1..=3, 10);
     file.append(&written_batches, &totals(9)).await.expect("appends");
     file.delete_through(1, written_batches[0].chain).await.expect("deletes");
     let renewed = StreamId::random();
@@ -108,7 +108,7 @@ async fn newest_sent_batch_of_each_process_survives_reopening() {
     let spool_folder = SpoolFolder::new();
     let (mut file, fresh) = spool_folder.open_undamaged().await;
     assert_eq!(fresh.newest_sent, []);
-    let written_batches = batches(Chain::START, 1..=6, 10);
+    let written_batches = batches(ChainHash::START, 1..=6, 10);
     let totals_of_process = |process, number| {
         let newest_sent = NewestSentBatch { process, number };
         (newest_sent, Totals { newest_sent: Some(newest_sent), ..totals(9) })
@@ -138,7 +138,7 @@ async fn newest_sent_batch_of_each_process_survives_reopening() {
 async fn repeated_append_replaces_batches() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written_batches = batches(Chain::START, 1..=2, 10);
+    let written_batches = batches(ChainHash::START, 1..=2, 10);
     file.append(&written_batches[..1], &totals(3)).await.expect("appends");
     file.append(&written_batches, &totals(6)).await.expect("appends the first batch again");
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written_batches);

@@ -1,6 +1,6 @@
 //! Tests of the disk space of a spool.
 
-use peernet_stream::Chain;
+use peernet_stream::ChainHash;
 
 use super::*;
 
@@ -16,7 +16,7 @@ async fn file_bytes(file: &mut SpoolFile) -> u64 {
 async fn file_size_follows_content_and_shrinks_after_backlog() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let written_batches = batches(Chain::START, 1..=40, MIB as usize);
+    let written_batches = batches(ChainHash::START, 1..=40, MIB as usize);
     for chunk in written_batches.chunks(8) {
         file.append(chunk, &totals(120)).await.expect("appends");
     }

@@ -28,7 +28,7 @@ async fn losses_of_killed_process_stay_until_reported() {
     let (spool_folder, run) = (SpoolFolder::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
     count_events(&counter, run, 10);
-    file.append(&batches(Chain::START, 1..=2, 10), &totals_after(run, 6, 0, &state.totals))
+    file.append(&batches(ChainHash::START, 1..=2, 10), &totals_after(run, 6, 0, &state.totals))
         .await
         .expect("appends");
     drop((file, counter));
@@ -66,7 +66,7 @@ async fn batches_sent_without_spool_stay_unresolved_until_aggregator_answers() {
     let (spool_folder, run) = (SpoolFolder::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
     count_events(&counter, run, 10);
-    file.append(&batches(Chain::START, 1..=2, 10), &totals_after(run, 6, 0, &state.totals))
+    file.append(&batches(ChainHash::START, 1..=2, 10), &totals_after(run, 6, 0, &state.totals))
         .await
         .expect("appends");
     counter.record_sent_unspooled(SentUnspooled {
@@ -81,7 +81,7 @@ async fn batches_sent_without_spool_stay_unresolved_until_aggregator_answers() {
     let OpenSpool { file, state, counter, .. } = spool_folder.open().await.expect("opens");
     let unresolved = state.unresolved.expect("batch 3 may be stored");
     assert_eq!((unresolved.counted.total, unresolved.settled.events.events_of(run)), (10, 6));
-    assert_eq!((unresolved.settled.batched, unresolved.events), (6, 6));
+    assert_eq!((unresolved.settled.batched, unresolved.spooled_events), (6, 6));
     assert_eq!((state.totals.dropped, state.unreported.len()), (0, 0));
     // This process is killed before the aggregator has answered. It loses one event.
     count_events(&counter, run, 1);
@@ -116,7 +116,7 @@ async fn missing_counter_file_reports_no_loss() {
 async fn only_original_spool_reports_loss_and_not_its_copy() {
     let (spool_folder, copy, run) = (SpoolFolder::new(), SpoolFolder::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
-    file.append(&batches(Chain::START, 1..=2, 10), &totals_after(run, 6, 0, &state.totals))
+    file.append(&batches(ChainHash::START, 1..=2, 10), &totals_after(run, 6, 0, &state.totals))
         .await
         .expect("appends");
     for name in ["spool.sqlite", "spool.sqlite-wal"] {

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, ManualClock, SharedClock, WallTime};
 use peernet_logger::HostId;
-use peernet_stream::{Chain, SpoolState, SpooledBatch, Totals};
+use peernet_stream::{ChainHash, SpoolState, SpooledBatch, Totals};
 use tempfile::TempDir;
 
 use super::file::SpoolFile;
@@ -62,9 +62,9 @@ fn clock() -> SharedClock {
     Arc::new(ManualClock::new(WallTime::from_unix_nanos(5_000_000_000), ClockIdentity::new("boot", "system")))
 }
 
-/// Returns batches with these numbers and bodies of `bytes` bytes, whose chains continue `previous_chain`.
+/// Returns batches with these numbers and bodies of `bytes` bytes, whose chain hashes continue `previous_chain`.
 fn batches(
-    mut previous_chain: Chain,
+    mut previous_chain: ChainHash,
     numbers: impl IntoIterator<Item = u64>,
     bytes: usize,
 ) -> Vec<SpooledBatch> {

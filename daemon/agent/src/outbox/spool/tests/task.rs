@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use peernet_stream::{Chain, StreamId};
+use peernet_stream::{ChainHash, StreamId};
 
 use super::super::error::SpoolFileError;
 use super::super::task::{SpoolRequest, SpoolResult, SpoolTask, SpoolTaskError};
@@ -15,7 +15,7 @@ async fn requests_are_executed_in_order_and_answered() {
     let spool_folder = SpoolFolder::new();
     let (file, fresh) = spool_folder.open_undamaged().await;
     let mut task = SpoolTask::start(file, HOUR);
-    let written_batches = batches(Chain::START, 1..=3, 10);
+    let written_batches = batches(ChainHash::START, 1..=3, 10);
     task.request(SpoolRequest::Append { batches: written_batches.clone(), totals: totals(9) })
         .expect("the task accepts the request");
     task.request(SpoolRequest::Load { from: 2, bytes: usize::MAX }).expect("the task accepts the request");
@@ -44,7 +44,7 @@ async fn last_request_is_executed_before_closing() {
     let spool_folder = SpoolFolder::new();
     let (file, _) = spool_folder.open_undamaged().await;
     let task = SpoolTask::start(file, HOUR);
-    let written_batches = batches(Chain::START, 1..=3, 10);
+    let written_batches = batches(ChainHash::START, 1..=3, 10);
     task.request(SpoolRequest::Append { batches: written_batches, totals: totals(9) })
         .expect("the task accepts the request");
     task.close().await.expect("closes");
@@ -57,7 +57,7 @@ async fn append_to_moved_file_fails_with_its_path() {
     let (file, _) = spool_folder.open_undamaged().await;
     let mut task = SpoolTask::start(file, HOUR);
     std::fs::rename(spool_folder.path(), spool_folder.folder.path().join("away")).expect("moved");
-    task.request(SpoolRequest::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
+    task.request(SpoolRequest::Append { batches: batches(ChainHash::START, 1..=1, 10), totals: totals(3) })
         .expect("the task accepts the request");
     let Some(SpoolResult::Appended(Err(error))) = task.next_result().await else {
         panic!("the append succeeded")
@@ -80,7 +80,7 @@ async fn damage_found_by_append_quarantines_file_at_next_start() {
     .await
     .expect("damages the schema");
     let mut task = SpoolTask::start(file, HOUR);
-    task.request(SpoolRequest::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
+    task.request(SpoolRequest::Append { batches: batches(ChainHash::START, 1..=1, 10), totals: totals(3) })
         .expect("the task accepts the request");
     let Some(SpoolResult::Appended(Err(error))) = task.next_result().await else {
         panic!("the append succeeded")
