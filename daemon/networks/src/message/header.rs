@@ -75,7 +75,8 @@ pub(crate) enum Header {
     /// The cloud sends a partial answer, before the answer is complete. The payload follows.
     PartialReply(PartialReply),
     /// The edge has read partial answers to a request, so the cloud may send more.
-    PartsRead(PartsRead),
+    #[serde(rename = "parts-read")]
+    PartialAnswersRead(PartialAnswersRead),
     /// The edge does not wait for the answer to a request any more.
     Cancel(Cancel),
     /// The cloud reports the state of its clocks.
@@ -197,7 +198,7 @@ pub(crate) struct PartialReply {
 /// Acknowledgement of partial answers. A cloud sends at most [`MAX_UNREAD_PARTIAL_ANSWERS`] partial answers to a
 /// request that are not acknowledged.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct PartsRead {
+pub(crate) struct PartialAnswersRead {
     pub(crate) session: SessionId,
     pub(crate) request: u64,
     /// Number of partial answers that count as read: the number of the newest partial answer that was read, plus one.

@@ -36,8 +36,8 @@ pub(crate) mod strategies;
 pub use clock_socket::{ClockSocketName, InvalidClockSocketName};
 pub(crate) use header::{
     Accepted, Cancel, ClockUpdate, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, MAX_UNREAD_BYTES,
-    MAX_UNREAD_PARTIAL_ANSWERS, Open, Outcome, PartialReply, PartsRead, RefusalKind, Refused, Reply, Request,
-    SampleHeader, StatisticsReport, UnknownSession,
+    MAX_UNREAD_PARTIAL_ANSWERS, Open, Outcome, PartialAnswersRead, PartialReply, RefusalKind, Refused, Reply,
+    Request, SampleHeader, StatisticsReport, UnknownSession,
 };
 pub use hello::{
     MAX_CONDITIONS, PeerClock, RAW_STAMPS_SINCE, RawClock, SESSION_VERSIONS, SessionAccepted, SessionHello,

@@ -11,9 +11,9 @@ use peernet_stream::{
 use proptest::prelude::*;
 
 use super::{
-    Accepted, Cancel, ClockSocketName, ClockUpdate, Departure, Goodbye, Header, Open, Outcome, PartialReply,
-    PartsRead, PeerClock, ProbeKey, RawClock, RefusalKind, Refused, Reply, Request, SampleHeader,
-    SessionAccepted, SessionHello, SessionId, StatisticsReport, UnknownSession,
+    Accepted, Cancel, ClockSocketName, ClockUpdate, Departure, Goodbye, Header, Open, Outcome,
+    PartialAnswersRead, PartialReply, PeerClock, ProbeKey, RawClock, RefusalKind, Refused, Reply, Request,
+    SampleHeader, SessionAccepted, SessionHello, SessionId, StatisticsReport, UnknownSession,
 };
 
 fn slug() -> impl Strategy<Value = Slug> {
@@ -214,7 +214,7 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     4 => Just(Header::Request(Request { session, request, departure, sample })),
                     4 => Just(Header::Reply(Reply { session, request, departure: reply_departure, arrival_epoch, outcome, arrived_raw })),
                     2 => Just(Header::PartialReply(PartialReply { session, request, part: number, departure, sample: partial_answer })),
-                    1 => Just(Header::PartsRead(PartsRead { session, request, read_count: number })),
+                    1 => Just(Header::PartialAnswersRead(PartialAnswersRead { session, request, read_count: number })),
                     1 => Just(Header::Cancel(Cancel { session, request })),
                     1 => Just(Header::Clock(Box::new(ClockUpdate { session, clock }))),
                     1 => Just(Header::Statistics(Box::new(StatisticsReport { session, statistics }))),

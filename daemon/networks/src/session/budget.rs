@@ -63,7 +63,7 @@ impl RequestBudget {
     }
 
     /// Reserves the bytes of a request's frames until the last frame is dropped. While no other request has reserved
-    /// bytes, a request of any size fits, because `max_message_bytes` limits its size.
+    /// bytes, a request that is larger than the budget fits, too. The transport limits its size (`max_message_bytes`).
     ///
     /// # Errors
     /// If the frames would exceed the budget now.

@@ -171,7 +171,7 @@ impl<W> ClientSession<W> {
             | Header::Accepted(_)
             | Header::Refused(_)
             | Header::Request(_)
-            | Header::PartsRead(_)
+            | Header::PartialAnswersRead(_)
             | Header::Cancel(_) => CloudMessage::Malformed("a message that an open session never receives"),
         }
     }

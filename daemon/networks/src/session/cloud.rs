@@ -138,10 +138,10 @@ impl Listener {
                         return Some(incoming);
                     }
                 }
-                ListenerEvent::Incomplete(connection, loss) => {
+                ListenerEvent::IncomingLost(connection, loss) => {
                     tracing::debug!(?connection, %loss, "a message of an edge was lost on the way");
                 }
-                ListenerEvent::Lost(connection, loss) => {
+                ListenerEvent::OutgoingLost(connection, loss) => {
                     tracing::debug!(?connection, %loss, "an answer was lost on the way");
                     if loss.tag.is_none() {
                         // Partial answers have no tag, so the lost message may be one.

@@ -151,7 +151,7 @@ pub(crate) async fn handshake(
                 continue;
             }
             // Nothing to do: the transport repeats a lost message that opens a session.
-            Ok(Ok(EdgeEvent::Incomplete(_) | EdgeEvent::Lost(_))) => continue,
+            Ok(Ok(EdgeEvent::IncomingLost(_) | EdgeEvent::OutgoingLost(_))) => continue,
             Ok(Ok(EdgeEvent::InvalidData(_))) => {
                 counters.count_malformed();
                 continue;

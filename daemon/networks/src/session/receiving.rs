@@ -11,7 +11,7 @@ use super::completed_request::{ArrivedReply, MessageSizes};
 use super::partial_answers::PartialAnswerHandler;
 use super::requests_in_flight::{RequestOutcome, end_all};
 use super::state::SessionState;
-use crate::message::{Goodbye, Header, PartialReply, PartsRead};
+use crate::message::{Goodbye, Header, PartialAnswersRead, PartialReply};
 use crate::transport::{Disconnection, EdgeEvent, EdgeReceiver, Frames, MessageLoss};
 
 impl SessionState {
@@ -81,7 +81,11 @@ impl SessionState {
         }
         if let Some(read_count) = read_count {
             let session = self.terms.session;
-            self.send_control(&Header::PartsRead(PartsRead { session, request, read_count }));
+            self.send_control(&Header::PartialAnswersRead(PartialAnswersRead {
+                session,
+                request,
+                read_count,
+            }));
         }
     }
 
@@ -124,11 +128,11 @@ impl ReceivingTask {
                                 break reason;
                             }
                         }
-                        Ok(EdgeEvent::Incomplete(loss)) => {
-                            self.shared.end_lost_request(loss, "the answer was lost on the way");
+                        Ok(EdgeEvent::IncomingLost(loss)) => {
+                            self.shared.end_lost_request(loss, "the answer was lost on the way from the cloud");
                         }
-                        Ok(EdgeEvent::Lost(loss)) => {
-                            self.shared.end_lost_request(loss, "it was lost on the way to the cloud");
+                        Ok(EdgeEvent::OutgoingLost(loss)) => {
+                            self.shared.end_lost_request(loss, "the request was lost on the way to the cloud");
                         }
                         Ok(EdgeEvent::InvalidData(problem)) => {
                             tracing::debug!(problem, "dropped invalid data from the cloud's address");

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::request_control::RequestControl;
 use crate::SessionSettings;
 use crate::message::{
-    Accepted, Cancel, ClockUpdate, Goodbye, Header, Open, Outcome, PARTIAL_REPLIES_SINCE, PartsRead,
+    Accepted, Cancel, ClockUpdate, Goodbye, Header, Open, Outcome, PARTIAL_REPLIES_SINCE, PartialAnswersRead,
     PeerClock, RefusalKind, Refused, Reply, Request, SESSION_VERSIONS, STATISTICS_SINCE, SessionAccepted,
     SessionHello, SessionId, UnknownSession,
 };
@@ -136,7 +136,7 @@ impl Server {
         match header {
             Header::Open(open) => self.handle_open(peer, *open),
             Header::Request(request) => self.handle_request(peer, request),
-            Header::PartsRead(PartsRead { session, request, read_count }) => {
+            Header::PartialAnswersRead(PartialAnswersRead { session, request, read_count }) => {
                 self.apply_to_request(peer, session, request, |control| control.acknowledge(read_count))
             }
             Header::Cancel(Cancel { session, request }) => {

@@ -262,9 +262,9 @@ pub(crate) enum EdgeEvent {
     /// A whole message arrived.
     Message(Frames),
     /// A message from the cloud did not arrive as a whole.
-    Incomplete(MessageLoss),
+    IncomingLost(MessageLoss),
     /// A message to the cloud did not arrive as a whole.
-    Lost(MessageLoss),
+    OutgoingLost(MessageLoss),
     /// Invalid data arrived and was dropped, for this reason.
     InvalidData(String),
     /// The connection works, but worse than it could. The text says why, and what to do about it.
@@ -332,9 +332,9 @@ pub enum ListenerEvent {
     /// A whole message arrived.
     Message(Peer, Frames),
     /// A message from a peer did not arrive as a whole.
-    Incomplete(ConnectionId, MessageLoss),
+    IncomingLost(ConnectionId, MessageLoss),
     /// A message to a peer did not arrive as a whole.
-    Lost(ConnectionId, MessageLoss),
+    OutgoingLost(ConnectionId, MessageLoss),
     /// The address of a connection's peer has changed.
     Moved(ConnectionId, SocketAddr),
     /// A connection ended, for this reason.

@@ -173,7 +173,7 @@ async fn cloud_with_name_of_another_cloud_is_refused() {
     let cloud = Cloud::on_network(TestNetwork::Ros1).await;
     let result = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = result.expect_err("the name is taken").to_string();
-    assert!(error.contains("serves the name") && error.contains("another name"), "{error}");
+    assert!(error.contains("a cloud with the name") && error.contains("another name"), "{error}");
 }
 
 #[tokio::test]

@@ -126,7 +126,7 @@ async fn cloud_with_name_of_another_cloud_is_refused() {
     let cloud = cloud().await;
     let result = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = result.expect_err("the name is taken").to_string();
-    assert!(error.contains("serves the name") && error.contains("another name"), "{error}");
+    assert!(error.contains("another cloud has the name") && error.contains("another name"), "{error}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

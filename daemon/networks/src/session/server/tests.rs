@@ -263,7 +263,7 @@ fn with_session(mut header: Header, session: SessionId) -> Header {
         Header::Request(request) => request.session = session,
         Header::Reply(reply) => reply.session = session,
         Header::PartialReply(partial_answer) => partial_answer.session = session,
-        Header::PartsRead(read) => read.session = session,
+        Header::PartialAnswersRead(read) => read.session = session,
         Header::Cancel(cancel) => cancel.session = session,
         Header::Clock(update) => update.session = session,
         Header::Statistics(report) => report.session = session,

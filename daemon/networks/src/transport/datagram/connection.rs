@@ -59,9 +59,9 @@ pub(crate) enum Event {
     /// A message arrived. The reservation holds its memory until the message is handed on.
     Message(Frames, Reservation),
     /// A message from the other end did not arrive as a whole.
-    Incomplete(MessageLoss),
+    IncomingLost(MessageLoss),
     /// A message that was sent did not arrive as a whole.
-    Lost(MessageLoss),
+    OutgoingLost(MessageLoss),
     /// An invalid packet arrived, for this reason.
     InvalidData(String),
     /// The connection is over, for this reason.
@@ -156,13 +156,13 @@ impl Connection {
                 // The confirmation has the tag, so the receiving end can report which message is incomplete.
                 let lost = self.sending.receive_loss((sequence, received), self.measurement.reported_lost(), now);
                 if let Some((tag, total, lost)) = self.report_false_claim(lost) {
-                    self.events.extend(lost.map(Event::Lost));
+                    self.events.extend(lost.map(Event::OutgoingLost));
                     self.control.push(Packet::LostAck { connection, sequence, tag, total });
                 }
             }
             Packet::LostAck { sequence, tag, total, .. } => {
                 let incomplete = self.receiving.confirm_loss(sequence, tag, total);
-                self.events.extend(incomplete.map(Event::Incomplete));
+                self.events.extend(incomplete.map(Event::IncomingLost));
             }
             Packet::Ping { heartbeat, .. } => {
                 self.receive_heartbeat(&heartbeat, now);
@@ -293,7 +293,7 @@ impl Connection {
         self.sending.tick(now);
         self.receiving.tick(now);
         let expired = self.sending.expire(now);
-        self.events.extend(expired.into_iter().map(Event::Lost));
+        self.events.extend(expired.into_iter().map(Event::OutgoingLost));
         self.report_losses(now);
         if self.sending.loses_all_long_datagrams(self.measurement.reported_lost(), now) {
             tracing::debug!(bytes = self.sending.longest_datagram(), "none of the longest datagrams arrive");
@@ -362,7 +362,7 @@ impl Connection {
     fn report_losses(&mut self, now: MonoTime) {
         let identified = self.receiving.take_lost(now);
         let (packets, given_up) = self.receiving.due_reports(now);
-        self.events.extend(identified.into_iter().chain(given_up).map(Event::Incomplete));
+        self.events.extend(identified.into_iter().chain(given_up).map(Event::IncomingLost));
         packets.into_iter().for_each(|packet| self.control.push(packet));
     }
 }

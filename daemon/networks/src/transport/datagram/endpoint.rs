@@ -162,7 +162,7 @@ impl Endpoint {
         // The edge repeats the request until the answer arrives, so the connection may exist already.
         let existing = self.table.find(to, nonce);
         if existing.is_none() && !self.make_room(AddressGroup::from_address(source)) {
-            tracing::debug!(%source, "refused a connection: the largest number of connections is open");
+            tracing::debug!(%source, "refused a connection: the maximum number of connections is open");
             let refusal = Packet::Reset { id: nonce, reason: ResetReason::Full };
             return self.answers.push(route, &refusal);
         }
@@ -262,8 +262,8 @@ impl Endpoint {
                     let peer = Peer { connection, address: Some(entry.source) };
                     (ListenerEvent::Message(peer, frames), Some(reserved))
                 }
-                Event::Incomplete(loss) => (ListenerEvent::Incomplete(connection, loss), None),
-                Event::Lost(loss) => (ListenerEvent::Lost(connection, loss), None),
+                Event::IncomingLost(loss) => (ListenerEvent::IncomingLost(connection, loss), None),
+                Event::OutgoingLost(loss) => (ListenerEvent::OutgoingLost(connection, loss), None),
                 Event::InvalidData(problem) => {
                     (ListenerEvent::InvalidData(Some(entry.source), problem), None)
                 }

@@ -74,14 +74,14 @@ proptest! {
                     let tag = (0..MESSAGES).find(|tag| frames[0] == payload(*tag)).expect("the message is as it was sent");
                     prop_assert!(arrived.insert(tag), "message {} arrives twice", tag);
                 }
-                ListenerEvent::Incomplete(_, loss) => prop_assert!(loss.received <= loss.total),
+                ListenerEvent::IncomingLost(_, loss) => prop_assert!(loss.received <= loss.total),
                 other => prop_assert!(false, "{:?}", other),
             }
         }
         let mut lost = BTreeSet::new();
         for event in &network.events {
             match event {
-                Event::Lost(loss) => {
+                Event::OutgoingLost(loss) => {
                     prop_assert!(loss.received < loss.total && lost.insert(loss.tag.expect("the loss has a tag")));
                 }
                 other => prop_assert!(false, "{:?}", other),
@@ -96,7 +96,7 @@ proptest! {
         network.cloud.send(id, vec![payload(5).into()], Some(5)).expect("there is room");
         network.steps(4_000);
         let answers = network.events.iter().filter(|event| matches!(
-            event, Event::Message(..) | Event::Incomplete(..)
+            event, Event::Message(..) | Event::IncomingLost(..)
         )).count();
         prop_assert_eq!(answers, 1);
         let now = network.now;
@@ -300,7 +300,7 @@ fn message_without_memory_is_lost_before_fully_sent() {
         network.cloud.receive(other_address, None, &body, now);
     }
     network.send(Some(1), &vec![9; 3_000_000]);
-    let lost = |event: &Event| matches!(event, Event::Lost(loss) if loss.tag == Some(1));
+    let lost = |event: &Event| matches!(event, Event::OutgoingLost(loss) if loss.tag == Some(1));
     for _ in 0..1_000 {
         network.step();
         if network.events.iter().any(lost) {

@@ -154,7 +154,7 @@ impl Connection {
             MessageInfo::LOST => {
                 // The peer received the companion, which names the request, but not the payload.
                 let loss = MessageLoss { tag: request_number(&info), received: 1, total: 2 };
-                self.events.push(Event::Lost(loss));
+                self.events.push(Event::OutgoingLost(loss));
             }
             MessageInfo::GOODBYE => {
                 self.peer.has_left = true;

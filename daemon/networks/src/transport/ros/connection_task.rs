@@ -213,7 +213,7 @@ impl<S: Sink> ConnectionTask<S> {
                 for subscriber in
                     [Some(&self.companion_subscriber), self.payload_subscriber.as_ref()].into_iter().flatten()
                 {
-                    for node in subscriber.other_publishers() {
+                    for node in subscriber.rejected_publishers() {
                         self.remark_second_publisher(&node, subscriber.topic(), second_publishers);
                     }
                 }

@@ -66,7 +66,7 @@ pub(crate) async fn dial(
         response: TopicPair::response(&pipeline),
         node_name_prefix: prefix,
     };
-    let cloud = node.find_cloud(&topics).await?;
+    let cloud = node.find_cloud_and_check_topics(&topics).await?;
     let budget = MemoryBudget::new(settings.max_message_bytes.saturating_mul(MAX_INCOMPLETE_MESSAGES));
     let limits =
         ReceiveLimits { max_message_bytes: max_topic_message_bytes(settings), budget: Arc::clone(&budget) };
@@ -238,8 +238,8 @@ impl Sink for EdgeSink {
             // The cloud repeats the welcome if it receives the hello twice.
             Event::Welcome | Event::Hello => return None,
             Event::Message(frames, reserved) => (Ok(EdgeEvent::Message(frames)), reserved),
-            Event::Incomplete(loss) => (Ok(EdgeEvent::Incomplete(loss)), Vec::new()),
-            Event::Lost(loss) => (Ok(EdgeEvent::Lost(loss)), Vec::new()),
+            Event::IncomingLost(loss) => (Ok(EdgeEvent::IncomingLost(loss)), Vec::new()),
+            Event::OutgoingLost(loss) => (Ok(EdgeEvent::OutgoingLost(loss)), Vec::new()),
             Event::InvalidData(problem) => (Ok(EdgeEvent::InvalidData(problem)), Vec::new()),
             Event::Remark(text) => (Ok(EdgeEvent::Remark(text)), Vec::new()),
             Event::Gone(reason) => (Err(Disconnection(reason)), Vec::new()),

@@ -122,9 +122,12 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     fn resolve(&self, name: &str) -> Result<String, NodeFailure>;
 
     /// Checks that the cloud exists, and that no other program uses the topics. Returns the name of the cloud's node.
-    fn find_cloud<'a>(&'a self, topics: &'a EdgeTopics) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>>;
+    fn find_cloud_and_check_topics<'a>(
+        &'a self,
+        topics: &'a EdgeTopics,
+    ) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>>;
 
-    /// Checks that no other cloud serves a name.
+    /// Checks that no other cloud has the name `cloud`.
     fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>>;
 
     /// Returns the size of this node's socket buffers, in bytes. The other end does not send longer payload messages.
@@ -132,7 +135,7 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     /// other nodes need not confirm that messages arrive.
     fn receive_buffer_bytes(&self) -> Option<usize>;
 
-    /// Returns the largest number of bytes of frames in one companion.
+    /// Returns the maximum number of bytes of frames in one companion.
     fn max_companion_bytes(&self) -> usize;
 
     /// Returns the time limit for a payload whose companion has arrived; `None` for the default.
@@ -173,8 +176,9 @@ pub(super) trait SessionPublisher: Debug + Send + Sync {
     /// Publishes a message to all subscribers. Never waits.
     fn publish(&self, message: EncodedMessage) -> Result<(), NodeFailure>;
 
-    /// Publishes messages as [`publish`](Self::publish) does. Returns the outcome for one node.
-    fn publish_to(&self, node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure>;
+    /// Publishes the fragments of one message, each as [`publish`](Self::publish) does. Returns the outcome for one
+    /// node.
+    fn publish_to(&self, node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure>;
 
     /// Returns why `node` receives nothing although it subscribes to the topic, with advice; `None` if no reason is
     /// known.
@@ -195,8 +199,8 @@ pub(super) trait SessionSubscriber: Debug + Send {
     /// Returns whether messages of a node arrive.
     fn is_connected(&self, node: &str) -> bool;
 
-    /// Returns the further nodes that publish the topic, whose messages do not arrive here.
-    fn other_publishers(&self) -> Vec<Arc<str>> {
+    /// Returns the nodes that publish the topic, but whose messages this subscriber rejects.
+    fn rejected_publishers(&self) -> Vec<Arc<str>> {
         Vec::new()
     }
 

@@ -40,7 +40,9 @@ impl Ros1Node {
         Ok(Self { node, master: address.authority() })
     }
 
-    async fn find_cloud_node(&self, topics: &EdgeTopics) -> Result<Arc<str>, NodeFailure> {
+    /// Returns the name of the cloud's node. Checks that no other program publishes the topics of requests, and that
+    /// the topics have the expected types.
+    async fn find_cloud_and_check_topics(&self, topics: &EdgeTopics) -> Result<Arc<str>, NodeFailure> {
         let state = self.node.system_state().await?;
         let sessions = sessions_topic(&topics.cloud);
         let is_cloud = |node: &&String| base_name(node) == cloud_node(&topics.cloud);
@@ -54,7 +56,7 @@ impl Ros1Node {
                 self.master, topics.cloud
             )));
         };
-        // Earlier nodes of this pipeline may still be registered.
+        // Earlier nodes of this pipeline may still be registered. They do not count as other programs.
         let is_of_other_program = |node: &&String| !base_name(node).starts_with(&topics.node_name_prefix);
         for topic in [&topics.request.info, &topics.request.payload] {
             let other_publishers: Vec<String> =
@@ -83,8 +85,9 @@ impl Ros1Node {
         Ok(cloud.into())
     }
 
-    /// Returns a running node, other than this node, that serves a name. Nodes that only observe the topic do not
-    /// count. If another node has this node's name, the master knows only the newer node.
+    /// Returns another running node that is a cloud with the name `cloud`: a subscriber of its sessions topic with this
+    /// node's base name, in another namespace. Programs that only observe the topic have other base names. A node with
+    /// the same full name as this node is not found, because the master replaced it by this node.
     async fn find_other_cloud(&self, cloud: &str) -> Result<Option<String>, NodeError> {
         let state = self.node.system_state().await?;
         let own_base_name = base_name(self.node.name());
@@ -112,8 +115,11 @@ impl SessionNode for Ros1Node {
         Ok(self.node.resolve(name)?)
     }
 
-    fn find_cloud<'a>(&'a self, topics: &'a EdgeTopics) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>> {
-        self.find_cloud_node(topics).boxed()
+    fn find_cloud_and_check_topics<'a>(
+        &'a self,
+        topics: &'a EdgeTopics,
+    ) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>> {
+        Self::find_cloud_and_check_topics(self, topics).boxed()
     }
 
     fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>> {
@@ -121,8 +127,8 @@ impl SessionNode for Ros1Node {
             match self.find_other_cloud(cloud).await? {
                 None => Ok(()),
                 Some(other_cloud) => Err(NodeFailure(format!(
-                    "node {other_cloud} serves the name {cloud} at this ROS master already; stop it, or end the address with \
-                     another name"
+                    "node {other_cloud} is already a cloud with the name {cloud} at this ROS master; stop it, or end the \
+                     address with another name"
                 ))),
             }
         };
@@ -204,10 +210,10 @@ impl SessionPublisher for Publisher {
         Ok(())
     }
 
-    fn publish_to(&self, node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
-        for message in messages {
-            let delivery = Self::publish_to(self, node, message.clone())?;
-            // Without all of its fragments the message is useless.
+    fn publish_to(&self, node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
+        for fragment in fragments {
+            let delivery = Self::publish_to(self, node, fragment.clone())?;
+            // A message is useless if one of its fragments is missing, so the other fragments are not published.
             if delivery != Delivery::Accepted {
                 return Ok(delivery);
             }
@@ -241,7 +247,7 @@ impl SessionSubscriber for Subscriber {
         self.publishers().iter().any(|publisher| is_node(&publisher.state))
     }
 
-    fn other_publishers(&self) -> Vec<Arc<str>> {
+    fn rejected_publishers(&self) -> Vec<Arc<str>> {
         self.publishers().into_iter().filter_map(|publisher| publisher.rejected_node).collect()
     }
 

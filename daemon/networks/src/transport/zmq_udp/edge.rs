@@ -228,8 +228,8 @@ impl Machine for EdgeEnd {
         }
         Some(match self.connection.next_event()? {
             Event::Message(frames, reserved) => (Ok(EdgeEvent::Message(frames)), Some(reserved)),
-            Event::Incomplete(loss) => (Ok(EdgeEvent::Incomplete(loss)), None),
-            Event::Lost(loss) => (Ok(EdgeEvent::Lost(loss)), None),
+            Event::IncomingLost(loss) => (Ok(EdgeEvent::IncomingLost(loss)), None),
+            Event::OutgoingLost(loss) => (Ok(EdgeEvent::OutgoingLost(loss)), None),
             Event::InvalidData(problem) => (Ok(EdgeEvent::InvalidData(problem)), None),
             Event::Gone(reason) => (Err(Disconnection(reason)), None),
         })

@@ -119,7 +119,7 @@ impl UdpPort {
         u32::try_from(self.receive_buffer / 4).unwrap_or(u32::MAX)
     }
 
-    /// Returns the largest number of datagrams of equal length that one system call sends.
+    /// Returns the maximum number of datagrams of equal length that one system call sends.
     pub(super) fn max_segments(&self) -> usize {
         self.state.max_gso_segments()
     }

@@ -101,7 +101,7 @@ impl Driver {
             messages: VecDeque::new(),
             has_delivered: false,
             is_ready: false,
-            // The library queues its greeting when it is created.
+            // A new codec has queued its greeting already.
             has_output: true,
         }
     }
@@ -180,7 +180,7 @@ impl Driver {
             Phase::Closing => Some(ConnectionEnd::Closed),
             Phase::Replaced => Some(ConnectionEnd::Rejected(
                 Rejection::Replaced,
-                "a newer connection replaced this connection, because the largest number of connections was open".into(),
+                "a newer connection replaced this connection, because the maximum number of connections was open".into(),
             )),
             _ => None,
         }

@@ -41,20 +41,20 @@ pub(super) const MAX_ALL_UNADMITTED_BYTES: u64 = 16 * 1024 * 1024;
 pub(super) const FRAME_OVERHEAD_BYTES: usize = 64;
 
 impl ListenerLimits {
-    /// Returns the largest number of open connections of one remote address: half of all. This machine's own addresses
+    /// Returns the maximum number of open connections of one remote address: half of all. This machine's own addresses
     /// are exempt.
     pub(super) const fn max_per_address(&self) -> usize {
         // One address alone cannot take all places.
         at_least_one(self.max_connections / 2)
     }
 
-    /// Returns the largest number of open connections that are not admitted: half of all.
+    /// Returns the maximum number of open connections that are not admitted: half of all.
     pub(super) const fn max_unadmitted(&self) -> usize {
         // Half of the places stay for connections with a session.
         at_least_one(self.max_connections / 2)
     }
 
-    /// Returns the largest number of open connections of one remote address that are not admitted: a quarter of all.
+    /// Returns the maximum number of open connections of one remote address that are not admitted: a quarter of all.
     pub(super) const fn max_unadmitted_per_address(&self) -> usize {
         at_least_one(self.max_connections / 4)
     }

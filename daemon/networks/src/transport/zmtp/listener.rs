@@ -25,7 +25,7 @@ use crate::transport::{AddressGroup, BindFailure, ConnectionId, Frames, Listener
 /// Maximum number of messages of all connections that wait to be received. Their memory is reserved until then.
 const MAX_QUEUED_DELIVERIES: usize = 1_024;
 
-/// Number of sockets that may still be closing while the largest number of connections is open.
+/// Number of sockets that may still be closing while the maximum number of connections is open.
 const MAX_CLOSING_SOCKETS: usize = 16;
 
 /// Number of connections that the kernel may complete before they are accepted.
@@ -263,7 +263,7 @@ async fn accept_connections(
                 state.tasks.spawn(serve_connection(driver, Arc::clone(&state), deliveries.clone()));
             }
             Err(reason) => {
-                let text = "the largest number of connections (in all, or of this address) is open, and no connection can be \
+                let text = "the maximum number of connections (in all, or of this address) is open, and no connection can be \
                             replaced, because all are admitted";
                 state.rejections.record(reason, Some(address), text);
             }

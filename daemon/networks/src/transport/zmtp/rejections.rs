@@ -13,9 +13,9 @@ pub(super) const LOG_INTERVAL: Duration = Duration::from_secs(60);
 /// Reason why the listener refused or closed a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rejection {
-    /// The largest number of connections was open.
+    /// The maximum number of connections was open.
     TooMany,
-    /// The largest number of connections of the peer's address was open.
+    /// The maximum number of connections of the peer's address was open.
     TooManyOfAddress,
     /// The connection was not admitted, and a newer connection replaced it because a limit was reached.
     Replaced,

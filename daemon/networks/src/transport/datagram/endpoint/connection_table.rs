@@ -78,7 +78,7 @@ impl ConnectionTable {
         }
     }
 
-    /// Returns whether a peer from a group of addresses may open one more connection; `max` is the largest number of
+    /// Returns whether a peer from a group of addresses may open one more connection; `max` is the maximum number of
     /// connections.
     ///
     /// If a limit is reached, the oldest connection without a session must be closed first. If a limit per group is

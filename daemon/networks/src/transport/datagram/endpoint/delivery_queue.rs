@@ -28,7 +28,9 @@ impl DeliveryQueue {
     pub(super) fn push(&mut self, event: ListenerEvent, reserved: Option<Reservation>) {
         let is_droppable = matches!(
             event,
-            ListenerEvent::InvalidData(..) | ListenerEvent::Incomplete(..) | ListenerEvent::Lost(..)
+            ListenerEvent::InvalidData(..)
+                | ListenerEvent::IncomingLost(..)
+                | ListenerEvent::OutgoingLost(..)
         );
         if !is_droppable || self.deliveries.len() < MAX_DELIVERIES {
             self.deliveries.push_back(Delivery { event, _reserved: reserved });

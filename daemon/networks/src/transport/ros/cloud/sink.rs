@@ -65,8 +65,8 @@ impl Sink for CloudSink {
             Event::Message(frames, memory_reservations) => {
                 (ListenerEvent::Message(self.peer.clone(), frames), memory_reservations)
             }
-            Event::Incomplete(loss) => (ListenerEvent::Incomplete(connection, loss), Vec::new()),
-            Event::Lost(loss) => (ListenerEvent::Lost(connection, loss), Vec::new()),
+            Event::IncomingLost(loss) => (ListenerEvent::IncomingLost(connection, loss), Vec::new()),
+            Event::OutgoingLost(loss) => (ListenerEvent::OutgoingLost(connection, loss), Vec::new()),
             Event::InvalidData(problem) => {
                 (ListenerEvent::InvalidData(self.peer.address, problem), Vec::new())
             }

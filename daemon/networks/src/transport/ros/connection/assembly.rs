@@ -226,7 +226,7 @@ mod tests {
         assembly.receive_data(companion(2), MonoTime::default(), &mut events);
         let first = events.pop();
         assert!(matches!(&first, Some(Event::Message(..))), "{first:?}");
-        assert!(matches!(events.pop(), Some(Event::Incomplete(MessageLoss { tag: Some(2), .. }))));
+        assert!(matches!(events.pop(), Some(Event::IncomingLost(MessageLoss { tag: Some(2), .. }))));
         drop(first);
         assert_eq!(budget.reserved_bytes(), 0);
     }

@@ -15,9 +15,9 @@ pub(in crate::transport::ros) enum Event {
     /// A message of the peer arrived; with the reservations of its memory.
     Message(Frames, Vec<Reservation>),
     /// A message of the peer did not arrive as a whole.
-    Incomplete(MessageLoss),
+    IncomingLost(MessageLoss),
     /// A message to the peer did not arrive as a whole.
-    Lost(MessageLoss),
+    OutgoingLost(MessageLoss),
     /// The peer sent invalid data, for this reason.
     InvalidData(String),
     /// The connection works, but worse than it could. The text says why, and what to do about it.
@@ -43,7 +43,7 @@ impl EventQueue {
     pub(super) fn push_incomplete(&mut self, losses: Vec<MessageLoss>) {
         for loss in losses {
             self.lost_requests.extend(loss.tag);
-            self.events.push_back(Event::Incomplete(loss));
+            self.events.push_back(Event::IncomingLost(loss));
         }
     }
 
@@ -67,8 +67,8 @@ mod tests {
         let mut queue = EventQueue::default();
         let loss = |tag| MessageLoss { tag, received: 1, total: 2 };
         queue.push_incomplete(vec![loss(None), loss(Some(7))]);
-        assert!(matches!(queue.pop(), Some(Event::Incomplete(MessageLoss { tag: None, .. }))));
-        assert!(matches!(queue.pop(), Some(Event::Incomplete(MessageLoss { tag: Some(7), .. }))));
+        assert!(matches!(queue.pop(), Some(Event::IncomingLost(MessageLoss { tag: None, .. }))));
+        assert!(matches!(queue.pop(), Some(Event::IncomingLost(MessageLoss { tag: Some(7), .. }))));
         assert!(queue.pop().is_none());
         assert_eq!((queue.pop_lost_request(), queue.pop_lost_request()), (Some(7), None));
     }

@@ -42,7 +42,7 @@ fn sender_is_notified_of_missing_payload() {
     receiver.receive_companion(lost_companion, time_at(0));
     receiver.receive_companion(info.clone(), time_at(0));
     receiver.receive_payload(info.header.stamp.as_nanos(), payload, time_at(0));
-    let Some(Event::Incomplete(loss)) = receiver.next_event() else { panic!("the first message is lost") };
+    let Some(Event::IncomingLost(loss)) = receiver.next_event() else { panic!("the first message is lost") };
     assert_eq!(loss.tag, Some(7));
     let Some(Event::Message(frames, _)) = receiver.next_event() else {
         panic!("the second message is whole")
@@ -50,7 +50,9 @@ fn sender_is_notified_of_missing_payload() {
     assert_eq!(frames.concat(), b"headertreepayload");
     let notice = receiver.next_notice(0, time_at(0)).expect("the sender is notified");
     sender.receive_companion(notice, time_at(0));
-    let Some(Event::Lost(loss)) = sender.next_event() else { panic!("the sender is notified of the loss") };
+    let Some(Event::OutgoingLost(loss)) = sender.next_event() else {
+        panic!("the sender is notified of the loss")
+    };
     assert_eq!(loss.tag, Some(7));
 }
 
@@ -297,7 +299,7 @@ proptest! {
         while let Some(event) = receiver.next_event() {
             match event {
                 Event::Message(..) => arrived += 1,
-                Event::Incomplete(_) => incomplete += 1,
+                Event::IncomingLost(_) => incomplete += 1,
                 other => prop_assert!(false, "{other:?}"),
             }
         }

@@ -44,8 +44,8 @@ impl SessionPublisher for TestNode {
         Err(NodeFailure("payloads must be published with publish_to".to_owned()))
     }
 
-    fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
-        self.published.fetch_add(messages.len(), Ordering::Relaxed);
+    fn publish_to(&self, _node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
+        self.published.fetch_add(fragments.len(), Ordering::Relaxed);
         Ok(Delivery::Accepted)
     }
 
@@ -75,7 +75,10 @@ impl SessionNode for TestNode {
         Ok(name.to_owned())
     }
 
-    fn find_cloud<'a>(&'a self, topics: &'a EdgeTopics) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>> {
+    fn find_cloud_and_check_topics<'a>(
+        &'a self,
+        topics: &'a EdgeTopics,
+    ) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>> {
         std::future::ready(Ok(topics.cloud.as_str().into())).boxed()
     }
 

@@ -23,7 +23,7 @@ const OTHER_PROGRAM_SEARCH_TIME: Duration = Duration::from_millis(250);
 
 /// Waits until discovery has found the cloud of an edge, and checks that no other program uses the topics. Returns the
 /// name of the cloud's participant.
-pub(super) async fn find_cloud(
+pub(super) async fn find_cloud_and_check_topics(
     participant: &Participant,
     topics: &EdgeTopics,
     time_limit: Duration,
@@ -49,7 +49,7 @@ pub(super) async fn find_cloud(
     match clouds.first() {
         Some(cloud) if clouds.len() == 1 => Ok(cloud.to_string().into()),
         _ => Err(NodeFailure(format!(
-            "{} clouds serve the name {} in {}; stop all but one, or give each a different name",
+            "{} clouds have the name {} in {}; stop all but one, or give each a different name",
             clouds.len(),
             topics.cloud,
             node.describe_domain(),
@@ -100,7 +100,7 @@ fn check_topics(node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure>
     Ok(())
 }
 
-/// Checks that no other cloud serves a name.
+/// Checks that no other cloud has the name `cloud`.
 pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> Result<(), NodeFailure> {
     let node = participant.node()?;
     let sessions = sessions_topic(cloud);
@@ -109,7 +109,7 @@ pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> 
     match visible_clouds(&node, &sessions).is_empty() {
         true => Ok(()),
         false => Err(NodeFailure(format!(
-            "another cloud serves the name {cloud} in {} already; stop it, or end the address with another name",
+            "another cloud has the name {cloud} in {} already; stop it, or end the address with another name",
             node.describe_domain()
         ))),
     }

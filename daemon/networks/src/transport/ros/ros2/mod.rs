@@ -38,7 +38,7 @@ use peernet_ros::ros1::{QueueLimits, SubscriberOptions, TopicType};
 use peernet_ros::ros2::{EndpointRole, ParticipantId, Ros2Error, Ros2Settings, absolute_topic};
 use tokio::sync::watch;
 
-use self::cloud_search::{check_cloud_name, find_cloud};
+use self::cloud_search::{check_cloud_name, find_cloud_and_check_topics};
 use self::participant::Participant;
 use self::publisher::Ros2SessionPublisher;
 use self::publishing_tasks::PublishingTasks;
@@ -144,8 +144,11 @@ impl SessionNode for Ros2SessionNode {
         Ok(absolute_topic(&self.namespace, self.participant.name(), name)?)
     }
 
-    fn find_cloud<'a>(&'a self, topics: &'a EdgeTopics) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>> {
-        find_cloud(&self.participant, topics, self.cloud_search_timeout).boxed()
+    fn find_cloud_and_check_topics<'a>(
+        &'a self,
+        topics: &'a EdgeTopics,
+    ) -> BoxFuture<'a, Result<Arc<str>, NodeFailure>> {
+        find_cloud_and_check_topics(&self.participant, topics, self.cloud_search_timeout).boxed()
     }
 
     fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>> {

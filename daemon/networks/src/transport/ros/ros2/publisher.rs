@@ -219,8 +219,8 @@ impl SessionPublisher for Ros2SessionPublisher {
     // The result is never `NotConnected`: DDS does not report whether the other end has found this publisher. A payload
     // is sent on its topic alone only after a companion of the other end has confirmed the topic. The end of a node is
     // noticed by the end of that node's own topics.
-    fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
-        self.offer(messages)
+    fn publish_to(&self, _node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
+        self.offer(fragments)
     }
 
     fn describe_mismatch(&self, node: &str) -> Option<String> {
