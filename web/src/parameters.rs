@@ -13,7 +13,7 @@ use std::str::FromStr;
 
 use crate::error::WebError;
 
-/// Largest number of node names in one request.
+/// Maximum number of node names in one request.
 const MAX_NAMES: usize = 20;
 
 /// The query string of a URL, deserialised.

@@ -304,7 +304,7 @@ fn check_pipeline(
         );
     }
     if pipeline.episode_steps.is_none() && pipeline.limit.episodes.is_some() {
-        let text = "episodes needs episode_steps, the largest number of iterations of an episode; otherwise the run might never end";
+        let text = "episodes needs episode_steps, the maximum number of iterations of an episode; otherwise the run might never end";
         report.add(format!("{prefix}.limit.episodes"), text);
     }
     let warm_up = &pipeline.warm_up;

@@ -42,7 +42,7 @@ pub enum LoadError {
     /// The files of a model in use differ from the files that were loaded.
     #[error("the files of model {0} changed while it is in use; try again after its sessions have ended")]
     Changed(String),
-    /// The largest number of loaded models is reached, and all are in use.
+    /// The maximum number of loaded models is reached, and all are in use.
     #[error(
         "cannot load model {model}: the limit of {max} loaded models is reached and all are in use ({}); try again later, or \
          raise [bank] most_loaded on the serving host", .in_use.join(", ")

@@ -34,7 +34,7 @@ pub use summary::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99, Summary};
 pub const BUCKET_WIDTHS_S: [u32; 15] =
     [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];
 
-/// Largest count that is accepted from other hosts.
+/// Maximum count that is accepted from other hosts.
 // Every integer up to this count is exact as `f64`, and the sum of 2,000 such counts fits into 64 bits.
 const MAX_COUNT: u64 = 1 << 53;
 

@@ -88,7 +88,7 @@ const BANNED_TYPE_NAMES: &[&str] = &[
 /// Folders with Rust code.
 const CODE: [&str; 4] = ["daemon", "web", "tests", "fuzz"];
 
-/// Largest number of words in a paragraph of a document.
+/// Maximum number of words in a paragraph of a document.
 const MAX_PARAGRAPH_WORDS: usize = 120;
 
 fn add_rust_files(folder: &Path, found: &mut Vec<PathBuf>) {

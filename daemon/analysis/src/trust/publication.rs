@@ -6,13 +6,13 @@ use peernet_stream::Grade;
 
 use super::{Publish, Report};
 
-/// Largest number of runs that a sentence names.
+/// Maximum number of runs that a sentence names.
 const MAX_NAMED_RUNS: usize = 8;
 
-/// Returns a sentence about the runs that cannot be published, and a sentence about the runs that can be published only with caveats. Each
-/// sentence has the grade of its findings. `runs` has the name and the report of each run. A run of several edges is given once for each edge,
-/// always with the name of the run. Such a run has the findings of all its edges and the worst of their verdicts. Empty if all runs can be
-/// published as they are.
+/// Returns a sentence about the runs that cannot be published, and a sentence about the runs that can be published only
+/// with caveats. Each sentence has the grade of its findings. `runs` has the name and the report of each run. A run of
+/// several edges is given once for each edge, always with the name of the run. Such a run has the findings of all its
+/// edges and the worst of their verdicts. Empty if all runs can be published as they are.
 pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Report)>) -> Vec<(Grade, String)> {
     let mut reports_by_run: Vec<(String, Vec<&Report>)> = Vec::new();
     for (name, report) in runs {

@@ -24,7 +24,7 @@ pub struct UnloadedModel {
 /// Reason for unloading a model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum UnloadReason {
-    /// The model was unloaded to make room for this requested model, because the largest number of models was loaded.
+    /// The model was unloaded to make room for this requested model, because the maximum number of models was loaded.
     MakesRoomFor(Slug),
     /// The files of the model have changed.
     FilesChanged,

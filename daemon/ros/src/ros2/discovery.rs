@@ -41,7 +41,7 @@ pub(super) struct DiscoveryState {
     bounds: DiscoveryBounds,
 }
 
-/// Largest numbers of remembered objects. There are limits because every host on the network can announce objects.
+/// Maximum numbers of remembered objects. There are limits because every host on the network can announce objects.
 #[derive(Clone, Copy, Debug)]
 struct DiscoveryBounds {
     /// Other participants.

@@ -3,7 +3,7 @@
 use super::milliseconds::default_decimals;
 use super::{decimals, fixed, has_nonzero_digit, join_ends, with_plus_sign};
 
-/// Largest number of decimals of an estimate in ms. The ninth decimal is one picosecond.
+/// Maximum number of decimals of an estimate in ms. The ninth decimal is one picosecond.
 const MAX_DECIMALS: usize = 9;
 
 /// Estimate with its interval, in ms. Both are shown down to the second significant digit of half the interval's width.

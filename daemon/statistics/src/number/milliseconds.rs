@@ -2,7 +2,7 @@
 
 use super::{Quantity, decimals, figure, fixed, fixed_or_less_than, join_ends, signed};
 
-/// Largest number of decimals of a value in ms. The sixth decimal is one nanosecond.
+/// Maximum number of decimals of a value in ms. The sixth decimal is one nanosecond.
 const MAX_DECIMALS: usize = 6;
 /// Number of decimals of a value in ms that resolve a tenth of a microsecond.
 const TENTH_OF_MICROSECOND: usize = 4;
@@ -15,7 +15,7 @@ const SHORT_DURATION_MS: f64 = 0.099_95;
 
 /// Smallest number of decimals in a column of values with a bound or deviation.
 const MIN_COLUMN_DECIMALS: usize = 2;
-/// Largest number of decimals in a column of values with a bound or deviation.
+/// Maximum number of decimals in a column of values with a bound or deviation.
 const MAX_COLUMN_DECIMALS: usize = 3;
 
 /// Returns the number of decimals of a value in ms without an interval: three significant digits, at most to the

@@ -39,7 +39,7 @@ const MINUS: &str = "\u{2212}";
 const EXPONENT_FROM: f64 = 1e12;
 /// Magnitude below which numbers are written with their power of ten if [`MAX_DECIMALS`] decimals were requested.
 const EXPONENT_BELOW: f64 = 1e-12;
-/// Largest number of decimals of a formatted number.
+/// Maximum number of decimals of a formatted number.
 const MAX_DECIMALS: usize = 17;
 
 /// Formats a number with a fixed number of decimals: with a true minus sign, commas between thousands, and no signed

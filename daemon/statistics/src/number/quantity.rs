@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::{SPACE, decimals, fixed, fixed_or_less_than, significant};
 
-/// Largest number of decimals of a throughput in MB/s. The sixth decimal is one byte per second.
+/// Maximum number of decimals of a throughput in MB/s. The sixth decimal is one byte per second.
 const MAX_DECIMALS: usize = 6;
 
 /// Number and unit, kept apart because a page formats them differently.

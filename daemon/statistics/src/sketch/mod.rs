@@ -39,7 +39,7 @@ pub struct Sketch {
 impl Sketch {
     /// Largest relative error of a quantile.
     pub const RELATIVE_ERROR: f64 = 0.01;
-    /// Largest number of bins per sign.
+    /// Maximum number of bins per sign.
     pub const MAX_BINS: usize = bins::MAX_BINS_PER_SIGN;
 
     /// Numbers of smaller magnitude count as zero. For durations in seconds, this is a tenth of a nanosecond.

@@ -6,7 +6,7 @@ use peernet_tests::{InventedHost, MisbehavingPeer, TestRng, record_measurements,
 
 use super::start_fleet;
 
-/// Largest number of stored hosts.
+/// Maximum number of stored hosts.
 const MAX_HOSTS: usize = 50;
 
 #[test]

@@ -136,7 +136,7 @@ impl PixelLayout {
             _ => return None,
         };
         let channels = if channels.is_empty() { 1 } else { channels.parse().ok()? };
-        // 512 is the largest number of channels in OpenCV (CV_CN_MAX).
+        // 512 is the maximum number of channels in OpenCV (CV_CN_MAX).
         (1..=512).contains(&channels).then_some(Self { channels, element })
     }
 }

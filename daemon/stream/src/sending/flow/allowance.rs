@@ -70,7 +70,7 @@ impl Allowance {
         self.is_slow
     }
 
-    /// Returns the largest number of bytes of a batch that are handed over in one call.
+    /// Returns the maximum number of bytes of a batch that are handed over in one call.
     pub(super) fn part_bytes(&self) -> u64 {
         (self.bytes / 4).max(MIN_PART_BYTES)
     }

@@ -86,7 +86,7 @@ impl FlowControl {
         self.in_flight.last_arrival_at()
     }
 
-    /// Returns the largest number of bytes of a batch that are handed over in one call.
+    /// Returns the maximum number of bytes of a batch that are handed over in one call.
     pub(super) fn part_bytes(&self) -> usize {
         usize::try_from(self.allowance.part_bytes()).unwrap_or(usize::MAX)
     }
