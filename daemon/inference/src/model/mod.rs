@@ -118,7 +118,7 @@ pub struct LoadContext<'a> {
     pub(crate) clock: &'a SharedClock,
     /// All configured models. A model may use another one as its inner model.
     pub(crate) models: Vec<&'a ModelConfig>,
-    /// Cancelled when the host stops.
+    /// Cancelled when the bank of models shuts down.
     pub(crate) stop: &'a CancellationToken,
 }
 

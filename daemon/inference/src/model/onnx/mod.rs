@@ -6,6 +6,7 @@
 
 mod answer;
 mod card;
+mod card_match;
 mod card_text;
 mod classify;
 mod config;
@@ -19,7 +20,6 @@ mod library;
 mod library_log;
 mod model_files;
 mod numbers;
-mod outlets;
 mod outputs;
 mod picture;
 mod regular_file;
@@ -80,20 +80,20 @@ pub(crate) fn check_device(name: &str) -> Result<(), LoadError> {
 
 /// Loaded ONNX model.
 struct Onnx {
-    plan: Arc<Plan>,
+    settings: Arc<ModelSettings>,
     hash: String,
     card_hash: String,
     runtime: Arc<Runtime>,
     /// Optimised model whose weights several workers share; `None` if the workers share nothing, see
     /// [`SharedModel::prepare`].
     shared: Option<SharedModel>,
-    /// Cancelled when the host stops; terminates running computations.
+    /// Cancelled when the bank of models shuts down; terminates running computations.
     stop: CancellationToken,
     clock: SharedClock,
 }
 
-/// Settings and card of a model, which are read before a session is opened.
-struct Plan {
+/// Settings and card of a model. They are read before a session of ONNX Runtime is opened.
+struct ModelSettings {
     name: Slug,
     file: PathBuf,
     card: Card,
@@ -113,7 +113,7 @@ impl Onnx {
         common: &CommonSettings,
         context: &LoadContext<'_>,
     ) -> Result<(), LoadError> {
-        Self::plan(config, common, context).map(drop)
+        Self::read_settings(config, common, context).map(drop)
     }
 
     /// Loads the part of the model that all workers share.
@@ -122,26 +122,26 @@ impl Onnx {
         common: &CommonSettings,
         context: &LoadContext<'_>,
     ) -> Result<Self, LoadError> {
-        let (plan, runtime) = Self::plan(config, common, context)?;
+        let (settings, runtime) = Self::read_settings(config, common, context)?;
         let _library_use = LibraryUse::begin();
         let (hash, card_hash) = (hash_model(&config.path)?, hash_card(&config.path)?);
-        let shared = SharedModel::prepare(&plan, &runtime, context.temp_dirs)?;
+        let shared = SharedModel::prepare(&settings, &runtime, context.temp_dirs)?;
         let (stop, clock) = (context.stop.clone(), Arc::clone(context.clock));
-        Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared, stop, clock })
+        Ok(Self { settings: Arc::new(settings), hash, card_hash, runtime, shared, stop, clock })
     }
 
-    fn plan(
+    fn read_settings(
         config: &OnnxConfig,
         common: &CommonSettings,
         context: &LoadContext<'_>,
-    ) -> Result<(Plan, Arc<Runtime>), LoadError> {
+    ) -> Result<(ModelSettings, Arc<Runtime>), LoadError> {
         let device: Device = common.device.parse()?;
         let card = Card::read(&config.path.join(CARD))?;
         model_files(&config.path)?;
         let file = config.path.join(MODEL);
         let runtime = Runtime::get(context.runtime, context.clock)?;
         device.check(&common.name, runtime.library())?;
-        let plan = Plan {
+        let settings = ModelSettings {
             name: common.name.clone(),
             file,
             classes: card
@@ -155,11 +155,11 @@ impl Onnx {
             inter_threads: config.inter_threads.get(),
             batching: config.batching(),
         };
-        Ok((plan, runtime))
+        Ok((settings, runtime))
     }
 }
 
-impl Plan {
+impl ModelSettings {
     /// Returns whether the model could give the answer that a label expects. It could if it has all classes of the
     /// label, or if its task has no classes.
     fn has_classes_of(&self, label: &str) -> bool {
@@ -179,22 +179,22 @@ impl Plan {
 impl Model for Onnx {
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let library_use = LibraryUse::begin();
-        let session = session::open(&self.plan, &self.runtime, self.shared.as_ref())?;
-        let plan = Arc::clone(&self.plan);
+        let session = session::open(&self.settings, &self.runtime, self.shared.as_ref())?;
+        let settings = Arc::clone(&self.settings);
         let (stop, clock) = (self.stop.clone(), Arc::clone(&self.clock));
-        Ok(Box::new(OnnxWorker::new_warmed_up(plan, session, library_use, stop, clock)?))
+        Ok(Box::new(OnnxWorker::new_warmed_up(settings, session, library_use, stop, clock)?))
     }
 
     fn batching(&self) -> Batching {
-        self.plan.batching
+        self.settings.batching
     }
 
     fn device(&self) -> String {
-        self.plan.device.to_string()
+        self.settings.device.to_string()
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        let Plan { card, device, intra_threads, inter_threads, .. } = &*self.plan;
+        let ModelSettings { card, device, intra_threads, inter_threads, .. } = &*self.settings;
         let facts = [
             Some(("Model", format!("{} {}", card.name, card.version).trim_end().to_owned())),
             Some((MODEL_HASH, self.hash.clone())),

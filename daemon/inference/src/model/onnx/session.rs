@@ -8,54 +8,58 @@ use ort::session::builder::{GraphOptimizationLevel, SessionBuilder};
 
 use super::library::Runtime;
 use super::shared_model::SharedModel;
-use super::{Plan, outlets};
+use super::{ModelSettings, card_match};
 use crate::LoadError;
 
 /// Opens a session and checks that the model matches its card.
 pub(super) fn open(
-    plan: &Plan,
+    settings: &ModelSettings,
     runtime: &Runtime,
     shared: Option<&SharedModel>,
 ) -> Result<Session, LoadError> {
-    let session = build(plan, runtime, shared).map_err(|error| session_error(plan, &error))?;
-    let is_batched = plan.batching.is_on();
-    let checked = outlets::check(&plan.card, session.inputs(), session.outputs())
-        .and_then(|()| if is_batched { outlets::check_batch(&plan.card, session.inputs()) } else { Ok(()) });
+    let session = build(settings, runtime, shared).map_err(|error| session_error(settings, &error))?;
+    let is_batched = settings.batching.is_on();
+    let checked = card_match::check(&settings.card, session.inputs(), session.outputs()).and_then(|()| {
+        if is_batched { card_match::check_batch(&settings.card, session.inputs()) } else { Ok(()) }
+    });
     match checked {
         Ok(()) => Ok(session),
-        Err(error) => Err(LoadError::File { file: plan.file.clone(), reason: error.to_string() }),
+        Err(error) => Err(LoadError::File { file: settings.file.clone(), reason: error.to_string() }),
     }
 }
 
-fn build(plan: &Plan, runtime: &Runtime, shared: Option<&SharedModel>) -> ort::Result<Session> {
-    let builder = builder(plan, runtime)?;
+fn build(settings: &ModelSettings, runtime: &Runtime, shared: Option<&SharedModel>) -> ort::Result<Session> {
+    let builder = builder(settings, runtime)?;
     // Other programs may delete temporary folders. A worker that is rebuilt later then opens the original file.
     match shared.filter(|shared| shared.file().exists()) {
         Some(shared) => {
             let level = GraphOptimizationLevel::Disable; // the shared model is already optimised
             builder.with_optimization_level(level)?.commit_from_file(shared.file())
         }
-        None => builder.with_optimization_level(GraphOptimizationLevel::All)?.commit_from_file(&plan.file),
+        None => {
+            builder.with_optimization_level(GraphOptimizationLevel::All)?.commit_from_file(&settings.file)
+        }
     }
 }
 
 /// Returns the settings that all sessions of a model have in common.
-pub(super) fn builder(plan: &Plan, runtime: &Runtime) -> ort::Result<SessionBuilder> {
-    let mut builder = SessionBuilder::new(runtime.environment())?.with_intra_threads(plan.intra_threads)?;
-    if plan.inter_threads > 1 {
-        builder = builder.with_parallel_execution(true)?.with_inter_threads(plan.inter_threads)?;
+pub(super) fn builder(settings: &ModelSettings, runtime: &Runtime) -> ort::Result<SessionBuilder> {
+    let mut builder =
+        SessionBuilder::new(runtime.environment())?.with_intra_threads(settings.intra_threads)?;
+    if settings.inter_threads > 1 {
+        builder = builder.with_parallel_execution(true)?.with_inter_threads(settings.inter_threads)?;
     }
-    if let Some(provider) = plan.device.provider() {
+    if let Some(provider) = settings.device.provider() {
         // With these two settings, the whole model runs on the device, or the session cannot be opened.
         builder = builder.with_execution_providers([provider])?.with_disable_cpu_fallback()?;
     }
     Ok(builder)
 }
 
-pub(super) fn session_error(plan: &Plan, error: &ort::Error) -> LoadError {
+pub(super) fn session_error(settings: &ModelSettings, error: &ort::Error) -> LoadError {
     LoadError::Session {
-        file: plan.file.clone(),
-        device: plan.device.to_string(),
+        file: settings.file.clone(),
+        device: settings.device.to_string(),
         reason: reason(&error.to_string()),
     }
 }

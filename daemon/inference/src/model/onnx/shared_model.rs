@@ -13,7 +13,7 @@ use ort::session::builder::GraphOptimizationLevel;
 
 use super::device::Device;
 use super::library::Runtime;
-use super::{MODEL, Plan, session};
+use super::{MODEL, ModelSettings, session};
 use crate::temp_dirs::TempDirs;
 use crate::{LoadError, LockedTempDir};
 
@@ -36,11 +36,11 @@ impl SharedModel {
     /// Optimises the model for this machine. Returns `None` if nothing would be shared: with one worker, and on devices
     /// other than the CPU, whose own memory holds a copy for each session in any case.
     pub(super) fn prepare(
-        plan: &Plan,
+        settings: &ModelSettings,
         runtime: &Runtime,
         temp_dirs: &TempDirs,
     ) -> Result<Option<Self>, LoadError> {
-        if plan.workers < 2 || plan.device != Device::Cpu {
+        if settings.workers < 2 || settings.device != Device::Cpu {
             return Ok(None);
         }
         let folder = LockedTempDir::new("model").map_err(|error| LoadError::File {
@@ -51,7 +51,7 @@ impl SharedModel {
         })?;
         temp_dirs.register(folder.path());
         let shared = Self { folder, temp_dirs: temp_dirs.clone() };
-        shared.write(plan, runtime).map_err(|error| session::session_error(plan, &error))?;
+        shared.write(settings, runtime).map_err(|error| session::session_error(settings, &error))?;
         Ok(Some(shared))
     }
 
@@ -60,8 +60,8 @@ impl SharedModel {
         self.folder.path().join(MODEL)
     }
 
-    fn write(&self, plan: &Plan, runtime: &Runtime) -> ort::Result<()> {
-        session::builder(plan, runtime)?
+    fn write(&self, settings: &ModelSettings, runtime: &Runtime) -> ort::Result<()> {
+        session::builder(settings, runtime)?
             .with_optimization_level(GraphOptimizationLevel::All)?
             .with_optimized_model_path(self.file())?
             .with_config_entry("session.optimized_model_external_initializers_file_name", "weights.bin")?
@@ -71,7 +71,7 @@ impl SharedModel {
             )?
             // The library would warn that the result suits this machine only, which is intended.
             .with_log_level(LogLevel::Error)?
-            .commit_from_file(&plan.file)
+            .commit_from_file(&settings.file)
             .map(drop)
     }
 }

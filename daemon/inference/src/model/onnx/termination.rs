@@ -9,7 +9,7 @@ use peernet_clock::{MonoTime, SharedClock};
 use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 
 /// Options of one run, which is terminated as soon as one of three conditions is true: all of its requests are
-/// cancelled; one of them is cancelled and the run is overdue; the host stops.
+/// cancelled; one of them is cancelled and the run is overdue; the bank of models shuts down.
 // A thread that still computes must not delay the end of the process. Opening a session cannot be terminated;
 // `LibraryUse` makes that safe.
 pub(super) struct TerminableRun {
@@ -32,8 +32,8 @@ struct Conditions {
 }
 
 impl TerminableRun {
-    /// Creates the options of a run for these requests; `stop` is cancelled when the host stops. From `overdue_at`
-    /// on, one cancelled request terminates the run.
+    /// Creates the options of a run for these requests; `stop` is cancelled when the bank of models shuts down. From
+    /// `overdue_at` on, one cancelled request terminates the run.
     pub(super) fn new(
         requests: Vec<CancellationToken>,
         stop: &CancellationToken,

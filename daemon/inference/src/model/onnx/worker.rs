@@ -13,7 +13,7 @@ use super::library::LibraryUse;
 use super::outputs::{OutputError, Outputs, Row};
 use super::picture::InputError;
 use super::termination::TerminableRun;
-use super::{Plan, answer, outlets};
+use super::{ModelSettings, answer, card_match};
 use crate::{InferenceError, LoadError, Request, Requester, Worker};
 
 /// Node below `inference`: the number of samples that the session computed in one run. Recorded for models that compute
@@ -21,10 +21,10 @@ use crate::{InferenceError, LoadError, Request, Requester, Worker};
 const BATCH_SIZE: Name = Name::from_static("batch-size");
 
 pub(super) struct OnnxWorker {
-    plan: Arc<Plan>,
+    settings: Arc<ModelSettings>,
     session: Session,
     inputs: ModelInputs,
-    /// Cancelled when the host stops.
+    /// Cancelled when the bank of models shuts down.
     stop: CancellationToken,
     clock: SharedClock,
     /// Duration of the longest run that succeeded, including the runs that warmed the session up.
@@ -40,22 +40,23 @@ impl OnnxWorker {
     // The first inference of a session is slow. It also shows, before a sample arrives, whether the card fits the
     // model.
     pub(super) fn new_warmed_up(
-        plan: Arc<Plan>,
+        settings: Arc<ModelSettings>,
         session: Session,
         library_use: LibraryUse,
         stop: CancellationToken,
         clock: SharedClock,
     ) -> Result<Self, LoadError> {
-        let max_size = plan.batching.max_size;
-        let inputs = ModelInputs::new(&plan.card.inputs, max_size, |input| {
-            max_size > 1 && outlets::has_open_batch(input, session.inputs())
+        let max_size = settings.batching.max_size;
+        let inputs = ModelInputs::new(&settings.card.inputs, max_size, |input| {
+            max_size > 1 && card_match::has_open_batch(input, session.inputs())
         });
         let longest_run = Span::ZERO;
-        let mut worker = Self { session, inputs, plan, stop, clock, longest_run, _library_use: library_use };
+        let mut worker =
+            Self { session, inputs, settings, stop, clock, longest_run, _library_use: library_use };
         let sizes = if max_size > 1 { &[1, max_size][..] } else { &[1] };
         sizes.iter().try_for_each(|size| worker.warm_up(*size)).map_err(|error| LoadError::Session {
-            file: worker.plan.file.clone(),
-            device: worker.plan.device.to_string(),
+            file: worker.settings.file.clone(),
+            device: worker.settings.device.to_string(),
             reason: error.to_string(),
         })?;
         Ok(worker)
@@ -67,12 +68,15 @@ impl OnnxWorker {
         let run = TerminableRun::new(Vec::new(), &self.stop, &self.clock, started_at)?;
         let outputs = self.session.run_with_options(self.inputs.values(batch)?, run.options())?;
         self.longest_run = self.longest_run.max(self.clock.mono() - started_at);
-        answer::check(&self.plan.card, &Outputs::new(&outputs, Row { index: batch - 1, batch }))
+        answer::check(&self.settings.card, &Outputs::new(&outputs, Row { index: batch - 1, batch }))
     }
 
     /// Returns the error of a request for which there is no result.
     fn no_answer(&self) -> InferenceError {
-        InferenceError::Failed { model: self.plan.name.to_string(), reason: "it gave no answer".to_owned() }
+        InferenceError::Failed {
+            model: self.settings.name.to_string(),
+            reason: "it gave no answer".to_owned(),
+        }
     }
 
     /// Fills the inputs. Returns for each sample whether it can be computed. The samples that can be computed fill the
@@ -80,7 +84,7 @@ impl OnnxWorker {
     fn preprocess(&mut self, samples: &[&Sample]) -> Vec<Result<(), InferenceError>> {
         let failed = |(result, sample): (Result<(), InputError>, &&Sample)| {
             result.map_err(|error| InferenceError::Input {
-                model: self.plan.name.to_string(),
+                model: self.settings.name.to_string(),
                 sample: sample.source.clone(),
                 reason: error.to_string(),
             })
@@ -95,8 +99,8 @@ impl OnnxWorker {
         recorders: &mut [&mut Recorder],
         cancellations: Vec<CancellationToken>,
     ) -> Result<Vec<Result<Sample, InferenceError>>, InferenceError> {
-        let Self { plan, session, inputs, stop, clock, longest_run, .. } = self;
-        let failed = |reason: String| InferenceError::Failed { model: plan.name.to_string(), reason };
+        let Self { settings, session, inputs, stop, clock, longest_run, .. } = self;
+        let failed = |reason: String| InferenceError::Failed { model: settings.name.to_string(), reason };
         let batch = recorders.len();
         let started_at = clock.mono();
         // Twice the longest run, because this run may share the processor with other programs.
@@ -110,7 +114,7 @@ impl OnnxWorker {
             // without bound buffers on the CPU, for an output of 2.8 MB.
             let values = inputs.values(batch).map_err(|error| failed(error.to_string()))?;
             let outputs = session.run_with_options(values, run.options()).map_err(|error| {
-                let model = plan.name.to_string();
+                let model = settings.name.to_string();
                 if stop.is_cancelled() {
                     InferenceError::Stopped { model }
                 } else if run.is_unneeded() {
@@ -121,7 +125,7 @@ impl OnnxWorker {
             });
             // The requests of a run that failed are computed again, each alone.
             let is_repeated = batch > 1 && matches!(outputs, Err(InferenceError::Failed { .. }));
-            if plan.batching.is_on() && !is_repeated {
+            if settings.batching.is_on() && !is_repeated {
                 for recorder in &mut stages {
                     recorder.record_value(BATCH_SIZE, batch as f64, Unit::NONE);
                 }
@@ -132,7 +136,7 @@ impl OnnxWorker {
         let _stages = time_all(recorders, &stage::POSTPROCESSING);
         let answer = |index: usize| {
             let outputs = Outputs::new(&outputs, Row { index, batch });
-            answer::answer(&plan.card, &outputs, inputs.transform(index))
+            answer::answer(&settings.card, &outputs, inputs.transform(index))
                 .map_err(|error| failed(error.to_string()))
         };
         Ok((0..batch).map(answer).collect())
@@ -182,7 +186,7 @@ impl OnnxWorker {
         for request in requests.iter_mut() {
             request.recorder.record_timer(stage::BATCH_WAIT, started_at, self.clock.mono());
             if request.requester.cancellation().is_cancelled() {
-                results.push(Err(InferenceError::Cancelled { model: self.plan.name.to_string() }));
+                results.push(Err(InferenceError::Cancelled { model: self.settings.name.to_string() }));
             } else {
                 results.extend(self.compute_together(std::slice::from_mut(request)));
             }
@@ -217,7 +221,7 @@ impl Worker for OnnxWorker {
         // All stages have ended, so that the value is recorded directly below the root, where the edge looks for it.
         for (request, _) in requests.iter_mut().zip(&results).filter(|(_, result)| result.is_ok()) {
             let label = request.sample.label.as_ref();
-            if label.is_some_and(|label| !self.plan.has_classes_of(label)) {
+            if label.is_some_and(|label| !self.settings.has_classes_of(label)) {
                 request.recorder.record_value(stage::UNKNOWN_LABEL, 1.0, Unit::NONE);
             }
         }

@@ -1,4 +1,5 @@
-//! Comparison of a card with the names, types and shapes that the model declares for its inputs and outputs.
+//! Comparison of a card with the names, types and shapes that the model declares for its inputs and outputs. The crate
+//! `ort` calls an input or output an [`Outlet`].
 
 use ort::value::{Outlet, TensorElementType, ValueType};
 
