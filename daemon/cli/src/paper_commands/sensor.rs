@@ -53,7 +53,7 @@ pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec
     let (config, transforms) = match kind {
         SensorType::Image => {
             let path = arguments.dataset_loc.as_deref().ok_or_else(|| {
-                missing_option("the sensor image needs --dataset-loc: a picture or a folder of pictures")
+                missing_option("--sensor-type image needs --dataset-loc: a picture or a folder of pictures")
             })?;
             let path = path.to_str().ok_or_else(|| {
                 let path = path.display();
@@ -65,7 +65,7 @@ pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec
         SensorType::Text => (SensorConfig::random_text(size), Vec::new()),
         SensorType::External => {
             let object = arguments.sensor_object.as_deref().ok_or_else(|| {
-                missing_option("the sensor external needs --sensor-object: module::object or exec:COMMAND")
+                missing_option("--sensor-type external needs --sensor-object: module::object or exec:COMMAND")
             })?;
             (external_sensor(object, arguments.pickle)?, Vec::new())
         }

@@ -108,7 +108,7 @@ async fn runs_without_successful_iteration_are_named() {
 async fn caption_states_length_of_short_run() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     let whole = panel_of(vec![one.clone()]).await.expect("a panel");
-    assert!(!whole.contains("from first to last start"), "{whole}");
+    assert!(!whole.contains("between the starts of"), "{whole}");
     one.runs[0].last_iteration = Some(samples::NOW + Span::from_millis(2_530));
     let known = comparison(vec![one]);
     let of_points = |count: usize| {
@@ -123,6 +123,9 @@ async fn caption_states_length_of_short_run() {
         over_time(&known, &series_by_run)
     };
     let short = of_points(3).expect("three points");
-    assert_eq!(short.runs[0].caption, "points of 1\u{202f}s, 2.5\u{202f}s from first to last start");
+    assert_eq!(
+        short.runs[0].caption,
+        "points of 1\u{202f}s, 2.5\u{202f}s between the starts of the first and the last iteration"
+    );
     assert!(of_points(2).is_none(), "two points are too few for a plot");
 }

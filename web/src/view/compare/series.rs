@@ -160,12 +160,12 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
     })
 }
 
-/// Returns `5.3 ms from first to last start`; `None` for a single iteration, or if the clock was set back during the
-/// run.
+/// Returns `5.3 ms between the starts of the first and the last iteration`; `None` for a single iteration, or if the
+/// clock was set back during the run.
 fn length_text(run: &RunSummary, episodes: &Episodes) -> Option<String> {
     let seconds = (run.last_iteration? - episodes.first.unwrap_or(run.started)).seconds();
     let length = if seconds < 1.0 { duration(seconds).to_string() } else { length(seconds) };
-    (seconds > 0.0).then(|| format!("{length} from first to last start"))
+    (seconds > 0.0).then(|| format!("{length} between the starts of the first and the last iteration"))
 }
 
 /// Returns the time that a point of the plot covers, in words: `points of 10 s`.
