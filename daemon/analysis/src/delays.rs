@@ -41,17 +41,17 @@ impl DelaySummary {
         self.count
     }
 
-    /// Returns the median of the medians of all seconds. Each second has its number of delays as weight. The lower bound
-    /// of the result is the median of the lower bounds, and the upper bound is the median of the upper bounds, as in
-    /// [`median_bounds`]. `None` if no second has a median.
+    /// Returns the median of the medians of all seconds. Each second has its number of delays as weight. The lower
+    /// bound of the result is the median of the lower bounds, and the upper bound is the median of the upper bounds, as
+    /// in [`median_bounds`]. `None` if no second has a median.
     pub fn median(&self) -> Option<DelayPoint> {
         let lo = self.weighted_median(|point| point.bounds.lo)?.bounds.lo;
         let hi = self.weighted_median(|point| point.bounds.hi)?.bounds.hi;
         Some(DelayPoint { bounds: Interval { lo, hi }, ..self.weighted_median(|point| point.value)? })
     }
 
-    /// Sorts the medians of the seconds by `key` and returns the one in the middle, where each median counts as often as
-    /// its weight says.
+    /// Sorts the medians of the seconds by `key` and returns the one in the middle, where each median counts as often
+    /// as its weight says.
     fn weighted_median(&self, key: fn(&DelayPoint) -> Span) -> Option<DelayPoint> {
         let mut medians = self.medians.clone();
         medians.sort_unstable_by_key(|(point, _)| key(point));
@@ -64,10 +64,10 @@ impl DelaySummary {
         median.map(|(point, _)| point)
     }
 
-    /// Returns the verdict that [prevails](Verdict::prevailing) among all delays; `None` if no delay was judged. A delay counts with the verdict
-    /// of its second, which may be worse than its own.
+    /// Returns the [summary verdict](Verdict::summarise) of all delays; `None` if no delay was judged. A delay counts
+    /// with the verdict of its second, which may be worse than its own.
     pub fn verdict(&self) -> Option<Verdict> {
-        Verdict::prevailing(self.verdicts.iter().copied())
+        Verdict::summarise(self.verdicts.iter().copied())
     }
 
     /// Returns all seconds as if they were one; `None` if no delay was judged.
@@ -91,8 +91,8 @@ pub(crate) fn median_width(bounds: impl Iterator<Item = (f64, f64)>) -> Option<f
     bounds.map(|(lo, hi)| hi - lo).collect::<SortedValues>().median()
 }
 
-/// Returns the round trips of several seconds as one: the smallest minimum and the median of the medians. Of two medians in the
-/// middle, the smaller is returned. `None` without seconds.
+/// Returns the round trips of several seconds as one: the smallest minimum and the median of the medians. Of two
+/// medians in the middle, the smaller is returned. `None` without seconds.
 pub fn merged_round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option<RoundTrip> {
     let (mut smallest, mut medians): (Option<Span>, Vec<Span>) = (None, Vec::new());
     for RoundTrip { min, median } in seconds {
@@ -150,11 +150,11 @@ mod tests {
     fn verdict_of_second_counts_for_all_its_delays() {
         // Agents report one verdict per second. A second of 10 delays, of which 1 is limited, has the verdict limited.
         let verdicts = [(Verdict::Ok, 9), (Verdict::Limited, 1)];
-        let limited = second(10, Some(3), Verdict::prevailing(verdicts).expect("delays"));
+        let limited = second(10, Some(3), Verdict::summarise(verdicts).expect("delays"));
         let seconds = [vec![limited; 4], vec![second(10, Some(3), Verdict::Ok); 6]].concat();
         assert_eq!(seconds.iter().collect::<DelaySummary>().verdict(), Some(Verdict::Limited));
         let single_delays = [(Verdict::Ok, 96), (Verdict::Limited, 4)];
-        assert_eq!(Verdict::prevailing(single_delays), Some(Verdict::Ok));
+        assert_eq!(Verdict::summarise(single_delays), Some(Verdict::Ok));
     }
 
     #[test]

@@ -75,7 +75,7 @@ pub enum DelaySource {
     None,
 }
 
-/// Reciprocal of the smallest share of delays that determines the prevailing verdict: one delay in this many.
+/// Reciprocal of the smallest share of delays that determines the summary verdict: one delay in this many.
 const MIN_SHARE_RECIPROCAL: u64 = 20;
 
 /// Degree to which a delay can be trusted.
@@ -109,20 +109,20 @@ impl Verdict {
         }
     }
 
-    /// Returns the prevailing verdict of many delays: the worst verdict V such that at least a twentieth of the delays
+    /// Returns the summary verdict of many delays: the worst verdict V such that at least a twentieth of the delays
     /// have the verdict V or a worse verdict. `counts` has the number of delays for each verdict. `None` without
     /// delays.
     // A few bad delays must not hide that all others are good, and many bad delays must not be hidden by good ones.
-    pub fn prevailing(counts: impl IntoIterator<Item = (Self, u64)>) -> Option<Self> {
+    pub fn summarise(counts: impl IntoIterator<Item = (Self, u64)>) -> Option<Self> {
         let mut counts: Vec<(Self, u64)> = counts.into_iter().filter(|(_, count)| *count > 0).collect();
         let total: u64 = counts.iter().map(|(_, count)| count).sum();
         counts.sort_by_key(|(verdict, _)| std::cmp::Reverse(verdict.severity()));
         let mut worse_or_equal = 0_u64;
-        let prevailing = counts.into_iter().find(|(_, count)| {
+        let summary_verdict = counts.into_iter().find(|(_, count)| {
             worse_or_equal += count;
             worse_or_equal.saturating_mul(MIN_SHARE_RECIPROCAL) >= total
         });
-        prevailing.map(|(verdict, _)| verdict)
+        summary_verdict.map(|(verdict, _)| verdict)
     }
 }
 
@@ -243,18 +243,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn prevailing_verdict_ignores_few_bad_delays() {
-        let verdict_with =
-            |bad: u64| Verdict::prevailing([(Verdict::Ok, 100 - bad), (Verdict::Stepped, bad)]);
+    fn summary_verdict_ignores_few_bad_delays() {
+        let verdict_with = |bad: u64| Verdict::summarise([(Verdict::Ok, 100 - bad), (Verdict::Stepped, bad)]);
         assert_eq!(
-            (verdict_with(4), verdict_with(5), Verdict::prevailing([])),
+            (verdict_with(4), verdict_with(5), Verdict::summarise([])),
             (Some(Verdict::Ok), Some(Verdict::Stepped), None)
         );
         let counts = [(Verdict::Ok, 94), (Verdict::Stale, 3), (Verdict::Inconsistent, 3)];
         assert_eq!(
-            Verdict::prevailing(counts),
+            Verdict::summarise(counts),
             Some(Verdict::Stale),
-            "six of a hundred delays are stale or inconsistent"
+            "six of a hundred delays are stale or worse, which is more than a twentieth"
         );
     }
 

@@ -22,7 +22,7 @@ pub(crate) struct ClockCell {
 
 /// Returns the verdict on the delays of one direction; `None` without delays. A verdict on few delays is ignored.
 pub(crate) fn verdict(bound: &DelayAccuracy) -> Option<Verdict> {
-    Verdict::prevailing(bound.verdicts.iter().copied())
+    Verdict::summarise(bound.verdicts.iter().copied())
 }
 
 /// Returns the meaning of a verdict, in a sentence for first-time readers.

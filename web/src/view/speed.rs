@@ -1,6 +1,7 @@
 //! Speed while sending and traffic of each direction.
 //!
-//! *Speed while sending* is bytes divided by their transfer time, which requires known delays. *Traffic* is bytes divided by wall time.
+//! *Speed while sending* is bytes divided by their transfer time, which requires known delays. *Traffic* is bytes
+//! divided by wall time.
 
 use std::sync::Arc;
 
@@ -75,7 +76,7 @@ pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirectio
         (*verdict, verdicts.map(|(.., count)| count).sum())
     };
     find_obstacle(
-        Verdict::prevailing(Verdict::ALL.iter().map(verdict_count)),
+        Verdict::summarise(Verdict::ALL.iter().map(verdict_count)),
         minute().map(|second| second.counts.ok).sum(),
     )
 }
@@ -92,7 +93,8 @@ fn find_obstacle(verdict: Option<Verdict>, successful_iterations: u64) -> Option
     }
 }
 
-/// Returns the speed while sending in a direction in MB/s. If the verdict of the delay is `limited`, returns the interval of the speed.
+/// Returns the speed while sending in a direction in MB/s. If the verdict of the delay is `limited`, returns the
+/// interval of the speed.
 pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: NetworkDirection) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
@@ -132,7 +134,8 @@ pub(crate) fn direction_traffic(window: &Window, direction: NetworkDirection) ->
     direction.transfer(&window.transfers)?.traffic(window.covered_s)
 }
 
-/// Returns the interval of a speed while sending in MB/s, from the statistics of the delays. `None` if a delay has no interval.
+/// Returns the interval of a speed while sending in MB/s, from the statistics of the delays. `None` if a delay has no
+/// interval.
 pub(crate) fn interval(speed: f64, delay: &QuantityStatistics, accuracy: &DelayAccuracy) -> Option<String> {
     let interval = accuracy.interval_of_mean(delay)?;
     let ClockInterval { lo, hi, method } = interval.of_speed(speed, delay.mean);

@@ -150,10 +150,10 @@ impl Delays {
         self.verdicts.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
-    /// Returns the number, the median and the verdict of the delays ([`Verdict::prevailing`]); `None` without delays.
+    /// Returns the number, the median and the verdict of the delays ([`Verdict::summarise`]); `None` without delays.
     fn summary(&self) -> Option<DelaySecond> {
         let counts = Verdict::ALL.iter().zip(&self.verdicts);
-        let verdict = Verdict::prevailing(counts.map(|(verdict, count)| (*verdict, u64::from(*count))))?;
+        let verdict = Verdict::summarise(counts.map(|(verdict, count)| (*verdict, u64::from(*count))))?;
         Some(DelaySecond { count: self.count(), median: self.median(), verdict })
     }
 

@@ -21,7 +21,7 @@ fn judge_direction(clocks: &DelayQuality) -> Option<Finding> {
     let stage = &clocks.stage;
     let about = format!("clocks, {stage}");
     // Pages choose the verdict that they show beside these delays by the same rule.
-    let prevailing = Verdict::prevailing(clocks.verdicts.iter().copied())?;
+    let summary_verdict = Verdict::summarise(clocks.verdicts.iter().copied())?;
     let total: u64 = clocks.verdicts.iter().map(|(_, count)| count).sum();
     let verdict_shares: Vec<String> = clocks
         .verdicts
@@ -53,7 +53,7 @@ fn judge_direction(clocks: &DelayQuality) -> Option<Finding> {
     let unusable_verdicts = [Verdict::Unsynchronised, Verdict::Stepped, Verdict::Inconsistent];
     let unusable = clocks.verdicts.iter().filter(|(verdict, _)| unusable_verdicts.contains(verdict));
     let unusable: u64 = unusable.map(|(_, count)| count).sum();
-    Some(match prevailing {
+    Some(match summary_verdict {
         Verdict::Ok => finding(&about, Grade::Good, text),
         Verdict::Limited => with_advice(
             finding(&about, Grade::Doubtful, text),
