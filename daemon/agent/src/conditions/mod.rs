@@ -34,8 +34,9 @@ pub struct InspectionSettings {
     pub proc: PathBuf,
     /// Root of the file system, in which container managers create marker files.
     pub root: PathBuf,
-    /// Folders that are written to during a run, with their purposes: `results`, `spool`.
-    pub folders: Vec<(String, PathBuf)>,
+    /// Files and folders that are written to during a run, with their purposes: `results`, `spool`. A path may not
+    /// exist yet.
+    pub written_paths: Vec<(String, PathBuf)>,
     /// Possible paths of the command `iw`, which reports the power save of a wireless interface.
     pub iw: Vec<PathBuf>,
     /// `true` if the run uses a network; otherwise wireless interfaces are not inspected.
@@ -50,7 +51,7 @@ impl Default for InspectionSettings {
             sys: Self::SYSFS.into(),
             proc: "/proc".into(),
             root: "/".into(),
-            folders: Vec::new(),
+            written_paths: Vec::new(),
             iw: ["iw", "/usr/sbin/iw", "/sbin/iw"].map(PathBuf::from).to_vec(),
             network: true,
             counting_rounds: 5,
@@ -62,11 +63,11 @@ impl InspectionSettings {
     /// Path at which Linux mounts sysfs.
     pub(crate) const SYSFS: &str = "/sys";
 
-    /// Returns the settings for this host, with the folders to which an agent with this configuration writes.
+    /// Returns the settings for this host, with the paths to which an agent with this configuration writes.
     pub(crate) fn from_config(config: &AgentConfig) -> Self {
         let spool = config.agent.aggregator.as_ref().map(|_| config.spool.path(&config.agent.state_dir));
-        let folders = spool.into_iter().map(|file| ("spool".to_owned(), file)).collect();
-        Self { folders, ..Self::default() }
+        let written_paths = spool.into_iter().map(|file| ("spool".to_owned(), file)).collect();
+        Self { written_paths, ..Self::default() }
     }
 }
 

@@ -32,7 +32,7 @@ impl HostFiles {
             sys: path("sys"),
             proc: path("proc"),
             root: path("root"),
-            folders: Vec::new(),
+            written_paths: Vec::new(),
             iw: vec![path("iw")],
             network: true,
             counting_rounds: 1,
@@ -262,7 +262,7 @@ fn used_swap_is_graded_relative_to_memory() {
 fn missing_folder_is_inspected_on_its_future_disk() {
     let host_files = HostFiles::new();
     let mut settings = host_files.settings();
-    settings.folders = vec![("results".to_owned(), host_files.0.path().join("not/yet/there"))];
+    settings.written_paths = vec![("results".to_owned(), host_files.0.path().join("not/yet/there"))];
     let findings = inspect_host(&settings, "robot");
     let disk =
         findings.iter().find(|condition| condition.about == "free disk").expect("the folder is inspected");

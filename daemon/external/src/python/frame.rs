@@ -126,7 +126,7 @@ pub enum FrameError {
     #[error(transparent)]
     Header(#[from] serde_json::Error),
     /// The parts are longer than allowed.
-    #[error("its value has more than {MAX_VALUE_BYTES} bytes")]
+    #[error("its parts have more than {MAX_VALUE_BYTES} bytes together")]
     ValueLength,
     /// The worker sent a message that does not answer the request.
     #[error("it sent a message that does not answer the request")]

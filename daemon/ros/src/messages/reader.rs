@@ -129,7 +129,7 @@ impl Reader {
         Ok(array)
     }
 
-    /// Reads a number of `N` bytes and returns them in little-endian order.
+    /// Reads a numeric value that is `N` bytes long. Returns its bytes in little-endian order.
     ///
     /// # Errors
     /// If too few bytes remain.

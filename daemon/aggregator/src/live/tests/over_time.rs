@@ -66,7 +66,7 @@ fn buckets_of_slow_pipeline_hold_sixty_iterations() {
 }
 
 #[test]
-fn incomplete_bucket_has_percentile_from_sixty_iterations() {
+fn incomplete_bucket_with_sixty_iterations_has_percentile() {
     let mut testbed = Testbed::new();
     for at in 0..25 {
         testbed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);

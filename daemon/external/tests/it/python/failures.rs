@@ -93,7 +93,7 @@ class Own:
 }
 
 #[test]
-fn partly_imported_module_is_ignored() {
+fn incomplete_numpy_or_torch_in_sys_modules_is_ignored() {
     let source = "
 import sys, types
 class Own:

@@ -57,7 +57,7 @@ fn input_without_output_is_given_up_at_its_deadline() {
 }
 
 #[test]
-fn order_pairs_oldest_input_received_before_output() {
+fn pairing_by_order_takes_oldest_input_before_output() {
     let mut pairing = pairing();
     assert_eq!(pairing.add_output(None, at(0), 10), Some(Resolution::Unmatched(10)));
     pairing.add_input(None, at(1), 1);
