@@ -126,7 +126,7 @@ impl Server {
 /// Returns the data received until the server closed the connection.
 async fn read_to_end(mut stream: TcpStream) -> String {
     let mut text = String::new();
-    stream.read_to_string(&mut text).await.expect("closed in order");
+    stream.read_to_string(&mut text).await.expect("closed cleanly");
     text
 }
 

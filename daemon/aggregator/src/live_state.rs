@@ -121,7 +121,7 @@ pub struct HostSnapshot {
     /// `true` if the host sent a message in the last three seconds. After a restart of the agent it is `false` until
     /// the first update, because the other values belong to the previous process.
     pub connected: bool,
-    /// `true` if the host said goodbye with nothing left in its spool: it stopped in order.
+    /// `true` if the host said goodbye with nothing left in its spool: it stopped cleanly.
     #[serde(rename = "left")]
     pub has_left: bool,
     /// Time of the host's last message, on the aggregator's wall clock.

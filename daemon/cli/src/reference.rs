@@ -1,4 +1,4 @@
-//! Check that the tables in `docs/cli.md` are those generated from the command line's help.
+//! A check that the tables in `docs/cli.md` are those generated from the command line's help.
 
 use std::fmt::Write;
 use std::path::Path;

@@ -53,7 +53,7 @@ pub struct SessionSettings {
     pub max_in_flight: u32,
     /// Maximum number of bytes of the requests in flight of all sessions of a listener. Requests count from their
     /// arrival until they are answered. Further requests are answered as overloaded. While no other request is in
-    /// flight, a request of any size is accepted.
+    /// flight, a larger request is accepted, too; `max_message_bytes` limits its size.
     pub max_in_flight_bytes: u64,
     /// Maximum number of bytes of unfinished messages of all sessions of a listener. A message is unfinished until it
     /// has arrived completely. A connection whose message would exceed this limit is closed. While no other message is

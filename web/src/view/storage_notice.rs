@@ -1,4 +1,4 @@
-//! Notice that every page shows while events are not stored.
+//! The notice that every page shows while events are not stored.
 
 use peernet_aggregator::Readiness;
 

@@ -85,7 +85,7 @@ async fn streams_leave_connections_to_other_requests() {
     let mut other = send_request(server, "127.0.0.2", LIVE).await;
     assert!(read_until(&mut other, "event: status").await.starts_with("HTTP/1.1 200"));
     let mut rest = Vec::new();
-    open.remove(0).read_to_end(&mut rest).await.expect("closed in order");
+    open.remove(0).read_to_end(&mut rest).await.expect("closed cleanly");
     for (from, path) in [("127.0.0.1", "/"), ("127.0.0.2", "/readyz"), ("127.0.0.3", "/metrics")] {
         let head = format!("GET {path} HTTP/1.1\r\nHost: localhost");
         assert!(

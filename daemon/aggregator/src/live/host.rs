@@ -1,6 +1,6 @@
 //! The current state of one host.
 //!
-//! A host is connected, has said goodbye, or is away. An agent that stops in order sends a last live update and a
+//! A host is connected, has said goodbye, or is away. An agent that stops cleanly sends a last live update and a
 //! goodbye, so its pipelines have ended. A host that became silent without a goodbye is away: it is unknown whether its
 //! pipelines still run.
 
@@ -76,7 +76,7 @@ impl Host {
     pub(super) fn goodbye(&mut self) {
         let last_update = self.presence.sent_by_current_process();
         for pipeline in self.pipelines.values_mut() {
-            // Only the pipelines of the last update ended in order. The other pipelines had disappeared before.
+            // Only the pipelines of the last update ended cleanly. The other pipelines had disappeared before.
             if Some(pipeline.sent()) == last_update {
                 pipeline.mark_finished();
             } else {

@@ -134,7 +134,7 @@ impl Pipeline {
         self.sent
     }
 
-    /// Marks the pipeline as finished, because its agent stopped in order.
+    /// Marks the pipeline as finished, because its agent stopped cleanly.
     pub(super) fn mark_finished(&mut self) {
         if !matches!(self.state, PipelineState::Finished | PipelineState::Failed(_)) {
             self.state = PipelineState::Finished;

@@ -1,4 +1,4 @@
-//! Check that the paths of the database and of its log still name the open files.
+//! A check that the paths of the database and of its log still name the open files.
 //!
 //! The writer makes this check before and after each commit, and once a second, because data that is written to a moved
 //! or deleted file would be lost.

@@ -15,8 +15,8 @@ fn departure_state(testbed: &mut Testbed, at: f64) -> (bool, bool, PipelineState
     (snapshot.hosts[0].connected, snapshot.hosts[0].has_left, snapshot.pipelines[0].state.clone())
 }
 
-/// [`departure_state`] of a host that stopped in order.
-const LEFT_IN_ORDER: (bool, bool, PipelineState) = (false, true, PipelineState::Finished);
+/// [`departure_state`] of a host that stopped cleanly.
+const LEFT_CLEANLY: (bool, bool, PipelineState) = (false, true, PipelineState::Finished);
 /// [`departure_state`] of a host that became silent.
 const AWAY: (bool, bool, PipelineState) = (false, false, PipelineState::Away);
 
@@ -34,9 +34,9 @@ fn host_leaves_in_order_before_or_after_last_commit() {
         for event in order {
             assert!(testbed.live.apply(event, now(1.2)));
         }
-        assert_eq!(departure_state(&mut testbed, 1.2), LEFT_IN_ORDER);
+        assert_eq!(departure_state(&mut testbed, 1.2), LEFT_CLEANLY);
         testbed.live.expire(now(60.0));
-        assert_eq!(departure_state(&mut testbed, 60.0), LEFT_IN_ORDER, "the state does not change with time");
+        assert_eq!(departure_state(&mut testbed, 60.0), LEFT_CLEANLY, "the state does not change with time");
         let host = &testbed.snapshot(60.0).hosts[0];
         assert_eq!((host.accounting.waiting, host.behind), (0, None));
     }
@@ -52,10 +52,10 @@ fn goodbye_finishes_pipelines_also_after_silence() {
             assert_eq!(departure_state(&mut testbed, 9.0), AWAY);
         }
         testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(10.0));
-        assert_eq!(departure_state(&mut testbed, 10.0), LEFT_IN_ORDER);
+        assert_eq!(departure_state(&mut testbed, 10.0), LEFT_CLEANLY);
         if !silent {
             testbed.live.expire(now(19.0));
-            assert_eq!(departure_state(&mut testbed, 19.0), LEFT_IN_ORDER);
+            assert_eq!(departure_state(&mut testbed, 19.0), LEFT_CLEANLY);
         }
     }
 }
@@ -70,7 +70,7 @@ fn goodbye_keeps_failed_state() {
 }
 
 #[test]
-fn host_with_waiting_events_does_not_leave_in_order() {
+fn host_with_waiting_events_does_not_leave_cleanly() {
     let mut testbed = Testbed::new();
     testbed.live.apply(update_in_state(&testbed, 1.0, PipelineState::Finished, 41), now(1.0));
     testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(1.1));
@@ -86,7 +86,7 @@ fn new_process_keeps_previous_state_of_host() {
     testbed.live.apply(update_in_state(&testbed, 1.0, PipelineState::Finished, 0), now(1.0));
     testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(1.1));
     hello(&mut testbed, 2, 2.0);
-    assert_eq!(departure_state(&mut testbed, 2.0), LEFT_IN_ORDER);
+    assert_eq!(departure_state(&mut testbed, 2.0), LEFT_CLEANLY);
     testbed.live.apply(update_in_state(&testbed, 2.1, PipelineState::Running, 0), now(2.1));
     assert_eq!(departure_state(&mut testbed, 2.1), (true, false, PipelineState::Running));
     // The second process crashes; the third runs no pipeline and says goodbye.

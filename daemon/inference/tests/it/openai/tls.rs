@@ -236,7 +236,7 @@ fn server_with_stalled_handshake(file: &Path) -> (String, Receiver<()>) {
         let mut request_stream = accept();
         assert_ne!(request_stream.read(&mut [0]).expect("sends its hello"), 0);
         sender.send(()).expect("the test is running");
-        request_stream.read_to_end(&mut Vec::new()).expect("is closed in order");
+        request_stream.read_to_end(&mut Vec::new()).expect("is closed cleanly");
         sender.send(()).expect("the test is running");
     });
     (url, events)
