@@ -9,7 +9,7 @@ fn update_in_state(testbed: &Testbed, at: f64, state: PipelineState, waiting: u6
     with_accounting(update(testbed.host, wall(at), vec![live]), accounting)
 }
 
-/// Returns whether the host is connected, whether it left in order, and the state of its only pipeline.
+/// Returns whether the host is connected, whether it left cleanly, and the state of its only pipeline.
 fn departure_state(testbed: &mut Testbed, at: f64) -> (bool, bool, PipelineState) {
     let snapshot = testbed.snapshot(at);
     (snapshot.hosts[0].connected, snapshot.hosts[0].has_left, snapshot.pipelines[0].state.clone())
