@@ -89,8 +89,8 @@ pub(crate) async fn run(
                 // TCP connections do not report these events.
                 Some(
                     ListenerEvent::InvalidData(..)
-                    | ListenerEvent::Incomplete(..)
-                    | ListenerEvent::Lost(..)
+                    | ListenerEvent::IncomingLost(..)
+                    | ListenerEvent::OutgoingLost(..)
                     | ListenerEvent::Moved(..)
                     | ListenerEvent::Remark(..)
                     | ListenerEvent::Refused(..),
