@@ -16,8 +16,8 @@ pub use curves::Curve;
 pub use tables::{COUNTED_TIME, FAIRNESS_MEANING};
 
 use peernet_statistics::Summary;
-use peernet_stream::ExperimentPosition;
 
+use crate::compare::{Configurations, group_by_labels};
 use crate::loaded::Loaded;
 use crate::order::{SortedValues, mean};
 use crate::trust::ReplayedLatencies;
@@ -34,7 +34,7 @@ pub fn jain_index(shares: &[f64]) -> Option<f64> {
 /// Results of configurations in which one or several edges use the cloud at the same time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Users {
-    /// Names of the columns that distinguish the lines.
+    /// Names of the columns that distinguish the lines, as in the comparison of the same runs.
     pub axes: Vec<String>,
     /// One line for each configuration, in the order of the input.
     pub lines: Vec<UsersLine>,
@@ -139,61 +139,38 @@ impl Users {
     /// Returns the statistics of runs, one run for each edge. The records of the runs tell which edges measured at the
     /// same time. `None` if no two edges did.
     pub fn from_runs(runs: &[Loaded]) -> Option<Self> {
-        fn position_of(run: &Loaded) -> Option<&ExperimentPosition> {
-            run.record.experiment.as_ref()
-        }
-        let concurrent_groups = concurrent_groups(runs, position_of, |run| &run.record.edge.name);
+        let indices: Vec<usize> = (0..runs.len()).collect();
+        let position_of = |run: &usize| runs[*run].record.experiment.as_ref();
+        let concurrent_groups = concurrent_groups(&indices, position_of, |run| &runs[*run].record.edge.name);
         let concurrent_groups = complete_groups(concurrent_groups, position_of);
         concurrent_groups.iter().any(|edges| edges.len() > 1).then_some(())?;
-        let configuration = |edges: &[&Loaded]| -> Vec<(String, String)> {
-            let experiment = edges.first().and_then(|edge| edge.record.experiment.as_ref());
-            experiment.map(|position| position.configuration.clone()).unwrap_or_default()
-        };
-        let mut axes: Vec<String> = Vec::new();
-        for (axis, _) in concurrent_groups.iter().flat_map(|edges| configuration(edges)) {
-            if !axes.contains(&axis) {
-                axes.push(axis);
-            }
-        }
-        let label = |edges: &[&Loaded], axis: &String| {
-            let axis_and_label = configuration(edges).into_iter().find(|(name, _)| name == axis);
-            axis_and_label.map_or_else(|| tables::EMPTY_CELL.to_owned(), |(_, label)| label)
-        };
-        // Labels and repeats of each configuration. A repeat is a group of concurrent edges. Groups with the same
-        // labels and the same number of edges are repeats of one configuration.
-        let mut configurations: Vec<(Vec<String>, Vec<&[&Loaded]>)> = Vec::new();
-        for edges in &concurrent_groups {
-            let labels: Vec<String> = axes.iter().map(|axis| label(edges, axis)).collect();
-            let has_same_labels_and_edges = |(other, repeats): &&mut (Vec<String>, Vec<&[&Loaded]>)| {
-                *other == labels && repeats[0].len() == edges.len()
-            };
-            match configurations.iter_mut().find(has_same_labels_and_edges) {
-                Some((_, repeats)) => repeats.push(edges),
-                None => configurations.push((labels, vec![edges])),
-            }
-        }
-        let line = |(labels, groups): (Vec<String>, Vec<&[&Loaded]>)| {
+        // The columns are those of the comparison of the same runs. Groups with equal labels are repeats of one
+        // configuration, and concurrent edges have equal labels.
+        let Configurations { axes, labels } = Configurations::from_runs(runs);
+        let labels: Vec<Vec<String>> =
+            concurrent_groups.iter().map(|edges| labels[*edges[0]].clone()).collect();
+        let line = |groups: Vec<usize>| {
+            let line_labels = labels[groups[0]].clone();
+            let edges_of = |group: &usize| concurrent_groups[*group].iter().map(|run| &runs[**run]).collect();
+            let groups: Vec<Vec<&Loaded>> = groups.iter().map(edges_of).collect();
             let repeats: Vec<Repeat<SortedValues>> =
                 groups.iter().map(|edges| concurrent_edges::repeat_from_edges(edges)).collect();
-            let totals: SortedValues = match groups.as_slice() {
-                // If each repeat has a single edge, all totals of this edge are used, so that the numbers are those of
-                // the comparison of all configurations.
-                groups if groups[0].len() == 1 => {
-                    groups.iter().flat_map(|edges| edges[0].rows.values_in_statistics("total")).collect()
-                }
-                _ => {
-                    let edges = repeats.iter().flat_map(|repeat| &repeat.edges);
-                    edges.flat_map(|edge| edge.totals.values()).copied().collect()
-                }
+            // If each repeat has a single edge, all totals of this edge are used, so that the numbers are those of the
+            // comparison of all configurations.
+            let totals: SortedValues = if groups[0].len() == 1 {
+                groups.iter().flat_map(|edges| edges[0].rows.values_in_statistics("total")).collect()
+            } else {
+                let edges = repeats.iter().flat_map(|repeat| &repeat.edges);
+                edges.flat_map(|edge| edge.totals.values()).copied().collect()
             };
             let runs = groups.iter().flat_map(|edges| edges.iter());
             let replayed =
                 runs.filter_map(|edge| ReplayedLatencies::from_run(&edge.record.facts, &edge.rows));
             let replayed = ReplayedLatencies::describe_all(replayed);
-            let line = UsersLine::new(labels, groups[0].len(), &repeats, Totals::from_values(&totals));
+            let line = UsersLine::new(line_labels, groups[0].len(), &repeats, Totals::from_values(&totals));
             UsersLine { replayed, ..line }
         };
-        Some(Self { axes, lines: configurations.into_iter().map(line).collect() })
+        Some(Self { axes, lines: group_by_labels(&labels).into_iter().map(line).collect() })
     }
 }
 

@@ -1,7 +1,8 @@
 //! Tables of the statistics of edges that use one cloud at the same time.
 
-pub(super) use peernet_statistics::number::NONE as EMPTY_CELL;
-use peernet_statistics::number::{count, fixed_or_less_than, join_ends, milliseconds, rate};
+use peernet_statistics::number::{
+    NONE as EMPTY_CELL, count, fixed_or_less_than, join_ends, milliseconds, rate,
+};
 
 use super::{Users, UsersLine};
 use crate::compare::{readable_names, replayed_configurations};

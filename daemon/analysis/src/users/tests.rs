@@ -3,6 +3,7 @@
 use peernet_stream::ExperimentPosition;
 
 use super::*;
+use crate::compare::Comparison;
 use crate::record::{HostRecord, RunRecord};
 use crate::rows::{Outcome, Row};
 
@@ -145,4 +146,24 @@ fn repeats_without_all_edges_are_excluded() {
     let users = Users::from_runs(&[at(0, "a"), at(0, "b"), at(1, "a"), at(2, "a"), at(2, "b")]);
     let [line] = &users.expect("several edges").lines[..] else { panic!("one configuration") };
     assert_eq!((line.edges, line.edge_performances.len(), line.rate), (2, 4, Some(4.0)));
+}
+
+#[test]
+fn executions_have_separate_lines_as_in_comparison() {
+    let execution = |id: &str, period: f64, total: f64| {
+        ["a", "b"].map(|name| {
+            let mut edge = edge(&[("N", "2")], (name, 0.0), period, 21, total);
+            edge.record.experiment.as_mut().expect("an experiment").id = id.to_owned();
+            edge
+        })
+    };
+    let runs = [execution("1", 0.5, 0.25), execution("2", 0.25, 0.125)].concat();
+    let (users, comparison) = (Users::from_runs(&runs).expect("several edges"), Comparison::new(&runs));
+    assert_eq!((&users.axes, users.lines.len()), (&comparison.axes, comparison.lines.len()));
+    for (line, compared) in users.lines.iter().zip(&comparison.lines) {
+        assert_eq!((&line.labels, line.edges), (&compared.labels, compared.edges));
+        assert_eq!(line.totals.mean, compared.latency("total").map(|total| total.mean));
+    }
+    let rates = users.lines.iter().map(|line| line.rate).collect::<Vec<_>>();
+    assert_eq!(rates, [Some(4.0), Some(8.0)], "runs that are not declared as repeats are never pooled");
 }
