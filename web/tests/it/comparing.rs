@@ -281,7 +281,7 @@ async fn rates_of_users_are_equal_on_page_and_in_files() {
     let of_files = Users::from_runs(&runs).expect("several edges");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     assert!(
-        page.text().contains("Iterations are counted only while all edges of a repeat were measuring."),
+        page.text().contains("Answers are counted only while all edges of a repeat were measuring."),
         "{}",
         page.text()
     );
@@ -290,8 +290,8 @@ async fn rates_of_users_are_equal_on_page_and_in_files() {
         let (least, most) = line.rate_range().expect("a common time");
         let cells = [
             format!("data-h=\"edges\">{}</td>", line.edges),
-            format!("data-h=\"iterations, /s\">{}</td>", rate(line.rate.expect("a common time"))),
-            format!("data-h=\"per edge, /s\">{}</td>", join_ends([least, most].map(rate))),
+            format!("data-h=\"answers, /s\">{}</td>", rate(line.rate.expect("a common time"))),
+            format!("data-h=\"answers per edge, /s\">{}</td>", join_ends([least, most].map(rate))),
             format!(
                 "data-h=\"fairness\">{}</td>",
                 fixed_or_less_than(line.fairness.expect("a common time"), 3)

@@ -8,8 +8,8 @@ use super::{Users, UsersLine};
 use crate::compare::{readable_names, replayed_configurations};
 use crate::table::{Table, csv_text};
 
-/// Sentence on the time whose iterations are counted.
-pub const COUNTED_TIME: &str = "Iterations are counted only while all edges of a repeat were measuring.";
+/// Sentence on the time whose answers are counted.
+pub const COUNTED_TIME: &str = "Answers are counted only while all edges of a repeat were measuring.";
 
 /// Sentence that explains the column of the fairness.
 pub const FAIRNESS_MEANING: &str = "Fairness is Jain's index of the edges' rates: 1 if all edges have the same rate, 1/n if one \
@@ -62,7 +62,7 @@ impl Users {
     fn table(&self) -> Table {
         let mut header = self.axes.clone();
         let label_columns = header.len();
-        header.extend(["edges", "iterations/s", "per edge", "fairness"].map(str::to_owned));
+        header.extend(["edges", "answers/s", "answers/s per edge", "fairness"].map(str::to_owned));
         header.extend(["mean ms", "p50 ms", "p95 ms", "p99 ms"].map(|name| format!("total {name}")));
         let row = |line: &UsersLine| {
             let quantiles = [line.totals.median, line.totals.p95, line.totals.p99];

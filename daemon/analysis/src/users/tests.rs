@@ -6,6 +6,7 @@ use super::*;
 use crate::compare::Comparison;
 use crate::record::{HostRecord, RunRecord};
 use crate::rows::{Outcome, Row};
+use crate::trust::{StartTimes, Starts};
 
 #[test]
 fn jain_index_ranges_from_one_nth_to_one() {
@@ -166,4 +167,27 @@ fn executions_have_separate_lines_as_in_comparison() {
     }
     let rates = users.lines.iter().map(|line| line.rate).collect::<Vec<_>>();
     assert_eq!(rates, [Some(4.0), Some(8.0)], "runs that are not declared as repeats are never pooled");
+}
+
+#[test]
+fn rates_of_answers_exclude_lost_iterations() {
+    // Each edge starts 8 iterations per second and loses every eighth.
+    let lossy = |name: &str| {
+        let mut edge = edge(&[("N", "2")], (name, 1.0), 0.125, 161, 0.05);
+        edge.rows.change(|row| {
+            if row.iteration.is_multiple_of(8) {
+                row.outcome = Outcome::Lost;
+            }
+        });
+        edge
+    };
+    let runs = [lossy("a"), lossy("b")];
+    let users = Users::from_runs(&runs).expect("several edges");
+    let times = StartTimes::from_run(&runs[0].record, &runs[0].rows);
+    let starts = Starts { times, ..Starts::from_rows(&runs[0].rows) };
+    assert_eq!((starts.actual_hz(), users.lines[0].rate_range()), (Some(8.0), Some((7.0, 7.0))));
+    let text = users.text();
+    let header: Vec<&str> = text.lines().next().expect("a header").split("  ").map(str::trim).collect();
+    assert!(header.contains(&"answers/s") && header.contains(&"answers/s per edge"), "{text}");
+    assert!(text.contains("Answers are counted only while") && !text.contains("terations"), "{text}");
 }
