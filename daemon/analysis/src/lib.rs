@@ -24,6 +24,7 @@ mod batches;
 pub mod calibration;
 pub mod clock_points;
 pub mod compare;
+pub mod concurrent_edges;
 pub mod deadline;
 pub mod delays;
 mod error;

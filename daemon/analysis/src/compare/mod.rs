@@ -42,6 +42,7 @@ use peernet_statistics::{Moments, Summary};
 
 use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
 use crate::actuator_results::{ActuatorResults, EPISODE_VALUES, SUPERSEDED};
+use crate::concurrent_edges::concurrent_groups;
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::loaded::{Loaded, unknown_labels};
 use crate::outcomes::Counts;
@@ -231,31 +232,29 @@ impl Line {
 
     /// Computes the statistics of the line from its runs.
     fn fill(&mut self, runs: &[Loaded], total_column: &str) {
-        // For each repeat: its number in the experiment, and how many edges measured the repeat. Each edge has its own
-        // results.
-        let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
-        for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
+        let runs_of_line = || self.runs.iter().map(|run| &runs[*run]);
+        let repeats = concurrent_groups(
+            runs_of_line(),
+            |run| run.record.experiment.as_ref(),
+            |run| &run.record.edge.name,
+        );
+        self.repeats = repeats.len();
+        self.edges = repeats.iter().map(Vec::len).max().unwrap_or(1);
+        let moments = |edges: &Vec<&Loaded>| {
+            let mut moments = Moments::default();
+            let values = edges.iter().flat_map(|edge| accepted_values(&edge.rows, total_column));
+            values.for_each(|value| moments.record(value));
+            moments
+        };
+        self.repeat_moments = repeats.iter().map(moments).collect();
+        for Loaded { rows, .. } in runs_of_line() {
             let counts = Counts::from_rows(rows, 0);
             self.count += counts.ok;
             self.failed += counts.all_failed();
             let starts = Starts::from_rows(rows);
             self.starts.started += starts.started;
             self.starts.skipped += starts.skipped;
-            let repeat = record.experiment.as_ref().map(|position| position.repeat);
-            let known_index = repeats.iter().position(|(known, _)| *known == repeat);
-            let index = known_index.unwrap_or_else(|| {
-                repeats.push((repeat, 0));
-                self.repeat_moments.push(Moments::default());
-                repeats.len() - 1
-            });
-            repeats[index].1 += 1;
-            accepted_values(rows, total_column)
-                .iter()
-                .for_each(|value| self.repeat_moments[index].record(*value));
         }
-        self.repeats = repeats.len();
-        self.edges = repeats.iter().map(|(_, edges)| *edges).max().unwrap_or(1);
-        let runs_of_line = || self.runs.iter().map(|run| &runs[*run]);
         let rows = || runs_of_line().flat_map(|run| &run.rows);
         let replayed =
             runs_of_line().filter_map(|run| ReplayedLatencies::from_run(&run.record.facts, &run.rows));

@@ -7,19 +7,20 @@
 //! stored rows and roll-ups ────┘                             └─ curves   latency against the number of edges
 //! ```
 
-mod concurrent_edges;
 mod curves;
 mod tables;
 
-pub use concurrent_edges::{complete_groups, concurrent_groups};
 pub use curves::Curve;
 pub use tables::{COUNTED_TIME, FAIRNESS_MEANING};
 
 use peernet_statistics::Summary;
 
 use crate::compare::{Configurations, group_by_labels};
+use crate::concurrent_edges::{complete_groups, concurrent_groups};
 use crate::loaded::Loaded;
 use crate::order::{SortedValues, mean};
+use crate::rows::RowRef;
+use crate::total_column::TotalColumn;
 use crate::trust::ReplayedLatencies;
 
 /// Returns Jain's index of fairness, (Σx)² / (n Σx²) (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and
@@ -111,6 +112,28 @@ pub fn common_time<T: PartialOrd + Copy>(edges: impl IntoIterator<Item = Option<
     (common.1 > common.0).then_some(common)
 }
 
+/// Returns what the edges of a repeat measured while all of them were measuring.
+fn repeat_from_edges(edges: &[&Loaded]) -> Repeat<SortedValues> {
+    let rows: Vec<Vec<RowRef<'_>>> =
+        edges.iter().map(|edge| edge.rows.iter().filter(RowRef::is_in_statistics).collect()).collect();
+    let measured_time = |rows: &Vec<RowRef<'_>>| {
+        let starts = || rows.iter().map(RowRef::at);
+        Some((starts().reduce(f64::min)?, starts().reduce(f64::max)?))
+    };
+    let times: Vec<Option<(f64, f64)>> = rows.iter().map(measured_time).collect();
+    let Some((from, to)) = common_time(times) else {
+        return Repeat { common_seconds: None, edges: Vec::new() };
+    };
+    let edge = |rows: &Vec<RowRef<'_>>| {
+        let within = rows.iter().filter(|row| (from..to).contains(&row.at()));
+        EdgeMeasurements {
+            starts: within.clone().count() as u64,
+            totals: within.filter_map(|row| row.value(TotalColumn::Measured.name())).collect(),
+        }
+    };
+    Repeat { common_seconds: Some(to - from), edges: rows.iter().map(edge).collect() }
+}
+
 /// Rate and latency of one edge while all edges were measuring.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgePerformance {
@@ -154,7 +177,7 @@ impl Users {
             let edges_of = |group: &usize| concurrent_groups[*group].iter().map(|run| &runs[**run]).collect();
             let groups: Vec<Vec<&Loaded>> = groups.iter().map(edges_of).collect();
             let repeats: Vec<Repeat<SortedValues>> =
-                groups.iter().map(|edges| concurrent_edges::repeat_from_edges(edges)).collect();
+                groups.iter().map(|edges| repeat_from_edges(edges)).collect();
             // If each repeat has a single edge, all totals of this edge are used, so that the numbers are those of the
             // comparison of all configurations.
             let totals: SortedValues = if groups[0].len() == 1 {

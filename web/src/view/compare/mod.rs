@@ -43,10 +43,10 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use peernet_analysis::accuracy::UnknownLabels;
+use peernet_analysis::concurrent_edges::concurrent_groups;
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::trust::{ReplayedLatencies, Report, Starts};
-use peernet_analysis::users::concurrent_groups;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
 use peernet_statistics::number::column_decimals;

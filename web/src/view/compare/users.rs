@@ -1,9 +1,9 @@
 //! Latency against the number of users (edges that use the cloud at the same time), and the fairness between them.
 
 use futures::{StreamExt, TryStreamExt};
+use peernet_analysis::concurrent_edges::complete_groups;
 use peernet_analysis::users::{
     COUNTED_TIME, Curve, EdgeMeasurements, FAIRNESS_MEANING, Repeat, Totals, Users, UsersLine, common_time,
-    complete_groups,
 };
 use peernet_clock::WallTime;
 use peernet_figures::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};

@@ -1,12 +1,6 @@
-//! Edges that measured at the same time, and what they measured in that time.
+//! Groups of edges that measured at the same time.
 
 use peernet_stream::ExperimentPosition;
-
-use super::{EdgeMeasurements, Repeat, common_time};
-use crate::loaded::Loaded;
-use crate::order::SortedValues;
-use crate::rows::RowRef;
-use crate::total_column::TotalColumn;
 
 /// Groups runs of edges that measured at the same time, which are the edges that measured the same repeat of the same
 /// configuration of an experiment. A run without a position in an experiment is a group of its own. Groups and runs keep
@@ -50,26 +44,4 @@ pub fn complete_groups<'a, R>(
         repeats.map(|(_, edges)| *edges).max().is_none_or(|largest| group.len() == largest)
     };
     groups.into_iter().filter(is_complete).collect()
-}
-
-/// Returns what the edges of a repeat measured while all of them were measuring.
-pub(super) fn repeat_from_edges(edges: &[&Loaded]) -> Repeat<SortedValues> {
-    let rows: Vec<Vec<RowRef<'_>>> =
-        edges.iter().map(|edge| edge.rows.iter().filter(RowRef::is_in_statistics).collect()).collect();
-    let measured_time = |rows: &Vec<RowRef<'_>>| {
-        let starts = || rows.iter().map(RowRef::at);
-        Some((starts().reduce(f64::min)?, starts().reduce(f64::max)?))
-    };
-    let times: Vec<Option<(f64, f64)>> = rows.iter().map(measured_time).collect();
-    let Some((from, to)) = common_time(times) else {
-        return Repeat { common_seconds: None, edges: Vec::new() };
-    };
-    let edge = |rows: &Vec<RowRef<'_>>| {
-        let within = rows.iter().filter(|row| (from..to).contains(&row.at()));
-        EdgeMeasurements {
-            starts: within.clone().count() as u64,
-            totals: within.filter_map(|row| row.value(TotalColumn::Measured.name())).collect(),
-        }
-    };
-    Repeat { common_seconds: Some(to - from), edges: rows.iter().map(edge).collect() }
 }
