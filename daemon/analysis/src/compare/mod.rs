@@ -251,10 +251,8 @@ impl Line {
             let counts = Counts::from_rows(rows, 0);
             self.count += counts.ok;
             self.failed += counts.all_failed();
-            let starts = Starts::from_rows(rows);
-            self.starts.started += starts.started;
-            self.starts.skipped += starts.skipped;
         }
+        self.starts = Starts::sum(runs_of_line().map(|run| Starts::from_rows(&run.rows)));
         let rows = || runs_of_line().flat_map(|run| &run.rows);
         let replayed =
             runs_of_line().filter_map(|run| ReplayedLatencies::from_run(&run.record.facts, &run.rows));

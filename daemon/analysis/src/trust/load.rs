@@ -56,6 +56,16 @@ impl Starts {
         }
     }
 
+    /// Returns the numbers of actual and of skipped starts of several runs together. The rate, the missing starts and
+    /// the times are unknown, because each run has its own.
+    pub fn sum(runs: impl IntoIterator<Item = Self>) -> Self {
+        runs.into_iter().fold(Self::default(), |all, run| Self {
+            started: all.started + run.started,
+            skipped: all.skipped + run.skipped,
+            ..all
+        })
+    }
+
     /// Returns the actual starts per second of all iterations, including those in `missing`. `None` with fewer than two
     /// starts, or if the number or the times of the starts are not known.
     pub fn actual_hz(&self) -> Option<f64> {

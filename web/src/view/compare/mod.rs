@@ -155,12 +155,7 @@ impl Configuration {
 
     /// Returns the counts of executed and skipped starts of all runs.
     pub(crate) fn starts(&self) -> Starts {
-        let of_runs = self.runs.iter().map(Starts::from);
-        of_runs.fold(Starts::default(), |all, run| Starts {
-            started: all.started + run.started,
-            skipped: all.skipped + run.skipped,
-            ..all
-        })
+        Starts::sum(self.runs.iter().map(Starts::from))
     }
 
     /// Returns the number of iterations that missed their deadline; `None` if no run has a deadline.
