@@ -43,5 +43,5 @@ pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) ->
         is_logarithmic,
         min_width_em: NARROWEST_EMS,
     };
-    Picture::of_plot(&distribution.plot(), "histogram", &label)
+    Picture::of_plot(&distribution.plot(), "plot-with-axes", &label)
 }

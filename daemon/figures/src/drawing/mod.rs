@@ -5,7 +5,6 @@
 //! too. If a kind is drawn only on pages, its documentation says so. The values of such a kind are sketches and means,
 //! because a page does not read single iterations.
 
-mod accuracy;
 mod binned;
 mod cumulative;
 mod histogram;
@@ -13,6 +12,7 @@ mod inline;
 mod joint;
 mod lengths;
 mod paired;
+mod quality;
 mod quartiles;
 mod scaling;
 mod sharing;
@@ -23,7 +23,6 @@ mod stages_over_time;
 mod time_series;
 
 pub use crate::plot::Unit;
-pub use accuracy::{Accuracy, MAX_SCORES, Score};
 pub use binned::BinnedAxis;
 pub(crate) use peernet_analysis::rows::is_plausible as is_drawable;
 
@@ -33,6 +32,7 @@ pub use inline::{meter, share_bar, sparkline};
 pub use joint::Joint;
 pub use lengths::Lengths;
 pub use paired::{Group, MAX_GROUPS, MAX_PLACEMENTS, Paired};
+pub use quality::{MAX_QUALITY_POINTS, QualityAgainstLatency, QualityPoint};
 pub use quartiles::Quartiles;
 pub use scaling::{Explanations, Scaling, Series, Value};
 pub use sharing::{MAX_CURVES, Sharing, SharingCurve, SharingPoint};

@@ -7,7 +7,7 @@ use super::columns::{excluded_note, is_drawable, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
-use crate::drawing::{Accuracy, MAX_SCORES, Score, Unit};
+use crate::drawing::{MAX_QUALITY_POINTS, QualityAgainstLatency, QualityPoint, Unit};
 use peernet_analysis::loaded::{Loaded, unknown_labels};
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::quality::Quality;
@@ -40,23 +40,23 @@ const fn stem(quality: Quality) -> &'static str {
 fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
     let total = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));
-    let score = |(label, runs): &(String, Vec<&Loaded>)| {
+    let point = |(label, runs): &(String, Vec<&Loaded>)| {
         let estimate = quality.from_rows(|| runs.iter().flat_map(|run| &run.rows))?;
         let times = rows_in_statistics(runs).filter_map(|row| row.value(total.name()));
         let times: SortedValues = times.filter(|time| is_drawable(*time)).collect();
-        Some(Score { label: label.clone(), estimate, median: times.median()?, p95: times.p95() })
+        Some(QualityPoint { label: label.clone(), estimate, median: times.median()?, p95: times.p95() })
     };
-    let mut scores: Vec<Score> = groups.iter().filter_map(score).collect();
-    let (score_count, omitted_groups) = (scores.len(), groups.len() - scores.len());
-    scores.truncate(MAX_SCORES);
-    let n = number::range_of_counts(scores.iter().map(|score| score.estimate.count))?;
+    let mut points: Vec<QualityPoint> = groups.iter().filter_map(point).collect();
+    let (point_count, omitted_groups) = (points.len(), groups.len() - points.len());
+    points.truncate(MAX_QUALITY_POINTS);
+    let n = number::range_of_counts(points.iter().map(|point| point.estimate.count))?;
     let count_name = if quality.is_of_episodes() { "episodes:" } else { "n =" };
     let mut notes = vec![format!("configurations: {} · {count_name} {n} each", axes.join(", "))];
     let mut left_out = Vec::new();
-    if score_count > MAX_SCORES {
+    if point_count > MAX_QUALITY_POINTS {
         left_out.push(format!(
-            "shown: the first {MAX_SCORES} of {} configurations",
-            number::count(score_count as u64)
+            "shown: the first {MAX_QUALITY_POINTS} of {} configurations",
+            number::count(point_count as u64)
         ));
     }
     // The values of a quality of episodes are counted in episodes, so notes on numbers of iterations do not explain
@@ -73,8 +73,9 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     if !quality.is_of_episodes() {
         notes.extend(unscored_notes(runs, &groups, quality));
     }
-    let figure = Accuracy { quality, unit: Unit::milliseconds(total.title()), scores, notes };
-    Some(Drawing::new(stem(quality), AnyFigure::Accuracy(figure)).with_left_out(left_out))
+    let figure =
+        QualityAgainstLatency { quality, latency_unit: Unit::milliseconds(total.title()), points, notes };
+    Some(Drawing::new(stem(quality), AnyFigure::QualityAgainstLatency(figure)).with_left_out(left_out))
 }
 
 /// Returns notes on the iterations without a score. Iterations of configurations that are not in the figure are not

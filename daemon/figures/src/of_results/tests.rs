@@ -211,13 +211,13 @@ fn accuracy_is_drawn_against_latency() {
     };
     let drawings = accuracy::drawings(&[labelled("s", 20.0), labelled("m", 80.0), placed("l", "local", 9.0)]);
     let drawings = drawings.expect("there are labels");
-    let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
+    let AnyFigure::QualityAgainstLatency(figure) = &drawings[0].figure else { panic!("points") };
     assert_eq!(
-        figure.scores.iter().map(|score| (score.label.as_str(), Some(score.estimate))).collect::<Vec<_>>(),
+        figure.points.iter().map(|point| (point.label.as_str(), Some(point.estimate))).collect::<Vec<_>>(),
         ["s", "m"].map(|label| (label, estimate_of_counts(Quality::Top1, 70, 94)))
     );
     assert!(
-        (figure.scores[1].median - 80.53e-3).abs() < 1e-4 && figure.scores[1].p95.is_some(),
+        (figure.points[1].median - 80.53e-3).abs() < 1e-4 && figure.points[1].p95.is_some(),
         "{figure:?}"
     );
     let expected_notes =
@@ -230,7 +230,7 @@ fn accuracy_is_drawn_against_latency() {
     });
     let drawings =
         accuracy::drawings(&[with_invalid_scores, placed("l", "local", 9.0)]).expect("there are labels");
-    let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
+    let AnyFigure::QualityAgainstLatency(figure) = &drawings[0].figure else { panic!("points") };
     assert_eq!(figure.notes[3], "not scored: 10 iterations without a valid score");
     assert!(
         accuracy::drawings(&[placed("l", "local", 9.0)])

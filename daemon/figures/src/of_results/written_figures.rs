@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::replayed::has_model_latency;
 use crate::drawing::{
-    Accuracy, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked, TimeSeries,
+    Cumulative, Histogram, Lengths, Paired, QualityAgainstLatency, Scaling, Sharing, Stacked, TimeSeries,
 };
 use crate::plot::Figure;
 use crate::render::export;
@@ -40,7 +40,7 @@ pub(super) enum AnyFigure {
     Stacked(Stacked),
     Paired(Paired),
     Scaling(Scaling),
-    Accuracy(Accuracy),
+    QualityAgainstLatency(QualityAgainstLatency),
     Sharing(Sharing),
 }
 
@@ -65,7 +65,7 @@ impl Drawing {
             | AnyFigure::Cumulative(_)
             | AnyFigure::Stacked(_)
             | AnyFigure::Paired(_)
-            | AnyFigure::Accuracy(_)
+            | AnyFigure::QualityAgainstLatency(_)
             | AnyFigure::Sharing(_) => true,
         }
     }
@@ -79,7 +79,7 @@ impl Drawing {
             AnyFigure::Stacked(figure) => figure.figure(),
             AnyFigure::Paired(figure) => figure.figure(),
             AnyFigure::Scaling(figure) => figure.figure(),
-            AnyFigure::Accuracy(figure) => figure.figure(),
+            AnyFigure::QualityAgainstLatency(figure) => figure.figure(),
             AnyFigure::Sharing(figure) => figure.figure(),
         }
     }

@@ -23,7 +23,7 @@
 //! let mut plot = Plot::new(x, y);
 //! let (from, to) = (plot.at(2.0, 0.0), plot.at(3.0, 25.0));
 //! plot.items.push(Item::rect(from, to, Style::total().bin()));
-//! let html = page::plot(&plot, "histogram", "25 uploads took 2 to 3 ms");
+//! let html = page::plot(&plot, "plot-with-axes", "25 uploads took 2 to 3 ms");
 //! assert!(html.contains("class=\"bin f-total\""));
 //! ```
 //!

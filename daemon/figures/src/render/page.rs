@@ -1,6 +1,6 @@
 //! SVG for web pages. The SVG grows with its panel. Classes of the style sheet determine its colours.
 //!
-//! Plots are laid out in a grid of the style sheet (`.histogram`, `.joint`, …) with the classes `above`, `over`,
+//! Plots are laid out in a grid of the style sheet (`.plot-with-axes`, `.joint`, …) with the classes `above`, `over`,
 //! `yaxis`, `plot`, `beside`, `xaxis` and `below`. The server does not know the width of a page, so text that might not
 //! fit has a class for the minimum width of its picture (`.fits.w8`, …). The style sheet hides the text in narrower
 //! pictures, because a clipped number would be a wrong number.

@@ -279,7 +279,7 @@ async fn each_link_has_its_own_plot_of_latency() {
     }
     let html = page_of(four, false).await;
     let latency = panel(&html, "cl-h");
-    assert_eq!(latency.matches("class=\"histogram sizes\"").count(), 2, "{latency}");
+    assert_eq!(latency.matches("class=\"plot-with-axes sizes\"").count(), 2, "{latency}");
     assert!(
         ["cam-1 → ", "cam-2 → "]
             .iter()

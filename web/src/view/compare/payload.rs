@@ -100,7 +100,7 @@ fn plot(scaling: &Scaling) -> PayloadPlot {
     let picture = figure
         .plots
         .iter()
-        .fold(legend, |all, plot| all.followed_by(&Picture::of_plot(plot, "histogram sizes", &label)));
+        .fold(legend, |all, plot| all.followed_by(&Picture::of_plot(plot, "plot-with-axes sizes", &label)));
     PayloadPlot { picture, notes: figure.notes }
 }
 

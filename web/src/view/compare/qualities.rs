@@ -1,7 +1,7 @@
 //! Each quality of the configurations, such as the accuracy of answers or the success of episodes, against latency.
 
 use peernet_analysis::quality::{Quality, QualityEstimate};
-use peernet_figures::drawing::{Accuracy, MAX_SCORES, Score, Unit};
+use peernet_figures::drawing::{MAX_QUALITY_POINTS, QualityAgainstLatency, QualityPoint, Unit};
 use peernet_statistics::number::{SPACE, duration, join_ends};
 
 use super::{Comparison, Configuration};
@@ -10,12 +10,13 @@ use crate::picture::Picture;
 /// Plot of one quality with the table that explains its numbers.
 pub(crate) struct QualityPlot {
     pub title: String,
-    /// Name of the author of the method by which the intervals are computed.
-    pub method: &'static str,
+    /// Author after whom the method of the intervals is named, such as `Wilson`.
+    pub interval_author: &'static str,
     pub plot: Picture,
-    /// Titles of the columns of numbers.
+    /// Titles of the columns of the table.
     pub columns: Vec<String>,
-    /// Name of each configuration with the texts of its columns, in the order of the numbers in the plot.
+    /// Rows of the table: the name of a configuration with the texts of its columns. Each point of the plot has a number;
+    /// row `n` explains the point with the number `n`.
     pub rows: Vec<(String, Vec<String>)>,
     /// Number of all configurations with the quality; `None` if all of them are drawn.
     pub all: Option<usize>,
@@ -52,31 +53,31 @@ pub(crate) fn qualities(comparison: &Comparison) -> Vec<QualityPlot> {
 }
 
 fn plot(comparison: &Comparison, quality: Quality) -> Option<QualityPlot> {
-    let score = |configuration: &Configuration| {
+    let point = |configuration: &Configuration| {
         let estimate = estimate(configuration, quality)?;
         let total = configuration.statistics(comparison.total_column.name())?;
-        Some(Score { label: configuration.name.clone(), estimate, median: total.p50, p95: total.p95 })
+        Some(QualityPoint { label: configuration.name.clone(), estimate, median: total.p50, p95: total.p95 })
     };
-    let mut scores: Vec<Score> = comparison.configurations.iter().filter_map(score).collect();
-    let all = scores.len();
+    let mut points: Vec<QualityPoint> = comparison.configurations.iter().filter_map(point).collect();
+    let all = points.len();
     (all >= 2).then_some(())?;
-    scores.truncate(MAX_SCORES);
-    let point = |score: &Score| {
-        let ((value, _), unit) = (texts(quality, &score.estimate), title(quality).1);
+    points.truncate(MAX_QUALITY_POINTS);
+    let point_text = |point: &QualityPoint| {
+        let ((value, _), unit) = (texts(quality, &point.estimate), title(quality).1);
         let unit = if unit.is_empty() { String::new() } else { format!("{SPACE}{unit}") };
-        format!("{} {value}{unit} at {}", score.label, duration(score.median))
+        format!("{} {value}{unit} at {}", point.label, duration(point.median))
     };
-    let points: Vec<String> = scores.iter().map(point).collect();
-    let unit = Unit::milliseconds(comparison.total_column.title());
-    let accuracy = Accuracy { quality, unit, scores, notes: Vec::new() };
-    let figure = accuracy.figure();
-    let label = format!("{}: {}", figure.title, points.join(", "));
+    let point_texts: Vec<String> = points.iter().map(point_text).collect();
+    let latency_unit = Unit::milliseconds(comparison.total_column.title());
+    let plot = QualityAgainstLatency { quality, latency_unit, points, notes: Vec::new() };
+    let figure = plot.figure();
+    let label = format!("{}: {}", figure.title, point_texts.join(", "));
     Some(QualityPlot {
-        method: accuracy.interval_method(),
-        plot: Picture::of_plot(figure.plots.first()?, "histogram", &label),
+        interval_author: plot.interval_author(),
+        plot: Picture::of_plot(figure.plots.first()?, "plot-with-axes", &label),
         title: figure.title,
         columns: figure.table.titles,
         rows: figure.table.lines,
-        all: (all > MAX_SCORES).then_some(all),
+        all: (all > MAX_QUALITY_POINTS).then_some(all),
     })
 }

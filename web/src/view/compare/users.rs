@@ -175,7 +175,7 @@ fn plot(curves: &[Curve<'_>], points: &[Vec<(&UsersLine, &Configuration)>]) -> P
         let figure = sharing.figure();
         let legend = Picture::of_legend(&figure.legend, "key plain points");
         // The first plot has the label of both.
-        let plots = figure.plots.iter().zip([("histogram", label.as_str()), ("histogram low", "")]);
+        let plots = figure.plots.iter().zip([("plot-with-axes", label.as_str()), ("plot-with-axes low", "")]);
         plots.fold(legend, |picture, (plot, (class, label))| {
             picture.followed_by(&Picture::of_plot(plot, class, label))
         })

@@ -88,7 +88,7 @@ macro_rules! draw {
     };
 }
 
-draw!(Accuracy, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked, TimeSeries);
+draw!(Cumulative, Histogram, Lengths, Paired, QualityAgainstLatency, Scaling, Sharing, Stacked, TimeSeries);
 
 /// Returns values in milliseconds as sorted values in seconds.
 fn millis(values: impl IntoIterator<Item = f64>) -> SortedValues {
@@ -181,7 +181,7 @@ fn markup_and_control_characters_in_title_are_escaped() {
 #[test]
 fn font_has_all_characters_of_figures() {
     for source in [
-        include_str!("../accuracy/mod.rs"),
+        include_str!("../quality/mod.rs"),
         include_str!("../time_series/mod.rs"),
         include_str!("../cumulative.rs"),
         include_str!("../histogram/distribution.rs"),

@@ -15,7 +15,7 @@ fn assert_valid_for_page(html: &str) {
 #[test]
 fn page_distribution_has_bars_and_lines() {
     let figure = bars::histogram(millis((0..1000).map(f64::from).chain([9e5, 1e6]))).figure();
-    let html = page::plot(&figure.plots[0], "histogram", "a description");
+    let html = page::plot(&figure.plots[0], "plot-with-axes", "a description");
     assert_valid_for_page(&html);
     assert!(html.matches("class=\"bin f-upload\"").count() >= 8, "{html}");
     for part in ["class=\"mark median\"", "class=\"mark p95\"", ">median 500 ms<", "2 beyond 999 ms →"] {
@@ -54,7 +54,7 @@ fn lengths_and_scaling_are_drawn_on_page() {
         }],
     };
     let figure = scaling.figure();
-    let html = page::plot(&figure.plots[0], "histogram", "a description");
+    let html = page::plot(&figure.plots[0], "plot-with-axes", "a description");
     assert_valid_for_page(&html);
     assert!(html.contains("<path class=\"g-upload fit\" d=\"M"), "{html}");
     assert_eq!(html.matches("class=\"f-upload\"").count(), 2, "{html}");

@@ -1,4 +1,4 @@
-//! Tests of values against size, and of accuracy against latency.
+//! Tests of values against size, and of a quality against latency.
 
 use super::*;
 use crate::look::Mark;
@@ -85,26 +85,26 @@ fn whisker_is_explained_only_if_bounds_differ() {
     );
 }
 
-/// Returns the score of a configuration with `right` right answers out of `count`. `median` is in seconds.
-fn score(label: &str, right: u64, count: u64, median: f64) -> Score {
+/// Returns the point of a configuration with `right` right answers out of `count`. `median` is in seconds.
+fn point(label: &str, right: u64, count: u64, median: f64) -> QualityPoint {
     let statistics = (count, right as f64 / count as f64, None);
     let estimate = Quality::Top1.from_statistics(|_| Some(statistics)).expect("has answers");
-    Score { label: label.to_owned(), estimate, median, p95: (count >= 60).then_some(median * 1.5) }
+    QualityPoint { label: label.to_owned(), estimate, median, p95: (count >= 60).then_some(median * 1.5) }
 }
 
-fn accuracy(scores: Vec<Score>) -> Accuracy {
-    Accuracy {
+fn quality_figure(points: Vec<QualityPoint>) -> QualityAgainstLatency {
+    QualityAgainstLatency {
         quality: Quality::Top1,
-        unit: Unit::milliseconds("Total"),
-        scores,
+        latency_unit: Unit::milliseconds("Total"),
+        points,
         notes: vec!["n = 100 each".to_owned()],
     }
 }
 
 #[test]
 fn each_configuration_is_numbered_point() {
-    let scores = vec![score("s", 70, 100, 0.02), score("m", 80, 100, 0.04), score("l", 90, 100, 0.041)];
-    let figure = accuracy(scores);
+    let points = vec![point("s", 70, 100, 0.02), point("m", 80, 100, 0.04), point("l", 90, 100, 0.041)];
+    let figure = quality_figure(points);
     let svg = figure.svg();
     let discs = Elements::of(&svg, "circle").with("fill", "#14181f");
     let (x, y) = (discs.numbers("cx"), discs.numbers("cy"));
@@ -130,8 +130,11 @@ fn each_configuration_is_numbered_point() {
 
 #[test]
 fn overlapping_horizontal_whiskers_are_omitted() {
-    let figure =
-        accuracy(vec![score("a", 100, 100, 0.02), score("b", 100, 100, 0.025), score("c", 99, 100, 0.1)]);
+    let figure = quality_figure(vec![
+        point("a", 100, 100, 0.02),
+        point("b", 100, 100, 0.025),
+        point("c", 99, 100, 0.1),
+    ]);
     let svg = figure.svg();
     assert!(!figure.caption_text().contains("across"), "{}", figure.caption_text());
     assert!(
@@ -141,13 +144,13 @@ fn overlapping_horizontal_whiskers_are_omitted() {
     );
     let discs = Elements::of(&svg, "circle").with("fill", "#14181f").numbers("cy");
     assert_eq!(discs[0], discs[1], "points of equal accuracy have equal heights");
-    let separate = accuracy(vec![score("a", 100, 100, 0.02), score("b", 100, 100, 0.04)]);
+    let separate = quality_figure(vec![point("a", 100, 100, 0.02), point("b", 100, 100, 0.04)]);
     assert!(separate.caption_text().contains("across"), "{}", separate.caption_text());
 }
 
 #[test]
 fn numbers_of_coinciding_points_do_not_overlap() {
-    let figure = accuracy((0..9).map(|_| score("x", 100, 100, 0.02)).collect());
+    let figure = quality_figure((0..9).map(|_| point("x", 100, 100, 0.02)).collect());
     let svg = figure.svg();
     let coordinates = |attribute: &str| {
         let texts = svg.split("<text ").skip(1).filter(|text| {
@@ -167,20 +170,20 @@ fn numbers_of_coinciding_points_do_not_overlap() {
 }
 
 #[test]
-fn extreme_scores_give_a_valid_figure() {
+fn extreme_qualities_give_valid_figure() {
     let coinciding_points =
-        (0..24).map(|i| score(&format!("configuration {i} with a long name"), 50, 100, 0.02)).collect();
+        (0..24).map(|i| point(&format!("configuration {i} with a long name"), 50, 100, 0.02)).collect();
     let cases = [
         vec![],
-        vec![score("never", 0, 9, 1e-6)],
-        vec![score("always", 9, 9, 3.0), score("slow", 1, 90, 9e3)],
-        vec![score("no time", 3, 9, f64::NAN)],
+        vec![point("never", 0, 9, 1e-6)],
+        vec![point("always", 9, 9, 3.0), point("slow", 1, 90, 9e3)],
+        vec![point("no time", 3, 9, f64::NAN)],
         coinciding_points,
     ];
-    for scores in cases {
-        let figure = accuracy(scores);
+    for points in cases {
+        let figure = quality_figure(points);
         let svg = figure.svg();
-        assert_eq!(has_text(&svg, "no values"), figure.scores.iter().all(|score| score.median.is_nan()));
+        assert_eq!(has_text(&svg, "no values"), figure.points.iter().all(|point| point.median.is_nan()));
         assert_valid_file(&svg);
     }
 }

@@ -21,7 +21,7 @@ fn accuracy_figure_notes_unknown_labels() {
     };
     let reason = "because the label is not a class of the model (labels: cat, dog; classes: good, dented)";
     let drawings = accuracy::drawings(&[run_with_labels(90)]).expect("some are scored");
-    let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
+    let AnyFigure::QualityAgainstLatency(figure) = &drawings[0].figure else { panic!("points") };
     assert_eq!(figure.notes[2..], [format!("not scored: 10 iterations, {reason}")]);
     let missing = accuracy::drawings(&[run_with_labels(0)]).expect_err("nothing is scored");
     assert!(

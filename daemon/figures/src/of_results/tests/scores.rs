@@ -18,17 +18,17 @@ fn scores_of_pictures_are_drawn_against_latency() {
     let stems_and_labels: Vec<(&str, &str)> = drawings
         .iter()
         .map(|drawing| {
-            let AnyFigure::Accuracy(figure) = &drawing.figure else { panic!("points") };
-            let [score] = &figure.scores[..] else {
+            let AnyFigure::QualityAgainstLatency(figure) = &drawing.figure else { panic!("points") };
+            let [point] = &figure.points[..] else {
                 panic!("not exactly one model has the score: {figure:?}")
             };
-            let QualityEstimate { value: mean, interval: (low, high), .. } = score.estimate;
-            assert!(low < mean && mean < high && (0.4..0.6).contains(&mean), "{score:?}");
-            (drawing.stem.as_ref(), score.label.as_str())
+            let QualityEstimate { value: mean, interval: (low, high), .. } = point.estimate;
+            assert!(low < mean && mean < high && (0.4..0.6).contains(&mean), "{point:?}");
+            (drawing.stem.as_ref(), point.label.as_str())
         })
         .collect();
     assert_eq!(stems_and_labels, [("map-50", "d"), ("mean-iou", "s")]);
-    let AnyFigure::Accuracy(figure) = &drawings[1].figure else { panic!("points") };
+    let AnyFigure::QualityAgainstLatency(figure) = &drawings[1].figure else { panic!("points") };
     let svg = file::svg(&figure.figure());
     assert!(
         svg.contains("Mean IoU of a picture, %") && figure.figure().caption_text().contains("(Student)"),
@@ -56,15 +56,16 @@ fn success_of_episodes_is_drawn_against_latency() {
         panic!("without labels, there are the figures of success and return only")
     };
     assert_eq!((drawing.stem.as_str(), returns.stem.as_str()), ("success", "return"));
-    let AnyFigure::Accuracy(figure) = &drawing.figure else { panic!("points") };
-    let scores: Vec<_> = figure.scores.iter().map(|score| (score.label.as_str(), score.estimate)).collect();
+    let AnyFigure::QualityAgainstLatency(figure) = &drawing.figure else { panic!("points") };
+    let estimates: Vec<_> =
+        figure.points.iter().map(|point| (point.label.as_str(), point.estimate)).collect();
     let estimate = |right| estimate_of_counts(Quality::Success, right, 5).expect("there are episodes");
-    assert_eq!(scores, [("s", estimate(5)), ("m", estimate(2))]);
-    assert!((figure.scores[1].median - 0.6).abs() < 1e-9 && figure.notes[0].ends_with("episodes: 5 each"));
+    assert_eq!(estimates, [("s", estimate(5)), ("m", estimate(2))]);
+    assert!((figure.points[1].median - 0.6).abs() < 1e-9 && figure.notes[0].ends_with("episodes: 5 each"));
     let svg = file::svg(&figure.figure());
     assert!(svg.contains("Successful episodes, %") && svg.contains("success, %"), "{svg}");
-    let AnyFigure::Accuracy(figure) = &returns.figure else { panic!("points") };
-    let QualityEstimate { value, interval: (low, high), count, .. } = figure.scores[0].estimate;
+    let AnyFigure::QualityAgainstLatency(figure) = &returns.figure else { panic!("points") };
+    let QualityEstimate { value, interval: (low, high), count, .. } = figure.points[0].estimate;
     assert!((value, count) == (-60.0, 5) && low < -60.0 && high > -60.0, "{figure:?}");
     let svg = file::svg(&figure.figure());
     assert!(svg.contains("Return of an episode") && svg.contains("\u{2212}60"), "{svg}");

@@ -46,9 +46,9 @@ fn page_has_classes_and_percentages_without_colours() {
     ));
     plot.items.push(Item::Text(Label::new(plot.at(5.0, 10.0), "<5>", TextStyle::MARK).shifted(0.7, 0.36)));
     plot.remark = Some("3 beyond".to_owned());
-    let html = super::plot(&plot, "histogram", "a description");
+    let html = super::plot(&plot, "plot-with-axes", "a description");
     for part in [
-        "<div class=\"histogram\" role=\"img\" aria-label=\"a description\">",
+        "<div class=\"plot-with-axes\" role=\"img\" aria-label=\"a description\">",
         "<span class=\"above\" aria-hidden=\"true\">logarithmic</span>",
         "<rect class=\"bin f-upload\" x=\"20%\" y=\"50%\" width=\"20%\" height=\"50%\"/>",
         "<path class=\"halo\" d=\"M0 500L1000 250\"/>",

@@ -19,7 +19,7 @@ const RIM: f64 = 0.4;
 /// The axis is logarithmic if the ratio of the largest to the smallest latency is more than this.
 const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Maximum number of points that a reader can distinguish.
-pub const MAX_SCORES: usize = 24;
+pub const MAX_QUALITY_POINTS: usize = 24;
 /// Room beyond the intervals at each end of the axis of a quality that is a share, percentage points.
 const AXIS_MARGIN: f64 = 2.0;
 /// Minimum difference between the qualities of two points whose horizontal whiskers cannot overlap, as a share of the
@@ -28,7 +28,7 @@ const MIN_QUALITY_DISTANCE: f64 = 0.03;
 
 /// Quality and latency of one configuration.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Score {
+pub struct QualityPoint {
     /// Name of the configuration, for the table.
     pub label: String,
     /// Estimate of the quality, with its interval.
@@ -39,7 +39,7 @@ pub struct Score {
     pub p95: Option<f64>,
 }
 
-impl Score {
+impl QualityPoint {
     /// Returns the 95th percentile of the latencies; `None` if it cannot be drawn.
     fn drawable_p95(&self) -> Option<f64> {
         self.p95.filter(|p95| p95.is_finite())
@@ -54,8 +54,8 @@ struct Presentation {
     axis_title: &'static str,
     /// Title of the column in the table.
     column_title: &'static str,
-    /// Name of the author of the method by which the intervals are computed.
-    method: &'static str,
+    /// Author after whom the method of the intervals is named, such as `Wilson`.
+    interval_author: &'static str,
     /// Factor from a value to the number shown: 100 for shares, which are shown in per cent.
     factor: f64,
     /// Lowest and highest possible value, after multiplication by `factor`.
@@ -66,11 +66,11 @@ struct Presentation {
 
 impl Presentation {
     fn of(quality: Quality) -> Self {
-        let of_share = |title, axis_title, column_title, method| Self {
+        let of_share = |title, axis_title, column_title, interval_author| Self {
             title,
             axis_title,
             column_title,
-            method,
+            interval_author,
             factor: 100.0,
             range: (0.0, 100.0),
             symbol: "%",
@@ -95,7 +95,7 @@ impl Presentation {
                 title: "Return against latency",
                 axis_title: "Return of an episode",
                 column_title: "return",
-                method: "Student",
+                interval_author: "Student",
                 factor: 1.0,
                 range: (f64::NEG_INFINITY, f64::INFINITY),
                 symbol: "",
@@ -106,13 +106,13 @@ impl Presentation {
 
 /// Figure with a numbered point for each configuration and a table that explains the numbers.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Accuracy {
+pub struct QualityAgainstLatency {
     /// Quality that the vertical axis shows.
     pub quality: Quality,
-    /// Quantity and unit of the horizontal axis: a latency.
-    pub unit: Unit,
-    /// Scores that the points show, at most [`MAX_SCORES`]. A score without a latency is not drawn.
-    pub scores: Vec<Score>,
+    /// Title and unit of the horizontal axis, which shows a latency.
+    pub latency_unit: Unit,
+    /// One point for each configuration, at most [`MAX_QUALITY_POINTS`] points. A point without a latency is not drawn.
+    pub points: Vec<QualityPoint>,
     /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
@@ -126,26 +126,26 @@ struct Spot {
     p95: Option<f64>,
 }
 
-impl Accuracy {
+impl QualityAgainstLatency {
     /// Returns the title of the figure.
     pub fn title(&self) -> &'static str {
         Presentation::of(self.quality).title
     }
 
-    /// Returns the name of the author of the method by which the intervals are computed.
-    pub fn interval_method(&self) -> &'static str {
-        Presentation::of(self.quality).method
+    /// Returns the author after whom the method of the intervals is named, such as `Wilson`.
+    pub fn interval_author(&self) -> &'static str {
+        Presentation::of(self.quality).interval_author
     }
 
-    /// Returns the scores that are drawn, each with the numbers that are shown: the lower end of the quality's
+    /// Returns the points that are drawn, each with the numbers that are shown: the lower end of the quality's
     /// interval, the estimate, the upper end of the interval.
-    fn shown_scores(&self) -> impl Iterator<Item = (&Score, [f64; 3])> {
+    fn shown_points(&self) -> impl Iterator<Item = (&QualityPoint, [f64; 3])> {
         let factor = Presentation::of(self.quality).factor;
         // The axis of latencies may be logarithmic, so a latency of zero has no position.
-        let drawable = self.scores.iter().filter(|score| score.median.is_finite() && score.median > 0.0);
-        drawable.map(move |score| {
-            let QualityEstimate { value, interval: (low, high), .. } = score.estimate;
-            (score, [low, value, high].map(|value| value * factor))
+        let drawable = self.points.iter().filter(|point| point.median.is_finite() && point.median > 0.0);
+        drawable.map(move |point| {
+            let QualityEstimate { value, interval: (low, high), .. } = point.estimate;
+            (point, [low, value, high].map(|value| value * factor))
         })
     }
 
@@ -158,19 +158,20 @@ impl Accuracy {
         }
     }
 
-    /// Returns the lowest and the highest end of all intervals; `None` if no score is drawn.
+    /// Returns the lowest and the highest end of all intervals; `None` if no point is drawn.
     fn interval_range(&self) -> Option<(f64, f64)> {
-        self.shown_scores().map(|(_, [low, _, high])| (low, high)).reduce(union)
+        self.shown_points().map(|(_, [low, _, high])| (low, high)).reduce(union)
     }
 
     /// Returns whether points have horizontal whiskers. If two whiskers would overlap, no point has one.
     fn has_horizontal_whiskers(&self) -> bool {
         let Some((low, high)) = self.interval_range() else { return false };
         let min_distance = (high - low + 2.0 * self.margin((low, high))) * MIN_QUALITY_DISTANCE;
-        let latency_range = |score: &Score| (score.median, score.drawable_p95().unwrap_or(score.median));
+        let latency_range =
+            |point: &QualityPoint| (point.median, point.drawable_p95().unwrap_or(point.median));
         // For each point: the ends of its horizontal whisker, and its quality.
         let whiskers: Vec<((f64, f64), f64)> =
-            self.shown_scores().map(|(score, [_, quality, _])| (latency_range(score), quality)).collect();
+            self.shown_points().map(|(point, [_, quality, _])| (latency_range(point), quality)).collect();
         let overlap = |((from_a, to_a), quality_a): &((f64, f64), f64),
                        ((from_b, to_b), quality_b): &((f64, f64), f64)| {
             (quality_a - quality_b).abs() < min_distance && from_a <= to_b && from_b <= to_a
@@ -178,26 +179,28 @@ impl Accuracy {
         let overlaps_no_later =
             |(index, whisker)| whiskers[index + 1..].iter().all(|other| !overlap(whisker, other));
         whiskers.iter().enumerate().all(overlaps_no_later)
-            && self.shown_scores().any(|(score, _)| score.drawable_p95().is_some())
+            && self.shown_points().any(|(point, _)| point.drawable_p95().is_some())
     }
 
     fn notes(&self) -> Vec<String> {
         let horizontal_note =
             if self.has_horizontal_whiskers() { " · across: to the 95th percentile" } else { "" };
-        let method = self.interval_method();
-        let explanations = format!("point: median · upright: 95 % interval ({method}){horizontal_note}");
+        let author = self.interval_author();
+        let explanations = format!("point: median · upright: 95 % interval ({author}){horizontal_note}");
         std::iter::once(explanations).chain(self.notes.iter().cloned()).collect()
     }
 
-    /// Returns an empty plot whose axes contain all points and whiskers; `None` if no score is drawn.
+    /// Returns an empty plot whose axes contain all points and whiskers; `None` if no point is drawn.
     fn empty_plot(&self) -> Option<Plot> {
         let (low, high) = self.interval_range()?;
-        let right_end = |score: &Score| {
-            score.drawable_p95().filter(|_| self.has_horizontal_whiskers()).unwrap_or(score.median)
+        let right_end = |point: &QualityPoint| {
+            point.drawable_p95().filter(|_| self.has_horizontal_whiskers()).unwrap_or(point.median)
         };
         let (fastest, slowest) = self
-            .shown_scores()
-            .map(|(score, _)| (score.median * self.unit.per_si, right_end(score) * self.unit.per_si))
+            .shown_points()
+            .map(|(point, _)| {
+                (point.median * self.latency_unit.per_si, right_end(point) * self.latency_unit.per_si)
+            })
             .reduce(union)?;
         let presentation = Presentation::of(self.quality);
         // If shares are near 0 or 100, the axis ends a little beyond 0 or 100, so that points there are not cut off.
@@ -216,37 +219,37 @@ impl Accuracy {
             Scale::from_zero((0.0, slowest * 1.04))
         };
         let y_axis = Axis::new(y_scale, presentation.axis_title, presentation.symbol);
-        Some(Plot::new(self.unit.axis(x_scale).with_grid(), y_axis.with_grid()))
+        Some(Plot::new(self.latency_unit.axis(x_scale).with_grid(), y_axis.with_grid()))
     }
 
     fn spots(&self, plot: &Plot) -> Vec<Spot> {
-        let x_position = |value: f64| plot.x.scale.at(value * self.unit.per_si);
+        let x_position = |value: f64| plot.x.scale.at(value * self.latency_unit.per_si);
         let has_horizontal_whiskers = self.has_horizontal_whiskers();
-        let spot = |(score, [low, quality, high]): (&Score, [f64; 3])| Spot {
-            at: plot.at(score.median * self.unit.per_si, quality),
+        let spot = |(point, [low, quality, high]): (&QualityPoint, [f64; 3])| Spot {
+            at: plot.at(point.median * self.latency_unit.per_si, quality),
             interval: (plot.y_share(low), plot.y_share(high)),
-            p95: score.drawable_p95().filter(|_| has_horizontal_whiskers).map(x_position),
+            p95: point.drawable_p95().filter(|_| has_horizontal_whiskers).map(x_position),
         };
-        self.shown_scores().map(spot).collect()
+        self.shown_points().map(spot).collect()
     }
 
     /// Returns the table that explains the numbers of the points.
     fn table(&self) -> Table {
-        let has_p95 = self.shown_scores().any(|(score, _)| score.drawable_p95().is_some());
-        let latency_text = |value: f64| significant(value * self.unit.per_si);
+        let has_p95 = self.shown_points().any(|(point, _)| point.drawable_p95().is_some());
+        let latency_text = |value: f64| significant(value * self.latency_unit.per_si);
         let cells = |[quality, median, p95]: [String; 3]| {
             [quality, median].into_iter().chain(has_p95.then_some(p95)).collect::<Vec<_>>()
         };
-        let symbol = &self.unit.symbol;
+        let symbol = &self.latency_unit.symbol;
         let titles = cells([
             Presentation::of(self.quality).column_title.to_owned(),
             format!("median, {symbol}"),
             format!("p95, {symbol}"),
         ]);
-        let lines = self.shown_scores().map(|(score, _)| {
-            let p95 = score.drawable_p95().map_or_else(|| "—".to_owned(), latency_text);
-            let value = score.estimate.format(self.quality, score.estimate.value);
-            (score.label.clone(), cells([value, latency_text(score.median), p95]))
+        let lines = self.shown_points().map(|(point, _)| {
+            let p95 = point.drawable_p95().map_or_else(|| "—".to_owned(), latency_text);
+            let value = point.estimate.format(self.quality, point.estimate.value);
+            (point.label.clone(), cells([value, latency_text(point.median), p95]))
         });
         Table { titles, lines: lines.collect() }
     }
