@@ -16,8 +16,8 @@ pub enum Mark {
 }
 
 impl Mark {
-    /// Marks of series, in the order of their use.
-    pub const ALL: [Self; 4] = [Self::Disc, Self::Triangle, Self::Square, Self::Diamond];
+    /// Marks of series, in the order of their use: all marks except the cross.
+    pub const OF_SERIES: [Self; 4] = [Self::Disc, Self::Triangle, Self::Square, Self::Diamond];
 
     /// Returns the dash and the gap of the mark's line, points; `None` for a solid line.
     pub const fn dash(self) -> Option<(f64, f64)> {

@@ -223,7 +223,7 @@ pub fn series(index: usize) -> Series {
     const FILLS: [Rgb; 4] = [Rgb::hex(0xb4_b8be), Rgb::hex(0xe6_e9ed), Rgb::hex(0x8d_96a3), WHITE];
     let index = index % GREYS.len();
     let [line_class, fill_class] = CLASSES[index];
-    Series { colour: GREYS[index], fill: FILLS[index], mark: Mark::ALL[index], line_class, fill_class }
+    Series { colour: GREYS[index], fill: FILLS[index], mark: Mark::OF_SERIES[index], line_class, fill_class }
 }
 
 impl Series {

@@ -75,7 +75,7 @@ fn curve(name: &str, values: SortedValues, mark_index: usize) -> CumulativeCurve
             (Mark::Cross, Style::line("strong", INK.light, LINE_WIDTH)),
         )
     } else {
-        (look.line(LINE_WIDTH), (Mark::ALL[mark_index % Mark::ALL.len()], look.mark()))
+        (look.line(LINE_WIDTH), (Mark::OF_SERIES[mark_index % Mark::OF_SERIES.len()], look.mark()))
     };
     CumulativeCurve { name: name.to_owned(), line, mark, values }
 }

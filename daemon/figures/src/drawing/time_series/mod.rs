@@ -1,6 +1,6 @@
 //! Figure of a run over time: latency, with episodes, warm-up and failed iterations.
 
-mod columns;
+mod bins;
 
 use peernet_statistics::number::fixed;
 
@@ -8,12 +8,12 @@ use super::histogram::shown_range_of;
 use crate::look::{INK, Mark, Style, stage};
 use crate::plot::{At, Axis, Figure, Item, Key, Path, Plot, Strip, Swatch, Unit};
 use crate::scale::Scale;
-use columns::{Column, columns};
+use bins::{Bin, bins};
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::warm_up::MAX_EPISODE_BORDERS;
 
-/// Maximum number of columns of a line.
-const MAX_COLUMNS: usize = 290;
+/// Number of equal bins into which the horizontal axis is divided. A line has at most one median for each bin.
+const BIN_COUNT: usize = 290;
 /// Height of the strip that shows failed iterations, points.
 const STRIP_HEIGHT: f64 = 6.0;
 /// Half the width of the cross of a failed iteration, points.
@@ -22,11 +22,11 @@ const CROSS_HALF_WIDTH: f64 = 1.7;
 const RADIUS: f64 = 1.7;
 /// Maximum number of marks on a line.
 const MAX_MARKS: usize = 7;
-/// Number of different positions of a mark among the columns that share the mark. Each line has a different position,
-/// so that the marks of different lines do not overlap.
+/// Number of different positions of a mark among the bins that share the mark. Each line has a different position, so
+/// that the marks of different lines do not overlap.
 const MARK_POSITIONS: usize = 4;
-/// A line is interrupted between two values only if the distance of the values is more than this number of columns.
-const MIN_GAP_COLUMNS: f64 = 12.0;
+/// A line is interrupted between two values only if the distance of the values is more than this number of bins.
+const MIN_GAP_BINS: f64 = 12.0;
 /// Minimum width of a period of warm-up, points.
 const MIN_WARM_UP_WIDTH: f64 = 0.6;
 
@@ -41,9 +41,9 @@ pub struct TimeSeries {
     pub x_is_iteration: bool,
     /// Unit of the vertical axis.
     pub unit: Unit,
-    /// Line of the total, drawn as the median and the range of each column.
+    /// Line of the total, drawn as the median and the range of each bin.
     pub total: Line,
-    /// Lines of stages, drawn as the median of each column.
+    /// Lines of stages, drawn as the median of each bin.
     pub stages: Vec<Line>,
     /// Periods of warm-up, each with its beginning and end.
     pub warm_up: Vec<(f64, f64)>,
@@ -171,34 +171,34 @@ impl TimeSeries {
     /// Returns the medians of a stage as a line with marks. `stage_index` is the index of the stage. For the total,
     /// `stage_index` is `None`. The line of the total has no marks, but a band that shows the range of the values.
     fn line_items(&self, plot: &Plot, line: &Line, stage_index: Option<usize>) -> Vec<Item> {
-        let columns = columns(&line.values, plot.x.scale.ends(), MAX_COLUMNS);
-        let x = |column: &Column| (column.index as f64 + 0.5) / MAX_COLUMNS as f64;
+        let bins = bins(&line.values, plot.x.scale.ends(), BIN_COUNT);
+        let x = |bin: &Bin| (bin.index as f64 + 0.5) / BIN_COUNT as f64;
         let y = |value: f64| plot.y_share(value * self.unit.per_si);
         let steps: SortedValues =
-            columns.windows(2).map(|pair| (pair[1].index - pair[0].index) as f64).collect();
-        // If there are few values, their columns are far apart even without a gap in time. The maximum distance within
+            bins.windows(2).map(|pair| (pair[1].index - pair[0].index) as f64).collect();
+        // If there are few values, their bins are far apart even without a gap in time. The maximum distance within
         // a line therefore grows with the median distance.
-        let max_step = (4.0 * steps.median().unwrap_or_default()).max(MIN_GAP_COLUMNS);
-        let pieces = || columns.chunk_by(|a, b| (b.index - a.index) as f64 <= max_step);
-        let medians = pieces()
-            .flat_map(|piece| piece.iter().map(|column| Some((x(column), y(column.median)))).chain([None]));
+        let max_step = (4.0 * steps.median().unwrap_or_default()).max(MIN_GAP_BINS);
+        let pieces = || bins.chunk_by(|a, b| (b.index - a.index) as f64 <= max_step);
+        let medians =
+            pieces().flat_map(|piece| piece.iter().map(|bin| Some((x(bin), y(bin.median)))).chain([None]));
         let medians = Path::line(medians);
         let Some(stage_index) = stage_index else {
             let band = pieces().flat_map(|piece| {
-                piece.iter().map(|column| Some((x(column), y(column.max), y(column.min)))).chain([None])
+                piece.iter().map(|bin| Some((x(bin), y(bin.max), y(bin.min)))).chain([None])
             });
             let median = Style::line("strong", INK.light, 0.6);
             return vec![Item::path(Path::band(band), Style::band()), Item::path(medians, median)];
         };
         let look = stage(&line.name);
         let mut items = vec![Item::path(medians, look.line(0.9))];
-        // Consecutive columns share a mark. The position of the mark among these columns depends on the stage, so that
+        // Consecutive bins share a mark. The position of the mark among these bins depends on the stage, so that
         // no mark hides another.
-        let columns_per_mark = (MAX_COLUMNS / MAX_MARKS).max(1);
-        for group in columns.chunk_by(|a, b| a.index / columns_per_mark == b.index / columns_per_mark) {
-            if let Some(column) = group.get(group.len() * (stage_index + 1) / (MARK_POSITIONS + 1)) {
+        let bins_per_mark = (BIN_COUNT / MAX_MARKS).max(1);
+        for group in bins.chunk_by(|a, b| a.index / bins_per_mark == b.index / bins_per_mark) {
+            if let Some(bin) = group.get(group.len() * (stage_index + 1) / (MARK_POSITIONS + 1)) {
                 items.push(Item::mark(
-                    At::new(x(column), y(column.median)),
+                    At::new(x(bin), y(bin.median)),
                     mark(stage_index),
                     RADIUS,
                     look.mark(),
@@ -214,20 +214,20 @@ impl TimeSeries {
             return None;
         }
         let mut items = vec![Item::line(At::new(0.0, 0.5), At::new(1.0, 0.5), Style::grid())];
-        // Failed iterations in the same column share a cross.
-        let column = |at: &f64| (plot.x.scale.at(*at) * MAX_COLUMNS as f64) as usize;
-        let mut columns: Vec<usize> = self.failure_times.iter().map(column).collect();
-        columns.sort_unstable();
-        columns.dedup();
-        let cross = |column: usize| {
+        // Failed iterations in the same bin share a cross.
+        let bin = |at: &f64| (plot.x.scale.at(*at) * BIN_COUNT as f64) as usize;
+        let mut bins: Vec<usize> = self.failure_times.iter().map(bin).collect();
+        bins.sort_unstable();
+        bins.dedup();
+        let cross = |bin: usize| {
             Item::mark(
-                At::new(column as f64 / MAX_COLUMNS as f64, 0.5),
+                At::new(bin as f64 / BIN_COUNT as f64, 0.5),
                 Mark::Cross,
                 CROSS_HALF_WIDTH,
                 Style::lost(),
             )
         };
-        items.extend(columns.into_iter().map(cross));
+        items.extend(bins.into_iter().map(cross));
         Some(Strip { items, size: STRIP_HEIGHT })
     }
 
@@ -243,5 +243,5 @@ impl TimeSeries {
 
 /// Returns the mark of the stage with this index.
 fn mark(stage_index: usize) -> Mark {
-    Mark::ALL[stage_index % Mark::ALL.len()]
+    Mark::OF_SERIES[stage_index % Mark::OF_SERIES.len()]
 }
