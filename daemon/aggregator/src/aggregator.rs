@@ -81,7 +81,7 @@ impl Aggregator {
         peernet_permissions::log_changes(&peernet_permissions::restrict_database(&config.database));
         let integrity = Integrity::new(&config.database);
         let (database, state) = OpenDatabase::open(&config.database, config.retention, &integrity).await?;
-        let StoredState { streams, runs, unnamed_runs, hosts, host_secrets } = state;
+        let StoredState { streams, runs, runs_without_start, hosts, host_secrets } = state;
         let (socket, address) = socket::listen(&config).await?;
         tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
 
@@ -111,7 +111,7 @@ impl Aggregator {
         let hosts = Hosts::new(config.max_hosts, host_secrets);
         let receiving =
             Receiving::new(ReceivingConfig { budget_bytes, max_window, ..ReceivingConfig::new(name) });
-        let session = IngestSession::new(receiving, challenges, hosts, queue, streams, unnamed_runs);
+        let session = IngestSession::new(receiving, challenges, hosts, queue, streams, runs_without_start);
         let store = Store::new(Readers::open(
             &config.database,
             config.readers,

@@ -1,8 +1,8 @@
 //! Opening of the database for writing, at the start and after the file was moved, replaced or unmounted.
 //!
-//! Reopening assumes nothing about the contents of the file. Reopening therefore works in the same way for a descriptor
-//! that became read-only, and for a file that was moved, replaced or unmounted. Reopening takes the same steps as the
-//! start, but never accepts an empty or missing file.
+//! Reopening assumes nothing about the contents of the file. Reopening therefore works in the same way for an open file
+//! that can no longer be written, for example because its file system became read-only, and for a file that was moved,
+//! replaced or unmounted. Reopening takes the same steps as the start, but never accepts an empty or missing file.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,7 @@ use super::integrity::{Integrity, IntegrityCheck};
 use super::lock::{DatabaseLock, LockError};
 use super::write::{
     CommitError, FormerFiles, Streams, Writer, read_host_counts, read_host_secrets, read_newest_runs,
-    read_unnamed_runs,
+    read_runs_without_start,
 };
 use crate::database_error::DatabaseError;
 use crate::error::OpenError;
@@ -44,8 +44,8 @@ pub struct StoredState {
     pub streams: Streams,
     /// The newest runs with their numbers.
     pub runs: Vec<(HostId, RunId, i64)>,
-    /// Open runs that have stored iterations but no stored start.
-    pub unnamed_runs: Vec<(HostId, RunId)>,
+    /// Runs that have not ended and have stored iterations but no stored start. Their pipelines are therefore unknown.
+    pub runs_without_start: Vec<(HostId, RunId)>,
     /// Counts of each host's stored data.
     pub hosts: Vec<(HostId, StoredCounts)>,
     /// All stored hosts in the order of their first contact, with their secrets.
@@ -137,7 +137,8 @@ impl OpenDatabase {
         let mut connection =
             database::open_existing(path).await.map_err(|error| error.with_repairability(&lock.file()))?;
         let runs = read_newest_runs(&mut connection, MAX_RUNS).await.map_err(cannot_open)?;
-        let unnamed_runs = read_unnamed_runs(&mut connection, MAX_RUNS).await.map_err(cannot_open)?;
+        let runs_without_start =
+            read_runs_without_start(&mut connection, MAX_RUNS).await.map_err(cannot_open)?;
         let host_secrets = read_host_secrets(&mut connection).await.map_err(cannot_open)?;
         let hosts = read_host_counts(&mut connection, MAX_HOSTS).await.map_err(cannot_open)?;
         let writer = Writer::new(path.to_owned(), connection, retention).await.map_err(cannot_open)?;
@@ -148,7 +149,7 @@ impl OpenDatabase {
             return Err(cannot_open(std::io::Error::other(moved).into()));
         }
         let state =
-            StoredState { streams: writer.streams().clone(), runs, unnamed_runs, hosts, host_secrets };
+            StoredState { streams: writer.streams().clone(), runs, runs_without_start, hosts, host_secrets };
         let check = IntegrityCheck::start(integrity.clone(), lock.file());
         Ok((Self { writer, check, lock }, state))
     }

@@ -38,8 +38,8 @@ pub struct StoredCounts {
     /// Number of the missing events that are in another database, to which the host sent its stream before.
     #[serde(rename = "missing_before")]
     pub in_other_database: u64,
-    /// Batches that arrived although they were already stored, since the aggregator started. They were not stored
-    /// again.
+    /// Number, since the aggregator started, of batches that arrived although they were already stored. They were not
+    /// stored again.
     pub duplicates: u64,
     /// Batches that were quarantined because they could not be stored.
     pub quarantined: u64,

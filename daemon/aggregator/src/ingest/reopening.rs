@@ -1,8 +1,8 @@
 //! Closes a database whose file failed or was replaced, and opens the file at its path as soon as that is possible.
 //!
 //! The writer compares the file at the path with the open file before and after each commit and once a second while it
-//! is idle. This comparison assumes nothing about the file's content. It therefore also detects descriptors that became
-//! read-only, and files that were moved, replaced or unmounted. An empty or missing file is never opened: an operator
+//! is idle. This comparison assumes nothing about the file's content. It therefore also detects files that were moved,
+//! replaced or unmounted. A file that can no longer be written is detected by a failed commit. An empty or missing file is never opened: an operator
 //! who moves the database away would otherwise get a new, empty database. Batches that were queued before the database
 //! was closed are dropped, and the agents send them again.
 

@@ -42,7 +42,7 @@ pub(crate) struct IngestSession {
 }
 
 impl IngestSession {
-    /// Creates the state without sessions. `hosts` and `streams` come from the database; `unnamed_runs` are runs of
+    /// Creates the state without sessions. `hosts` and `streams` come from the database; `runs_without_start` are runs of
     /// which the database has iterations only.
     pub(crate) fn new(
         receiving: Receiving,
@@ -50,7 +50,7 @@ impl IngestSession {
         hosts: Hosts,
         queue: Queue,
         streams: Streams,
-        unnamed_runs: Vec<(HostId, RunId)>,
+        runs_without_start: Vec<(HostId, RunId)>,
     ) -> Self {
         Self {
             receiving,
@@ -58,7 +58,7 @@ impl IngestSession {
             hosts,
             queue,
             routes: Routes::default(),
-            store: StoreView::new(streams, unnamed_runs),
+            store: StoreView::new(streams, runs_without_start),
             refusals: LogThrottle::default(),
             output: SessionOutput::default(),
         }
@@ -116,11 +116,11 @@ impl IngestSession {
     /// Stores the names of runs whose start is not in this database: the start was acknowledged while another database
     /// was in use, so the agent does not send it again. Live updates contain the names.
     fn name_runs(&mut self, update: &LiveUpdate, now: MonoTime) {
-        if !self.store.has_unnamed() {
+        if !self.store.has_runs_without_start() {
             return;
         }
         for live in &update.pipelines {
-            let Some(run) = live.run.filter(|run| self.store.is_unnamed(update.host, *run)) else {
+            let Some(run) = live.run.filter(|run| self.store.is_without_start(update.host, *run)) else {
                 continue;
             };
             // If the queue is full, a later update is used.
@@ -274,7 +274,7 @@ impl IngestSession {
         for (host, (stored, newest)) in committed.hosts {
             self.output.announce(LiveEvent::Stored(host, stored, newest));
         }
-        self.store.add_unnamed(committed.unnamed_runs);
+        self.store.add_runs_without_start(committed.runs_without_start);
         for (host, secret) in committed.secrets {
             self.hosts.set_secret(host, secret);
         }
@@ -291,11 +291,11 @@ impl IngestSession {
     /// Handles the reopening of the database, which may be another database. Every agent has to send its hello again,
     /// so that its spool is compared with the stored state. The writer drops work admitted before.
     fn handle_database_opened(&mut self, state: StoredState) {
-        let StoredState { streams, runs, unnamed_runs, hosts, host_secrets } = state;
+        let StoredState { streams, runs, runs_without_start, hosts, host_secrets } = state;
         self.receiving.forget_sessions();
         self.hosts.replace_stored(host_secrets);
         self.queue.start_generation();
-        self.store = StoreView::new(streams, unnamed_runs);
+        self.store = StoreView::new(streams, runs_without_start);
         for connection in self.routes.clear() {
             self.output.reply(connection, ToAgent::Unknown);
         }

@@ -5,7 +5,7 @@ use peernet_stream::{BatchHead, EndReason, Event, RunEnded, codec};
 
 use super::{NOW, STAMP, TestStore, Work, generate, open};
 use crate::stored::StoredCounts;
-use crate::write::{RunName, UnstorableBatch, read_host_counts, read_unnamed_runs};
+use crate::write::{RunName, UnstorableBatch, read_host_counts, read_runs_without_start};
 
 const END_WITHOUT_REPORT: &str = "the agent ended without saying so";
 
@@ -93,9 +93,9 @@ async fn run_without_start_is_named_once_by_own_host() {
     let run = RunId::random();
     let events = iterations(&test_store, run, 4..=6);
     let work = test_store.batch(events);
-    assert_eq!(test_store.commit(&[work]).await.unnamed_runs, [(test_store.edge, run)]);
+    assert_eq!(test_store.commit(&[work]).await.runs_without_start, [(test_store.edge, run)]);
     let mut connection = crate::database::open(&test_store.path).await.expect("opens");
-    assert_eq!(read_unnamed_runs(&mut connection, 10).await.expect("reads"), [(test_store.edge, run)]);
+    assert_eq!(read_runs_without_start(&mut connection, 10).await.expect("reads"), [(test_store.edge, run)]);
 
     let name = |host, pipeline: &str| {
         let pipeline = pipeline.parse().expect("a name");
@@ -114,7 +114,7 @@ async fn run_without_start_is_named_once_by_own_host() {
     let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((detail.summary.pipeline.as_str(), &detail.summary.placement), ("line", &generate::remote()));
     assert_eq!(test_store.count("SELECT count(*) FROM run").await, 1);
-    assert!(read_unnamed_runs(&mut connection, 10).await.expect("reads").is_empty());
+    assert!(read_runs_without_start(&mut connection, 10).await.expect("reads").is_empty());
 }
 
 #[tokio::test]

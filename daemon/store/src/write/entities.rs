@@ -38,8 +38,8 @@ pub(super) struct Entities {
     runs: HashMap<(i64, RunId), KnownRun>,
     /// Runs that were added to `runs` since `take_loaded_runs` was last called.
     loaded_runs: Vec<(HostId, RunId, i64)>,
-    /// Runs that were created without a start event since `take_unnamed_runs` was last called.
-    unnamed_runs: Vec<(HostId, RunId)>,
+    /// Runs that were created without a start event since `take_runs_without_start` was last called.
+    runs_without_start: Vec<(HostId, RunId)>,
 }
 
 /// A run that exists in the store.
@@ -142,7 +142,7 @@ impl Entities {
         .bind(UNKNOWN)
         .fetch_one(connection)
         .await?;
-        self.unnamed_runs.push((reporter.id, run));
+        self.runs_without_start.push((reporter.id, run));
         Ok(self.remember(reporter, run, KnownRun { number, uuid }))
     }
 
@@ -292,7 +292,7 @@ impl Entities {
         self.hosts.clear();
         self.runs.clear();
         self.loaded_runs.clear();
-        self.unnamed_runs.clear();
+        self.runs_without_start.clear();
     }
 
     /// Adds a run to the cache.
@@ -312,8 +312,8 @@ impl Entities {
     }
 
     /// Returns the runs that were created without a start event since the last call.
-    pub(super) fn take_unnamed_runs(&mut self) -> Vec<(HostId, RunId)> {
-        std::mem::take(&mut self.unnamed_runs)
+    pub(super) fn take_runs_without_start(&mut self) -> Vec<(HostId, RunId)> {
+        std::mem::take(&mut self.runs_without_start)
     }
 }
 
@@ -365,8 +365,9 @@ pub(crate) async fn read_newest_runs(
     rows.into_iter().map(|(host, run, number)| Ok((id(&host)?, id(&run)?, number))).collect()
 }
 
-/// Returns open runs that have stored iterations but no stored start, with their hosts.
-pub(crate) async fn read_unnamed_runs(
+/// Returns the runs that have not ended and have stored iterations but no stored start, with their hosts. Runs whose
+/// pipeline was stored from a live update are left out.
+pub(crate) async fn read_runs_without_start(
     connection: &mut SqliteConnection,
     limit: u32,
 ) -> Result<Vec<(HostId, RunId)>, sqlx::Error> {

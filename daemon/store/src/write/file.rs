@@ -39,8 +39,8 @@ impl CommitError {
     /// file is damaged.
     ///
     /// The connection to a damaged file is kept until another file is put in its place. After any other error the file
-    /// has to be opened again. The error may come from the open descriptors: they stay read-only, or lead to a file
-    /// system that is no longer mounted, even if the path is usable again.
+    /// has to be opened again. The error may come from the open file: it can still not be written, or belongs to a
+    /// file system that is no longer mounted, even if the path is usable again.
     pub fn leaves_connection_usable(&self) -> bool {
         match self {
             Self::Database(error) => error.is_transient(),

@@ -32,7 +32,7 @@ use peernet_stream::{BatchHead, HighWaterMark, HostSecret, StreamId};
 use sqlx::{Connection, SqliteConnection};
 
 pub use self::connections::ConnectionSample;
-pub(crate) use self::entities::{UNKNOWN, read_host_counts, read_newest_runs, read_unnamed_runs};
+pub(crate) use self::entities::{UNKNOWN, read_host_counts, read_newest_runs, read_runs_without_start};
 use self::file::DatabaseFile;
 pub use self::file::{CommitError, FormerFiles};
 use self::names::Names;
@@ -68,7 +68,7 @@ pub struct CommitResult {
     /// Numbers of runs that were created or read since the last commit.
     pub runs: Vec<(HostId, RunId, i64)>,
     /// Runs that were created without a start event.
-    pub unnamed_runs: Vec<(HostId, RunId)>,
+    pub runs_without_start: Vec<(HostId, RunId)>,
     /// Number of nodes stored.
     pub nodes: u64,
     /// Secrets that were read again from the file.
@@ -389,7 +389,7 @@ impl CommitResult {
         self.marks.extend(other.marks);
         self.hosts.extend(other.hosts);
         self.runs.extend(other.runs);
-        self.unnamed_runs.extend(other.unnamed_runs);
+        self.runs_without_start.extend(other.runs_without_start);
         self.nodes += other.nodes;
         self.secrets.extend(other.secrets);
         self.quarantined.extend(other.quarantined);

@@ -159,7 +159,7 @@ impl Staging {
         committed.marks.extend(self.advanced_streams.write(connection, now).await?);
         raw_transaction::commit(connection).await?;
         committed.runs = self.entities.take_loaded_runs();
-        committed.unnamed_runs = self.entities.take_unnamed_runs();
+        committed.runs_without_start = self.entities.take_runs_without_start();
         Ok(committed)
     }
 

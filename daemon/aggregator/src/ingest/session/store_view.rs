@@ -7,22 +7,22 @@ use peernet_store::writing::Streams;
 
 /// Maximum number of runs that wait for their names from the live lane.
 // A hostile agent can send iterations of any number of runs without their start.
-const MAX_UNNAMED_RUNS: usize = 1_024;
+const MAX_RUNS_WITHOUT_START: usize = 1_024;
 
-/// The streams and unnamed runs of the database.
+/// The streams of the database, and its runs without a stored start.
 #[derive(Debug)]
 pub(super) struct StoreView {
     pub(super) streams: Streams,
-    /// Runs that have iterations in the database but no start event, with their hosts.
-    unnamed_runs: HashSet<(HostId, RunId)>,
+    /// Runs that have iterations in the database but no start event, with their hosts. A run that was named is removed.
+    runs_without_start: HashSet<(HostId, RunId)>,
     /// `true` while the writer has a database. While it has none, nothing is acknowledged.
     is_open: bool,
 }
 
 impl StoreView {
     /// Creates the state of an open database.
-    pub(super) fn new(streams: Streams, unnamed_runs: Vec<(HostId, RunId)>) -> Self {
-        Self { streams, unnamed_runs: unnamed_runs.into_iter().collect(), is_open: true }
+    pub(super) fn new(streams: Streams, runs_without_start: Vec<(HostId, RunId)>) -> Self {
+        Self { streams, runs_without_start: runs_without_start.into_iter().collect(), is_open: true }
     }
 
     /// Returns whether the writer has a database.
@@ -35,24 +35,24 @@ impl StoreView {
         self.is_open = false;
     }
 
-    /// Returns whether any run waits for its name.
-    pub(super) fn has_unnamed(&self) -> bool {
-        !self.unnamed_runs.is_empty()
+    /// Returns whether any run without a start event waits for its name.
+    pub(super) fn has_runs_without_start(&self) -> bool {
+        !self.runs_without_start.is_empty()
     }
 
-    /// Returns whether this run waits for its name.
-    pub(super) fn is_unnamed(&self, host: HostId, run: RunId) -> bool {
-        self.unnamed_runs.contains(&(host, run))
+    /// Returns whether this run has no start event and waits for its name.
+    pub(super) fn is_without_start(&self, host: HostId, run: RunId) -> bool {
+        self.runs_without_start.contains(&(host, run))
     }
 
     /// Records that the run was named.
     pub(super) fn record_name(&mut self, host: HostId, run: RunId) {
-        self.unnamed_runs.remove(&(host, run));
+        self.runs_without_start.remove(&(host, run));
     }
 
-    /// Adds runs that have iterations in the database but no start event. Runs beyond `MAX_UNNAMED_RUNS` are ignored.
-    pub(super) fn add_unnamed(&mut self, runs: impl IntoIterator<Item = (HostId, RunId)>) {
-        let remaining_capacity = MAX_UNNAMED_RUNS.saturating_sub(self.unnamed_runs.len());
-        self.unnamed_runs.extend(runs.into_iter().take(remaining_capacity));
+    /// Adds runs that have iterations in the database but no start event. Runs beyond `MAX_RUNS_WITHOUT_START` are ignored.
+    pub(super) fn add_runs_without_start(&mut self, runs: impl IntoIterator<Item = (HostId, RunId)>) {
+        let remaining_capacity = MAX_RUNS_WITHOUT_START.saturating_sub(self.runs_without_start.len());
+        self.runs_without_start.extend(runs.into_iter().take(remaining_capacity));
     }
 }

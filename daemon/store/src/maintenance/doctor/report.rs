@@ -49,7 +49,7 @@ pub struct Report {
     pub quarantine: Vec<QuarantineGroup>,
     /// Time ranges of the roll-ups, by width.
     pub rollups: Vec<RollupExtent>,
-    /// Open runs of hosts that have been silent for an hour, at most 1,000.
+    /// Runs that have not ended, of hosts that have been silent for an hour, at most 1,000.
     pub open_runs: Vec<OpenRun>,
     /// Problems and notices.
     pub findings: Vec<Finding>,
