@@ -14,8 +14,9 @@ use crate::delays::{DelaySummary, merged_round_trip};
 pub struct ClockPoint {
     /// End of the second that the point covers, on the edge's wall clock. For a bucket, the end of its newest second.
     pub at: WallTime,
-    /// Number of the period between two steps of a clock. One relation of the clocks holds in this period.
-    pub window: u64,
+    /// Number of the relation period: a period between two steps of a clock, in which one clock relation holds.
+    #[serde(rename = "window")]
+    pub relation_period: u64,
     /// The cloud's clock minus the edge's clock, with bounds; `None` while unknown. For a bucket of several points, the
     /// offset with the widest bounds.
     pub offset: Option<Offset>,
@@ -34,15 +35,17 @@ pub struct ClockPoint {
     pub proven_skew_ppm: Option<(f64, f64)>,
     /// Age of the oldest exchange that is used; `None` unless this age is greater than `[clock] window_s`. For a bucket
     /// of several points, the greatest age.
-    pub grown_window: Option<Span>,
+    #[serde(rename = "grown_window")]
+    pub oldest_exchange_age: Option<Span>,
 }
 
 /// Points of one bucket, summed up in order of time.
 #[derive(Clone, Debug, Default)]
 pub struct ClockBucket {
-    /// Time and [`ClockPoint::window`] of the newest point.
+    /// Time and [`ClockPoint::relation_period`] of the newest point.
     newest: Option<(WallTime, u64)>,
-    /// Offset with the widest bounds among the points of the newest window. Among equal widths, the newest offset.
+    /// Offset with the widest bounds among the points of the newest relation period. Among equal widths, the newest
+    /// offset.
     widest: Option<Offset>,
     probes: ProbeCounts,
     round_trips: Vec<RoundTrip>,
@@ -50,7 +53,7 @@ pub struct ClockBucket {
     down: DelaySummary,
     clocks: Option<RelatedClocks>,
     proven_skew_ppm: Option<(f64, f64)>,
-    grown_window: Option<Span>,
+    oldest_exchange_age: Option<Span>,
 }
 
 impl ClockBucket {
@@ -66,7 +69,7 @@ impl ClockBucket {
         width: Option<Span>,
         load_offset: impl FnOnce() -> Result<Option<Offset>, E>,
     ) -> Result<(), E> {
-        if self.newest.is_some_and(|(_, previous)| previous != point.window) {
+        if self.newest.is_some_and(|(_, previous)| previous != point.relation_period) {
             // An offset from before a step of a clock does not apply after the step.
             self.widest = None;
         }
@@ -80,10 +83,10 @@ impl ClockBucket {
         self.round_trips.extend(point.round_trip);
         point.up.iter().for_each(|second| self.up.add(second));
         point.down.iter().for_each(|second| self.down.add(second));
-        self.newest = Some((point.at, point.window));
+        self.newest = Some((point.at, point.relation_period));
         self.clocks = Some(point.clocks);
         self.proven_skew_ppm = point.proven_skew_ppm;
-        self.grown_window = self.grown_window.max(point.grown_window);
+        self.oldest_exchange_age = self.oldest_exchange_age.max(point.oldest_exchange_age);
         Ok(())
     }
 
@@ -95,10 +98,10 @@ impl ClockBucket {
 
     /// Returns the bucket as one point, at the time of the newest point in it; `None` if the bucket is empty.
     pub fn into_point(self) -> Option<ClockPoint> {
-        let (at, window) = self.newest?;
+        let (at, relation_period) = self.newest?;
         Some(ClockPoint {
             at,
-            window,
+            relation_period,
             offset: self.widest,
             probes: self.probes,
             round_trip: merged_round_trip(self.round_trips),
@@ -106,7 +109,7 @@ impl ClockBucket {
             down: self.down.to_delay_second(),
             clocks: self.clocks?,
             proven_skew_ppm: self.proven_skew_ppm,
-            grown_window: self.grown_window,
+            oldest_exchange_age: self.oldest_exchange_age,
         })
     }
 }

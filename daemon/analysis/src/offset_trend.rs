@@ -16,7 +16,8 @@ pub fn estimate_and_max_error(offset: &Offset) -> Option<(f64, f64)> {
     (offset.verdict != Verdict::Inconsistent).then(|| (estimate, (hi - estimate).max(estimate - lo)))
 }
 
-/// Straight lines through the estimates of an offset: one line for each window. A new window begins after each clock step.
+/// Straight lines through the estimates of an offset: one line for each relation period. A new relation period begins
+/// after each clock step.
 #[derive(Clone, Debug, Default)]
 pub struct OffsetTrend {
     lines: BTreeMap<u64, Line>,
@@ -35,22 +36,28 @@ struct Line {
 impl OffsetTrend {
     /// Fits the lines to the offsets of these points.
     pub fn of(points: &[ClockPoint]) -> Self {
-        let mut windows: BTreeMap<u64, Vec<(WallTime, f64)>> = BTreeMap::new();
+        let mut relation_periods: BTreeMap<u64, Vec<(WallTime, f64)>> = BTreeMap::new();
         for point in points {
             if let Some(offset) =
                 point.offset.as_ref().filter(|offset| estimate_and_max_error(offset).is_some())
             {
-                windows.entry(point.window).or_default().push((offset.at, offset.estimate.seconds()));
+                relation_periods
+                    .entry(point.relation_period)
+                    .or_default()
+                    .push((offset.at, offset.estimate.seconds()));
             }
         }
-        let lines =
-            windows.into_iter().filter_map(|(window, estimates)| Some((window, Line::through(&estimates)?)));
+        let lines = relation_periods
+            .into_iter()
+            .filter_map(|(relation_period, estimates)| Some((relation_period, Line::through(&estimates)?)));
         Self { lines: lines.collect() }
     }
 
-    /// Returns the value of a window's line at a time, seconds; 0 if the window has no line.
-    pub fn at(&self, window: u64, at: WallTime) -> f64 {
-        self.lines.get(&window).map_or(0.0, |line| line.level + line.slope * (at - line.middle).seconds())
+    /// Returns the value of a relation period's line at a time, seconds; 0 if the relation period has no line.
+    pub fn at(&self, relation_period: u64, at: WallTime) -> f64 {
+        self.lines
+            .get(&relation_period)
+            .map_or(0.0, |line| line.level + line.slope * (at - line.middle).seconds())
     }
 }
 

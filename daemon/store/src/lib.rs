@@ -275,7 +275,8 @@ impl Store {
         read::clocks::series(&self.readers, link, (from, to), max_points).await
     }
 
-    /// Returns the assumptions behind the one-way delays of a link's newest window, or `None` for an unknown link.
+    /// Returns the assumptions behind the one-way delays of a link's newest relation period, or `None` for an unknown
+    /// link.
     pub async fn link_assumptions(&self, link: &LinkKey) -> Result<Option<DelayAssumptions>, StoreError> {
         read::clocks::link_assumptions(&self.readers, link).await
     }

@@ -28,7 +28,7 @@ pub fn basis(basis: EstimateBasis) -> EstimateBasis {
     EstimateBasis {
         max_drift_change_ppm_per_s: basis.max_drift_change_ppm_per_s.filter(is_valid_change),
         proven_skew_ppm: basis.proven_skew_ppm.filter(is_valid_skew),
-        grown_window: basis.grown_window.filter(|age| *age > Span::ZERO),
+        oldest_exchange_age: basis.oldest_exchange_age.filter(|age| *age > Span::ZERO),
         ..basis
     }
 }

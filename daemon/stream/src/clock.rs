@@ -20,7 +20,7 @@ use peernet_logger::{HostId, Slug};
 /// Samples are stored, so that the delays of a past run can be computed again with later exchanges.
 ///
 /// The relation belongs to the pair of hosts. If two hosts use several networks in a second, the sample of each network
-/// has the same window, exchanges, offset and probes, but its own delays.
+/// has the same relation period, exchanges, offset and probes, but its own delays.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct ClockSample {
     /// Id of the cloud.
@@ -29,9 +29,10 @@ pub struct ClockSample {
     pub peer_name: Slug,
     /// End of the second on the edge's wall clock.
     pub at: WallTime,
-    /// Random number of the relation, which changes when either clock is stepped. Exchanges of different windows cannot
-    /// be combined.
-    pub window: u64,
+    /// Random number of the relation period, in which one clock relation holds. It changes when either clock is stepped.
+    /// Exchanges of different relation periods cannot be combined.
+    #[serde(rename = "window")]
+    pub relation_period: u64,
     /// Limit of drift with which the bounds are computed, parts per million.
     pub max_drift_ppm: f64,
     /// Exchange of this second with the lowest upper bound of the offset; `None` without exchanges.
@@ -77,7 +78,7 @@ impl Serialize for ClockSample {
         to.serialize_field("peer", &self.peer)?;
         to.serialize_field("peer_name", &self.peer_name)?;
         to.serialize_field("at", &self.at)?;
-        to.serialize_field("window", &self.window)?;
+        to.serialize_field("window", &self.relation_period)?;
         to.serialize_field("max_drift_ppm", &self.max_drift_ppm)?;
         to.serialize_field("upper", &self.upper)?;
         to.serialize_field("lower", &self.lower)?;

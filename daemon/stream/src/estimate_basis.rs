@@ -19,7 +19,8 @@ pub struct EstimateBasis {
     /// nothing.
     pub proven_skew_ppm: Option<(f64, f64)>,
     /// Age of the oldest exchange that bounds the offset; `None` if this exchange is within the configured window.
-    pub grown_window: Option<Span>,
+    #[serde(rename = "grown_window")]
+    pub oldest_exchange_age: Option<Span>,
     /// `true` if the claims of both hosts' time daemons may narrow the interval.
     pub claims_trusted: bool,
     /// `true` if the probes are authenticated; `None` if the link is not probed.

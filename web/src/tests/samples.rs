@@ -260,7 +260,7 @@ pub(crate) fn snapshot(hosts: Vec<HostSnapshot>, pipelines: Vec<PipelineSnapshot
 
 /// Returns a sample of a cloud's clock, with an offset of 1.204 s that grows by 12.4 ppm, and delays of 6.3 and 0.6 ms.
 /// `half` is half the width of all bounds, seconds; `None` for a sample without an offset.
-pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> ClockSample {
+pub(crate) fn clock_sample(at: WallTime, relation_period: u64, half: Option<f64>) -> ClockSample {
     let seconds = Span::from_seconds_f64;
     let estimate = seconds(1.204 + 12.4e-6 * (at - NOW).seconds());
     let offset = half.map(|half| {
@@ -295,7 +295,7 @@ pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> Cloc
         peer: HostId::from_bytes([9; 16]),
         peer_name: slug("rack-a"),
         at,
-        window,
+        relation_period,
         max_drift_ppm: 50.0,
         upper: None,
         lower: None,
@@ -315,14 +315,14 @@ pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> Cloc
 }
 
 /// Returns the sample as a point of a history.
-pub(crate) fn clock_point(at: WallTime, window: u64, half: Option<f64>) -> ClockPoint {
-    let sample = clock_sample(at, window, half);
+pub(crate) fn clock_point(at: WallTime, relation_period: u64, half: Option<f64>) -> ClockPoint {
+    let sample = clock_sample(at, relation_period, half);
     ClockPoint {
         clocks: sample.clocks(),
         proven_skew_ppm: sample.basis.and_then(|basis| basis.proven_skew_ppm),
-        grown_window: sample.basis.and_then(|basis| basis.grown_window),
+        oldest_exchange_age: sample.basis.and_then(|basis| basis.oldest_exchange_age),
         at: sample.at,
-        window: sample.window,
+        relation_period: sample.relation_period,
         offset: sample.offset,
         probes: sample.probes,
         round_trip: sample.round_trip,

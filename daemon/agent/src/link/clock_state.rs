@@ -12,10 +12,10 @@ use peernet_probes::ProbeResult;
 use peernet_stream::{ClockSample, EstimateBasis, HostClock, NetworkName};
 
 use super::announced_clock::AnnouncedClock;
-use super::clock_window::ClockWindow;
 use super::judged_stamps::{Crossing, HostStamp};
 use super::link_second::LinkSecond;
 use super::network_sessions::NetworkSessions;
+use super::relation_period::RelationPeriod;
 use super::reports::{ClockReports, ExcessSkew, LostProof, Restart, SuspectedJump};
 use crate::host_clock::describe_clock;
 use crate::same_clock::NotProven;
@@ -29,7 +29,7 @@ pub(super) struct LinkClockState {
     peer: HostId,
     name: Slug,
     relation: Relation,
-    window: ClockWindow,
+    period: RelationPeriod,
     current_second: LinkSecond,
     networks: NetworkSessions,
     edge: AnnouncedClock,
@@ -75,7 +75,7 @@ impl LinkClockState {
             peer,
             name,
             relation,
-            window: ClockWindow::new(),
+            period: RelationPeriod::new(),
             current_second,
             networks: NetworkSessions::default(),
             edge,
@@ -266,7 +266,7 @@ impl LinkClockState {
     /// Closes the current second if the second has passed.
     pub(super) fn advance_second(&mut self, now: Stamp) -> ClockStateChanges {
         let mut changes = ClockStateChanges::default();
-        self.start_new_window(now, &mut changes);
+        self.start_new_period(now, &mut changes);
         if now.wall.unix_seconds() != self.current_second.start_s {
             self.update_claims(now.raw);
             changes.lost_proof = self.reports.report_ended_proof(now.raw);
@@ -294,9 +294,9 @@ impl LinkClockState {
         let previous_end = self.current_second.end() - Span::from_seconds(1);
         let is_current = now.wall.unix_seconds() == self.current_second.start_s;
         let previous_sample =
-            self.window.last_second(network).filter(|sample| is_current && sample.at == previous_end);
-        // After a step the new offset must not appear in the window that precedes the step.
-        let offset = || self.relation.offset(now.raw, now.wall).filter(|_| !self.window.is_void());
+            self.period.last_second(network).filter(|sample| is_current && sample.at == previous_end);
+        // After a step the new offset must not appear in the relation period that precedes the step.
+        let offset = || self.relation.offset(now.raw, now.wall).filter(|_| !self.period.is_void());
         previous_sample.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
     }
 
@@ -319,7 +319,7 @@ impl LinkClockState {
     }
 
     /// Updates the relation with information from these epochs of the related clocks of edge and cloud. If the relation
-    /// restarts, the window becomes void. A new epoch shows whose clock was stepped.
+    /// restarts, the relation period becomes void. A new epoch shows whose clock was stepped.
     fn update_relation<T>(
         &mut self,
         (edge, cloud): (u32, Option<u32>),
@@ -332,7 +332,7 @@ impl LinkClockState {
         let has_new_cloud_epoch = self.cloud.begin_epoch(cloud.unwrap_or(0));
         let is_restarted = self.relation.exchange_counts().restarts > restarts_before;
         if is_restarted {
-            self.window.make_void();
+            self.period.make_void();
         }
         self.reports.record_steps(is_restarted, (has_new_edge_epoch, has_new_cloud_epoch));
         result
@@ -347,7 +347,7 @@ impl LinkClockState {
         now: Stamp,
         changes: &mut ClockStateChanges,
     ) {
-        self.start_new_window(now, changes);
+        self.start_new_period(now, changes);
         let settings = *self.relation.settings();
         match learn_result {
             LearnResult::Refused(_) => return,
@@ -372,14 +372,14 @@ impl LinkClockState {
         self.current_second.add_exchange(&observation.exchange, settings.max_drift_ppm);
     }
 
-    /// Starts a new window after a step. The current second is closed without an offset, because its exchanges preceded
-    /// the step.
-    fn start_new_window(&mut self, now: Stamp, changes: &mut ClockStateChanges) {
-        if self.window.is_void() {
+    /// Starts a new relation period after a step. The current second is closed without an offset, because its exchanges
+    /// preceded the step.
+    fn start_new_period(&mut self, now: Stamp, changes: &mut ClockStateChanges) {
+        if self.period.is_void() {
             let is_current = now.wall.unix_seconds() == self.current_second.start_s;
             let at = if is_current { now } else { edge_time(now, self.current_second.end()) };
             self.close_second(at, None, now.wall, changes);
-            self.window = ClockWindow::new();
+            self.period = RelationPeriod::new();
         }
     }
 
@@ -399,7 +399,7 @@ impl LinkClockState {
             let samples: Vec<ClockSample> = networks.into_iter().map(sample).collect();
             changes.samples.extend_from_slice(&samples);
             // Live updates show the last complete second.
-            self.window.set_last_second(samples);
+            self.period.set_last_second(samples);
         }
         self.networks.close_second();
         self.current_second = LinkSecond::new(now.unix_seconds());
@@ -419,7 +419,7 @@ impl LinkClockState {
                 .relation
                 .proven_skew()
                 .map(|skew| (skew.min_ppm.min(skew.max_ppm), skew.max_ppm.max(skew.min_ppm))),
-            grown_window: self.relation.window_span(at.raw).filter(|span| *span > settings.window),
+            oldest_exchange_age: self.relation.window_span(at.raw).filter(|span| *span > settings.window),
             claims_trusted: settings.trust_time_daemons,
             probes_authenticated: self.current_second.authenticated,
         };
@@ -427,7 +427,7 @@ impl LinkClockState {
             peer: self.peer,
             peer_name: self.name.clone(),
             at: at.wall,
-            window: self.window.id(),
+            relation_period: self.period.id(),
             max_drift_ppm: settings.max_drift_ppm,
             upper: self.current_second.upper,
             lower: self.current_second.lower,

@@ -15,7 +15,6 @@
 mod announced_clock;
 mod answer_monitor;
 mod clock_state;
-mod clock_window;
 mod cloud_link;
 mod connections;
 mod correction;
@@ -29,6 +28,7 @@ mod probe_pace;
 mod probe_target;
 mod probing;
 mod registry;
+mod relation_period;
 mod reports;
 mod shared;
 

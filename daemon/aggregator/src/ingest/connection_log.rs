@@ -109,7 +109,7 @@ mod tests {
             peer,
             peer_name: slug("cloud"),
             at,
-            window: 7,
+            relation_period: 7,
             max_drift_ppm: 50.0,
             upper: None,
             lower: None,

@@ -112,7 +112,7 @@ fn second_of(at: WallTime) -> i64 {
 fn point(sample: &ClockSample) -> ClockPoint {
     ClockPoint {
         at: sample.at,
-        window: sample.window,
+        relation_period: sample.relation_period,
         offset: sample.offset.clone(),
         probes: sample.probes,
         round_trip: sample.round_trip,
@@ -120,6 +120,6 @@ fn point(sample: &ClockSample) -> ClockPoint {
         down: sample.down,
         clocks: sample.clocks(),
         proven_skew_ppm: sample.basis.and_then(|basis| basis.proven_skew_ppm),
-        grown_window: sample.basis.and_then(|basis| basis.grown_window),
+        oldest_exchange_age: sample.basis.and_then(|basis| basis.oldest_exchange_age),
     }
 }

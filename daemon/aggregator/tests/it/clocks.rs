@@ -39,7 +39,7 @@ pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
         peer,
         peer_name: "cloud".parse().expect("a name"),
         at,
-        window: u64::MAX - 7,
+        relation_period: u64::MAX - 7,
         max_drift_ppm: 50.0,
         upper: Some(exchange(Span::from_micros(width))),
         lower: Some(exchange(Span::from_micros(width + 1))),

@@ -113,7 +113,7 @@ async fn hostile_clock_values_are_bounded_and_stored() {
     // Extreme bit patterns in the durable lane. The aggregator must store the batches that contain them.
     let extreme_sample = |second: i64, nanos: i64| {
         let mut sample = clocks::sample(HostId::from_bytes([7; 16]), second, 40);
-        (sample.window, sample.max_drift_ppm) = (nanos.cast_unsigned(), f64::NEG_INFINITY);
+        (sample.relation_period, sample.max_drift_ppm) = (nanos.cast_unsigned(), f64::NEG_INFINITY);
         for exchange in [&mut sample.upper, &mut sample.lower].into_iter().flatten() {
             exchange.sent = RawTime::from_nanos(nanos);
             exchange.replied = RawTime::from_nanos(!nanos);

@@ -68,7 +68,7 @@ impl Clocks {
 /// clock was set between the two samples, or the peer that came back reads a different clock.
 fn is_contradicted(before: &ClockSample, after: &ClockSample) -> bool {
     // A restart is counted as a step already. Offsets between clocks of other kinds cannot be compared.
-    let is_new_relation = before.window != after.window
+    let is_new_relation = before.relation_period != after.relation_period
         && after.exchanges.restarts <= before.exchanges.restarts
         && before.clocks() == after.clocks();
     let offsets = before.offset.as_ref().zip(after.offset.as_ref()).filter(|_| is_new_relation);

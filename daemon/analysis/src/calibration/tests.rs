@@ -218,7 +218,7 @@ fn same_clock_study_prints_exact_instead_of_bounds() {
 }
 
 /// Returns a clock sample at second `at` that says that the cloud's clock is ahead by `ahead_ms` milliseconds.
-fn clock_sample(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
+fn clock_sample(at: i64, relation_period: u64, ahead_ms: i64) -> ClockSample {
     let at = WallTime::from_unix_nanos(at * 1_000_000_000);
     let estimate = Span::from_millis(ahead_ms);
     let offset = Offset {
@@ -236,7 +236,7 @@ fn clock_sample(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
         peer: HostId::random(),
         peer_name: "cloud".parse().expect("a name"),
         at,
-        window,
+        relation_period,
         max_drift_ppm: 50.0,
         upper: None,
         lower: None,

@@ -7,7 +7,7 @@ use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{IterationValues, Name, NodeId, stage};
 use sqlx::FromRow;
 
-use super::clocks::WindowAssumptions;
+use super::clocks::PeriodAssumptions;
 use super::{corrupt_data, count, sql, statistics, tree, value_of_number, wall};
 use crate::column::column;
 use crate::error::StoreError;
@@ -207,15 +207,15 @@ async fn complete_rows(
         values.add(NodeId(node), parent.map(NodeId), &name, Some(seconds));
     }
     let times = || rows.iter().map(|row| row.started_ns);
-    // Only delays need the assumptions of clock windows.
+    // Only delays need the assumptions of relation periods.
     let time_range = times().min().zip(times().max()).filter(|_| !delays.is_empty());
-    let windows = match time_range {
-        Some((from, to)) => Some(WindowAssumptions::read(readers, run, (wall(from), wall(to))).await?),
+    let periods = match time_range {
+        Some((from, to)) => Some(PeriodAssumptions::read(readers, run, (wall(from), wall(to))).await?),
         None => None,
     };
     for delay in delays {
         let iteration = delay.iteration;
-        let row = delay.row(windows.as_ref())?;
+        let row = delay.row(periods.as_ref())?;
         by_iteration.entry(iteration).or_default().1.push(row);
     }
     rows.into_iter()
@@ -273,15 +273,15 @@ fn complete_row(
 }
 
 impl Delay {
-    fn row(self, windows: Option<&WindowAssumptions>) -> Result<DelayRow, StoreError> {
+    fn row(self, periods: Option<&PeriodAssumptions>) -> Result<DelayRow, StoreError> {
         let source = value_of_number(WHAT, DelaySource::ALL, self.source)?;
         let is_upload = stage::UPLOAD == self.stage.as_str();
-        // The times of clock windows are readings of the edge's clock. The edge stamps the departure of an upload and
-        // the arrival of a download.
+        // The times of relation periods are readings of the edge's clock. The edge stamps the departure of an upload
+        // and the arrival of a download.
         let edge_ns = if is_upload { Some(self.sent_ns) } else { self.received_ns };
-        let assumptions = match (windows, self.cloud, edge_ns) {
-            (Some(windows), Some(cloud), Some(at)) if source != DelaySource::SameClock => {
-                windows.at(cloud, wall(at))?
+        let assumptions = match (periods, self.cloud, edge_ns) {
+            (Some(periods), Some(cloud), Some(at)) if source != DelaySource::SameClock => {
+                periods.at(cloud, wall(at))?
             }
             _ => None,
         };

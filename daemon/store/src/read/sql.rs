@@ -282,20 +282,20 @@ statements! {
     CLOCK_BUCKETS = concat!("SELECT (SELECT json_group_array(json_array(", clock_columns!("CAST(", " AS INTEGER)"),
         ")) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN bucket.value ->> 0 AND bucket.value ->> 1) \
          FROM json_each(?2) AS bucket");
-    /// A link's windows within a period, in the order of their arrival. The newest window may continue, so its end is
-    /// unlimited. ?1 link, ?2 from, ?3 to.
-    CLOCK_WINDOW_ORDER = "SELECT window, first_ns, \
+    /// A link's relation periods within a range of times, in the order of their arrival. The newest relation period
+    /// may continue, so its end is unlimited. ?1 link, ?2 from, ?3 to.
+    RELATION_PERIOD_ORDER = "SELECT window, first_ns, \
                           iif(id = (SELECT max(id) FROM clock_window WHERE link = ?1), 9223372036854775807, last_ns) AS last_ns \
                           FROM clock_window WHERE link = ?1 AND first_ns <= ?3 \
                           AND (last_ns >= ?2 OR id = (SELECT max(id) FROM clock_window WHERE link = ?1)) ORDER BY id";
-    /// The windows, within a period, of all links of an edge over a network, with their assumptions, in the order of
-    /// arrival: ?1 edge, ?2 network, ?3 from, ?4 to.
-    ASSUMED_WINDOWS = "SELECT link.cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, claims_trusted, probes_authenticated \
+    /// The relation periods, within a range of times, of all links of an edge over a network, with their assumptions,
+    /// in the order of arrival: ?1 edge, ?2 network, ?3 from, ?4 to.
+    ASSUMED_PERIODS = "SELECT link.cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, claims_trusted, probes_authenticated \
                        FROM link CROSS JOIN clock_window ON clock_window.link = link.id \
                        WHERE link.edge = ?1 AND link.network = ?2 AND first_ns <= ?4 AND last_ns >= ?3 \
                        ORDER BY clock_window.id";
-    /// The newest window of a link with its assumptions: ?1 link.
-    NEWEST_ASSUMED_WINDOW = "SELECT 0 AS cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, \
+    /// The newest relation period of a link with its assumptions: ?1 link.
+    NEWEST_ASSUMED_PERIOD = "SELECT 0 AS cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, \
                              claims_trusted, probes_authenticated FROM clock_window WHERE link = ?1 ORDER BY id DESC LIMIT 1";
     /// The edge and the network of a run, which together select the run's links: ?1 run.
     RUN_LINKS = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network FROM run \
@@ -327,10 +327,10 @@ statements! {
                   ORDER BY transit.iteration, transit.node LIMIT ?4";
     /// The id of a link: ?1 edge and ?2 cloud, as ids of the table `host`, ?3 network.
     LINK_BY_IDS = "SELECT id FROM link WHERE edge = ?1 AND cloud = ?2 AND network = ?3";
-    /// The windows of a link with the times of their first and last samples and exchanges. These times are readings of
-    /// the edge's clock that the window relates. ?1 link, ?2 from and ?3 to, readings of the edge's wall clock, ?4
-    /// limit.
-    CLOCK_WINDOWS = "SELECT coalesce(clocks, 2) AS clocks, window, \
+    /// The relation periods of a link with the times of their first and last samples and exchanges. These times are
+    /// readings of the edge's clock that the relation period relates. ?1 link, ?2 from and ?3 to, readings of the
+    /// edge's wall clock, ?4 limit.
+    RELATION_PERIODS = "SELECT coalesce(clocks, 2) AS clocks, window, \
                      min(iif(clocks < 2, at_raw_ns, at_ns)) AS first_ns, max(iif(clocks < 2, at_raw_ns, at_ns)) AS last_ns, \
                      min(min(coalesce(upper_sent_ns, lower_sent_ns), coalesce(lower_sent_ns, upper_sent_ns))) AS sent_ns, \
                      max(max(coalesce(upper_returned_ns, lower_returned_ns), coalesce(lower_returned_ns, upper_returned_ns))) \
@@ -342,13 +342,14 @@ statements! {
                      AND (upper_sent_ns IS NOT NULL OR lower_sent_ns IS NOT NULL) \
                      AND (coalesce(clocks, 2) = 2 OR at_raw_ns IS NOT NULL) \
                      GROUP BY window, coalesce(clocks, 2) ORDER BY first_ns LIMIT ?4";
-    /// A page of the exchanges of one window of wall clocks: ?1 link, ?2 window, ?3 time after which the page begins,
-    /// ?4 limit.
+    /// A page of the exchanges of one relation period of wall clocks: ?1 link, ?2 relation period, ?3 time after which
+    /// the page begins, ?4 limit.
     CLOCK_EXCHANGES = concat!("SELECT at_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample WHERE link = ?1 AND window = ?2 AND at_ns > ?3 AND max_drift_ppm IS NOT NULL \
          ORDER BY at_ns LIMIT ?4");
-    /// A page of the exchanges of one window of free-running clocks, in the order of the edge's raw clock, because the
-    /// wall clock of the edge may have been set back within the window. Parameters as in `CLOCK_EXCHANGES`.
+    /// A page of the exchanges of one relation period of free-running clocks, in the order of the edge's raw clock,
+    /// because the wall clock of the edge may have been set back within the relation period. Parameters as in
+    /// `CLOCK_EXCHANGES`.
     CLOCK_EXCHANGES_BY_RAW = concat!("SELECT at_raw_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample INDEXED BY clock_sample_by_raw WHERE link = ?1 AND window = ?2 AND at_raw_ns > ?3 \
          AND max_drift_ppm IS NOT NULL ORDER BY at_raw_ns LIMIT ?4");

@@ -28,9 +28,9 @@ const AFTER: &str = "SELECT at_ns FROM clock_sample WHERE link = ?1 AND at_ns BE
 const DELETE: &str = "DELETE FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
 /// Deletes the statistics of connections within a range of time. Parameters as in `OLDEST`.
 const CONNECTIONS: &str = "DELETE FROM connection_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
-/// Deletes the windows that ended at a time or before and have no more samples. The newest window is kept, because it
-/// may continue. ?1 link, ?2 time.
-const WINDOWS: &str = "DELETE FROM clock_window WHERE link = ?1 AND last_ns <= ?2 \
+/// Deletes the relation periods that ended at a time or before and have no more samples. The newest relation period is
+/// kept, because it may continue. ?1 link, ?2 time.
+const RELATION_PERIODS: &str = "DELETE FROM clock_window WHERE link = ?1 AND last_ns <= ?2 \
      AND id <> (SELECT max(id) FROM clock_window WHERE link = ?1) \
      AND NOT EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = clock_window.link \
        AND clock_sample.at_ns BETWEEN clock_window.first_ns AND clock_window.last_ns \
@@ -43,7 +43,7 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
     ("CLOCK_AFTER", AFTER),
     ("CLOCK_DELETE", DELETE),
     ("CONNECTIONS", CONNECTIONS),
-    ("WINDOWS", WINDOWS),
+    ("RELATION_PERIODS", RELATION_PERIODS),
 ];
 
 /// Returns the times from which samples of a link are not deleted: the times of the pinned runs of the link's edge,
@@ -93,11 +93,11 @@ pub(super) async fn delete(
         .bind(column((max_cost / SAMPLE_COST).max(1)))
         .fetch_optional(&mut *connection)
         .await?;
-    // Samples with the same time may belong to different windows. They are deleted together.
+    // Samples with the same time may belong to different relation periods. They are deleted together.
     let through = next_time.map_or(times.last, |next_time| (next_time - 1).max(first));
     let deletion = sqlx::query(DELETE).bind(link).bind(first).bind(through);
     let items = deletion.execute(&mut *connection).await?.rows_affected();
     sqlx::query(CONNECTIONS).bind(link).bind(first).bind(through).execute(&mut *connection).await?;
-    sqlx::query(WINDOWS).bind(link).bind(through).execute(connection).await?;
+    sqlx::query(RELATION_PERIODS).bind(link).bind(through).execute(connection).await?;
     Ok(DeletedRows { cost: items * SAMPLE_COST, items, is_complete: next_time.is_none() })
 }

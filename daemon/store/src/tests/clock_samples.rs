@@ -23,10 +23,21 @@ fn key(edge: HostId, cloud: HostId) -> LinkKey {
 
 fn point(sample: ClockSample) -> ClockPoint {
     let clocks = sample.clocks();
-    let ClockSample { at, window, offset, probes, round_trip, up, down, basis, .. } = sample;
+    let ClockSample { at, relation_period, offset, probes, round_trip, up, down, basis, .. } = sample;
     let proven_skew_ppm = basis.and_then(|basis| basis.proven_skew_ppm);
-    let grown_window = basis.and_then(|basis| basis.grown_window);
-    ClockPoint { at, window, offset, probes, round_trip, up, down, clocks, proven_skew_ppm, grown_window }
+    let oldest_exchange_age = basis.and_then(|basis| basis.oldest_exchange_age);
+    ClockPoint {
+        at,
+        relation_period,
+        offset,
+        probes,
+        round_trip,
+        up,
+        down,
+        clocks,
+        proven_skew_ppm,
+        oldest_exchange_age,
+    }
 }
 
 async fn store(test_store: &mut TestStore, samples: impl IntoIterator<Item = ClockSample>) {
@@ -129,12 +140,12 @@ async fn series_holds_only_requested_link_and_time() {
 }
 
 #[tokio::test]
-async fn sample_replaces_sample_of_same_second_and_window() {
+async fn sample_replaces_sample_of_same_second_and_relation_period() {
     let mut test_store = TestStore::new().await;
     let mut repeated = sample(test_store.cloud, 1, 60);
     repeated.probes.lost = 5;
     let mut stepped = sample(test_store.cloud, 1, 70);
-    stepped.window = 7;
+    stepped.relation_period = 7;
     let samples = [sample(test_store.cloud, 1, 40), repeated, stepped];
     store(&mut test_store, samples.clone()).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 2);
@@ -154,7 +165,7 @@ async fn samples_with_repeated_wall_times_are_all_kept() {
     let sample_at = |raw_second: i64, wall_second: i64| {
         let at_raw = Some(RawTime::from_nanos(raw_second * 1_000_000_000));
         let basis = EstimateBasis { clocks: RelatedClocks::Raw, at_raw, ..EstimateBasis::default() };
-        ClockSample { window: 1, basis: Some(basis), ..sample(cloud, wall_second, 40) }
+        ClockSample { relation_period: 1, basis: Some(basis), ..sample(cloud, wall_second, 40) }
     };
     let wall_seconds = (1..=10).chain(6..=10).chain(6..=10);
     let samples: Vec<_> =
@@ -171,23 +182,25 @@ async fn samples_with_repeated_wall_times_are_all_kept() {
 }
 
 #[tokio::test]
-async fn later_window_is_used_for_repeated_seconds() {
-    // Agents draw the numbers of windows at random. The window that arrived later counts, even if its number is smaller.
-    for (first_window, second_window) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
+async fn later_relation_period_is_used_for_repeated_seconds() {
+    // Agents draw the numbers of relation periods at random. The relation period that arrived later counts, even if its
+    // number is smaller.
+    for (first_period, second_period) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
         let mut test_store = TestStore::new().await;
         let cloud = test_store.cloud;
-        let sample_with = |window, second, width| ClockSample { window, ..sample(cloud, second, width) };
-        store(&mut test_store, (1..=10).map(|second| sample_with(first_window, second, 90))).await;
+        let sample_with =
+            |relation_period, second, width| ClockSample { relation_period, ..sample(cloud, second, width) };
+        store(&mut test_store, (1..=10).map(|second| sample_with(first_period, second, 90))).await;
         // The clock was set back by five seconds.
-        let set_back: Vec<_> = (6..=12).map(|second| sample_with(second_window, second, 40)).collect();
+        let set_back: Vec<_> = (6..=12).map(|second| sample_with(second_period, second, 40)).collect();
         store(&mut test_store, set_back.clone()).await;
         let read = series(&test_store, 1_000).await.points;
-        let expected = (1..=5).map(|second| sample_with(first_window, second, 90)).chain(set_back);
+        let expected = (1..=5).map(|second| sample_with(first_period, second, 90)).chain(set_back);
         assert_eq!(read, expected.map(point).collect::<Vec<_>>());
         // A bucket that contains the step shows the offset after the step.
         for point in series(&test_store, 2).await.points {
             let width = point.offset.as_ref().map(|offset| offset.bounds.width());
-            let expected_width = if point.window == first_window { 90 } else { 40 };
+            let expected_width = if point.relation_period == first_period { 90 } else { 40 };
             assert_eq!(
                 width,
                 sample_with(1, 1, expected_width).offset.map(|offset| offset.bounds.width()),
@@ -201,14 +214,14 @@ async fn later_window_is_used_for_repeated_seconds() {
 async fn samples_of_slow_clock_hide_no_other_samples() {
     let mut test_store = TestStore::new().await;
     let cloud = test_store.cloud;
-    let sample_with = |window, second| ClockSample { window, ..sample(cloud, second, 40) };
+    let sample_with = |relation_period, second| ClockSample { relation_period, ..sample(cloud, second, 40) };
     // After a restart, the clock of a host without a battery is far behind until the host finds a time server.
-    for (window, seconds) in [(1, 1_000..1_010), (2, 10..20), (3, 1_020..1_030)] {
-        store(&mut test_store, seconds.map(|second| sample_with(window, second))).await;
+    for (relation_period, seconds) in [(1, 1_000..1_010), (2, 10..20), (3, 1_020..1_030)] {
+        store(&mut test_store, seconds.map(|second| sample_with(relation_period, second))).await;
     }
-    let windows: Vec<u64> =
-        series(&test_store, 10_000).await.points.iter().map(|point| point.window).collect();
-    assert_eq!(windows, [2, 1, 3].map(|window| [window; 10]).concat());
+    let relation_periods: Vec<u64> =
+        series(&test_store, 10_000).await.points.iter().map(|point| point.relation_period).collect();
+    assert_eq!(relation_periods, [2, 1, 3].map(|relation_period| [relation_period; 10]).concat());
 }
 
 #[tokio::test]
@@ -265,7 +278,7 @@ async fn store_and_page_merge_clock_points_equally() {
     let cloud = test_store.cloud;
     let samples = (1..=60).map(|second| {
         let sample = sample(cloud, second, 40 + second % 7);
-        ClockSample { window: u64::from(second > 25), ..sample }
+        ClockSample { relation_period: u64::from(second > 25), ..sample }
     });
     store(&mut test_store, samples).await;
     let seconds = series(&test_store, 1_000).await;

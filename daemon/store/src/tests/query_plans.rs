@@ -41,10 +41,10 @@ const SORTING_QUERIES: [(&str, &str); 12] = [
     ("FURTHER_GAPS", "the gaps of one run after the first thousand"),
     ("HOSTS", "all hosts are shown"),
     ("LINKS", "all links are shown"),
-    ("CLOCK_WINDOW_ORDER", "windows begin where a clock is stepped"),
-    ("CLOCK_WINDOWS", "windows begin where a clock is stepped"),
-    ("ASSUMED_WINDOWS", "windows begin where a clock is stepped"),
-    ("NEWEST_ASSUMED_WINDOW", "windows begin where a clock is stepped"),
+    ("RELATION_PERIOD_ORDER", "relation periods begin where a clock is stepped"),
+    ("RELATION_PERIODS", "relation periods begin where a clock is stepped"),
+    ("ASSUMED_PERIODS", "relation periods begin where a clock is stepped"),
+    ("NEWEST_ASSUMED_PERIOD", "relation periods begin where a clock is stepped"),
 ];
 
 async fn plan(test_store: &TestStore, name: &str, statement: &str) -> Vec<String> {

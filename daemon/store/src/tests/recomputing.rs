@@ -255,14 +255,14 @@ async fn delays_before_and_after_step_are_judged_separately() {
 }
 
 /// The cloud's clock jumps by less than a round trip, and the cloud does not report the jump. The edge's agent then
-/// begins another window. Agents of earlier versions stayed in one window; their stored samples are judged by exchanges
-/// alone.
+/// begins another relation period. Agents of earlier versions stayed in one relation period; their stored samples are
+/// judged by exchanges alone.
 #[tokio::test]
 async fn unreported_jump_does_not_change_earlier_delays() {
-    for (is_one_window, jump) in [(false, 3), (false, -3), (true, 3), (true, -3)] {
+    for (is_one_period, jump) in [(false, 3), (false, -3), (true, 3), (true, -3)] {
         let mut test_store = TestStore::new().await;
         let simulated = simulate(&mut test_store, (5, 60, 20), |second, simulation| {
-            simulation.is_one_window = is_one_window;
+            simulation.is_one_period = is_one_period;
             // Probes are too slow to show the jump. Only exchanges of data show it.
             simulation.congestion = Span::from_millis(20);
             if second == 30 {
@@ -276,7 +276,11 @@ async fn unreported_jump_does_not_change_earlier_delays() {
         assert_sound(&test_store, &simulated).await;
         let recomputed = recompute(&test_store).await;
         let (_, after) = judgements_of(&recomputed, "upload");
-        assert_eq!(verdict_count(after, Verdict::Inconsistent), 0, "{jump} ms, one window: {is_one_window}");
+        assert_eq!(
+            verdict_count(after, Verdict::Inconsistent),
+            0,
+            "{jump} ms, one relation period: {is_one_period}"
+        );
     }
 }
 

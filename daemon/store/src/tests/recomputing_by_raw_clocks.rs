@@ -84,12 +84,12 @@ fn simulation_after_restart(test_store: &TestStore, after: Span) -> Simulation {
     restarted.now = after;
     restarted.raw_zeros =
         (restarted.raw_zeros.0 + after, restarted.raw_zeros.1 + after + Span::from_seconds(12));
-    restarted.first_window += 100;
+    restarted.first_period += 100;
     restarted
 }
 
 #[tokio::test]
-async fn runs_before_and_after_restart_use_own_windows() {
+async fn runs_before_and_after_restart_use_own_relation_periods() {
     let mut test_store = TestStore::new().await;
     let first =
         simulate_with_clocks(&mut test_store, RelatedClocks::Raw, SAMPLED_SECONDS, slow_first_seconds).await;
@@ -123,7 +123,7 @@ async fn times_repeated_after_restart_are_not_rejudged() {
 }
 
 #[tokio::test]
-async fn windows_of_other_clocks_or_boots_are_not_used() {
+async fn relation_periods_of_other_clocks_or_boots_are_not_used() {
     for change in [
         "UPDATE clock_sample SET clocks = 1",
         "UPDATE clock_sample SET clocks = NULL",
@@ -167,7 +167,7 @@ async fn each_delay_states_assumptions_of_its_bounds() {
         assert!(delays().all(|delay| delay.assumptions == Some(expected)), "{clocks}");
         let key = test_store.store.links().await.expect("answers")[0].key();
         assert_eq!(test_store.store.link_assumptions(&key).await.expect("answers"), Some(expected));
-        // A window is authenticated only if all probes of the window are authenticated.
+        // A relation period is authenticated only if all its probes are authenticated.
         let clear_authentication =
             "UPDATE clock_window SET probes_authenticated = 0 WHERE probes_authenticated = 1";
         sqlx::raw_sql(clear_authentication)

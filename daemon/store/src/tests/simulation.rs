@@ -36,17 +36,17 @@ pub(super) struct Simulation {
     epochs: (u32, u32),
     /// One-way delay of probes without jitter, if it is longer than 50 µs.
     pub(super) congestion: Span,
-    /// `true` if all clock samples have the same window, like the samples of agents that did not detect jumps.
-    pub(super) is_one_window: bool,
+    /// `true` if all clock samples have the same relation period, like the samples of agents that did not detect jumps.
+    pub(super) is_one_period: bool,
     /// A change that is made once, in the middle of the next simulated second.
     pub(super) at_half_second: Option<fn(&mut Self)>,
     /// The exchange with the lowest upper bound of the offset, and the exchange with the highest lower bound. Only
-    /// exchanges in the current window since the last clock sample count.
+    /// exchanges in the current relation period since the last clock sample count.
     best_exchanges: (Option<Exchange>, Option<Exchange>),
-    /// Number of the first window.
-    pub(super) first_window: u64,
-    /// Number of the current window.
-    window: u64,
+    /// Number of the first relation period.
+    pub(super) first_period: u64,
+    /// Number of the current relation period.
+    relation_period: u64,
     /// True delays of each iteration: up, down.
     pub(super) true_delays: Vec<(Span, Span)>,
 }
@@ -71,12 +71,12 @@ impl Simulation {
             edge_ahead: Span::ZERO,
             epochs: (0, 0),
             congestion: Span::ZERO,
-            is_one_window: false,
+            is_one_period: false,
             at_half_second: None,
             best_exchanges: (None, None),
-            // Greater than SQLite's greatest integer: agents draw the number of a window from the whole `u64` range.
-            first_window: 1 << 63,
-            window: 1 << 63,
+            // Greater than SQLite's greatest integer: agents draw the number of a relation period from all of `u64`.
+            first_period: 1 << 63,
+            relation_period: 1 << 63,
             true_delays: Vec::new(),
         }
     }
@@ -204,12 +204,12 @@ impl Simulation {
         generate::at(0.0) + true_time + self.cloud_ahead + Span::from_nanos(true_time.nanos() / 50_000)
     }
 
-    /// Begins a new window if the relation has restarted, and keeps the exchange if it is among the best ones.
+    /// Begins a new relation period if the relation has restarted, and keeps the exchange if it is among the best ones.
     fn record_exchange(&mut self, exchange: Exchange, learned: LearnResult) {
-        let restarts = if self.is_one_window { 0 } else { self.relation.exchange_counts().restarts };
-        let window = self.first_window + u64::from(restarts);
-        if window != self.window {
-            (self.window, self.best_exchanges) = (window, (None, None));
+        let restarts = if self.is_one_period { 0 } else { self.relation.exchange_counts().restarts };
+        let relation_period = self.first_period + u64::from(restarts);
+        if relation_period != self.relation_period {
+            (self.relation_period, self.best_exchanges) = (relation_period, (None, None));
         }
         if let LearnResult::Refused(_) = learned {
             return;
@@ -231,7 +231,7 @@ impl Simulation {
             at_raw: Some(at_raw),
             max_drift_change_ppm_per_s: Some(1.0),
             proven_skew_ppm: Some((19.0, 21.0)),
-            grown_window: None,
+            oldest_exchange_age: None,
             claims_trusted: true,
             probes_authenticated: Some(true),
         };
@@ -240,7 +240,7 @@ impl Simulation {
             peer: self.hosts.1,
             peer_name: "cloud".parse().expect("a name"),
             at,
-            window: self.window,
+            relation_period: self.relation_period,
             max_drift_ppm: self.relation.settings().max_drift_ppm,
             upper,
             lower,

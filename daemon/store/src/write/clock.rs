@@ -36,17 +36,18 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
      VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
      ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
 
-/// Selects the time under which a sample of a window is stored. A wall clock that was set back shows the same times
-/// again, while the window of free-running clocks continues. If several samples of a window have the same wall time,
-/// each further sample is stored under a time that is one nanosecond earlier. These times still lie in the same second.
-/// ?1 link, ?2 the sample's time, ?3 window, ?4 the reading of the free-running clock at that time.
+/// Selects the time under which a sample of a relation period is stored. A wall clock that was set back shows the same
+/// times again, while the relation period of free-running clocks continues. If several samples of a relation period
+/// have the same wall time, each further sample is stored under a time that is one nanosecond earlier. These times
+/// still lie in the same second. ?1 link, ?2 the sample's time, ?3 relation period, ?4 the reading of the free-running
+/// clock at that time.
 const STORAGE_TIME: &str = "SELECT coalesce( \
      (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns = ?4), \
      ?2 - (SELECT count(*) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns <> ?4))";
 
-/// Stores the assumptions of a window, which are those of its newest sample. Probes count as authenticated only if the
-/// probes of all samples of the window were authenticated.
-const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns, clocks, max_drift_ppm, \
+/// Stores the assumptions of a relation period, which are those of its newest sample. Probes count as authenticated
+/// only if the probes of all samples of the relation period were authenticated.
+const RELATION_PERIOD: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns, clocks, max_drift_ppm, \
      max_drift_change_ppm_per_s, claims_trusted, probes_authenticated) VALUES (?1, ?2, ?3, ?3, ?4, ?5, ?6, ?7, ?8) \
      ON CONFLICT (link, window) DO UPDATE SET first_ns = min(first_ns, excluded.first_ns), \
      last_ns = max(last_ns, excluded.last_ns), clocks = excluded.clocks, max_drift_ppm = excluded.max_drift_ppm, \
@@ -85,9 +86,9 @@ impl Links {
         let at = storage_time(connection, link, sample, basis.as_ref()).await?;
         let values = values(link, at, sample, basis).map_err(sqlx::Error::Encode)?;
         sqlx::query_with(INSERT, values).execute(&mut *connection).await?;
-        sqlx::query(WINDOW)
+        sqlx::query(RELATION_PERIOD)
             .bind(link)
-            .bind(sample.window.cast_signed())
+            .bind(sample.relation_period.cast_signed())
             .bind(at)
             .bind(basis.and_then(|basis| position(RelatedClocks::ALL, basis.clocks)))
             .bind(sample.max_drift_ppm)
@@ -174,7 +175,7 @@ async fn storage_time(
     sqlx::query_scalar(STORAGE_TIME)
         .bind(link)
         .bind(at)
-        .bind(sample.window.cast_signed())
+        .bind(sample.relation_period.cast_signed())
         .bind(raw.nanos())
         .fetch_one(connection)
         .await
@@ -191,7 +192,7 @@ fn values(
     to.add(link)?;
     to.add(at)?;
     // SQLite's integers are signed, so the same bits are stored as a signed number.
-    to.add(sample.window.cast_signed())?;
+    to.add(sample.relation_period.cast_signed())?;
     to.add(sample.max_drift_ppm)?;
     add_exchange(sample.upper, &mut to)?;
     add_exchange(sample.lower, &mut to)?;
@@ -215,7 +216,7 @@ fn values(
     to.add(basis.and_then(|basis| basis.at_raw).map(RawTime::nanos))?;
     to.add(skew.map(|(min, _)| min))?;
     to.add(skew.map(|(_, max)| max))?;
-    to.add(basis.and_then(|basis| basis.grown_window).map(Span::nanos))?;
+    to.add(basis.and_then(|basis| basis.oldest_exchange_age).map(Span::nanos))?;
     Ok(to)
 }
 

@@ -37,7 +37,7 @@ fn clock_sample() -> ClockSample {
         peer: HostId::random(),
         peer_name: "cloud".parse().expect("a name"),
         at: at(1_000_000_000),
-        window: u64::MAX,
+        relation_period: u64::MAX,
         max_drift_ppm: 50.0,
         upper: Some(exchange),
         lower: None,

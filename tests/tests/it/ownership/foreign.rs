@@ -65,7 +65,7 @@ fn clock(peer: HostId) -> Event {
         peer,
         peer_name: "edge".parse().expect("a name"),
         at: wall(),
-        window: 1,
+        relation_period: 1,
         max_drift_ppm: 1.0,
         upper: None,
         lower: None,

@@ -79,7 +79,7 @@ pub(crate) struct Exchanges {
     pub outliers: u64,
     /// Number of exchanges rejected because a clock was stepped during the exchange.
     pub stepped: u64,
-    /// Number of windows that were started after a step.
+    /// Number of relation periods that began after a step or a suspected jump of a clock.
     pub restarts: u32,
 }
 
@@ -110,7 +110,8 @@ pub(crate) struct LinkPoint {
     pub proven_skew: Option<ProvenSkew>,
     /// Age of the oldest exchange that bounds the offset, seconds, if exchanges are so rare that the window grew beyond
     /// `[clock] window_s`; else null.
-    pub grown_window_s: Option<f64>,
+    #[serde(rename = "grown_window_s")]
+    pub oldest_exchange_age_s: Option<f64>,
 }
 
 /// Lowest and highest relative rate of two clocks that the exchanges allow, parts per million.
@@ -138,9 +139,10 @@ pub(crate) struct LinkSeries {
 /// One bucket.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TimedPoint {
-    /// Identifier of the window, which changes when a clock is stepped. Offsets of different windows cannot be compared. It is text,
-    /// because it can exceed 2⁵³.
-    pub window: String,
+    /// Identifier of the relation period, which changes when a clock is stepped. Offsets of different relation periods
+    /// cannot be compared. The identifier is text, because it can exceed 2⁵³.
+    #[serde(rename = "window")]
+    pub relation_period: String,
     #[serde(flatten)]
     pub point: LinkPoint,
 }
@@ -148,7 +150,7 @@ pub(crate) struct TimedPoint {
 impl From<&ClockPoint> for TimedPoint {
     fn from(point: &ClockPoint) -> Self {
         Self {
-            window: point.window.to_string(),
+            relation_period: point.relation_period.to_string(),
             point: LinkPoint {
                 at: time(point.at),
                 offset: point.offset.as_ref().map(ClockOffset::from),
@@ -158,7 +160,7 @@ impl From<&ClockPoint> for TimedPoint {
                 down: point.down.as_ref().map(Delay::from),
                 clocks: point.clocks.name(),
                 proven_skew: point.proven_skew_ppm.map(ProvenSkew::from),
-                grown_window_s: point.grown_window.map(Span::seconds),
+                oldest_exchange_age_s: point.oldest_exchange_age.map(Span::seconds),
             },
         }
     }
@@ -206,7 +208,9 @@ impl From<&LinkSnapshot> for Link {
                     down: live.latest_sample.down.as_ref().map(Delay::from),
                     clocks: live.latest_sample.clocks().name(),
                     proven_skew: basis.and_then(|basis| basis.proven_skew_ppm).map(ProvenSkew::from),
-                    grown_window_s: basis.and_then(|basis| basis.grown_window).map(Span::seconds),
+                    oldest_exchange_age_s: basis
+                        .and_then(|basis| basis.oldest_exchange_age)
+                        .map(Span::seconds),
                 },
             }),
             edge: subject.edge,

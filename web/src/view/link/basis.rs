@@ -113,7 +113,7 @@ pub(crate) fn pairs(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Pair
     );
     pairs.push(("Assumed change of drift", change));
     pairs.push(("Proven drift", describe_proven_drift(subject, assumptions, newest.proven_skew_ppm)));
-    pairs.push(("Window", window_text(newest.grown_window)));
+    pairs.push(("Window", window_text(newest.oldest_exchange_age)));
     let claims = match assumptions.claims_trusted {
         Some(true) => {
             let source = subject.offset().map_or_else(
@@ -139,7 +139,7 @@ pub(crate) fn pairs(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Pair
 #[derive(Clone, Copy, Default)]
 struct NewestBasis {
     proven_skew_ppm: Option<(f64, f64)>,
-    grown_window: Option<Span>,
+    oldest_exchange_age: Option<Span>,
 }
 
 impl NewestBasis {
@@ -147,11 +147,12 @@ impl NewestBasis {
         match (subject.live, time_series.points.last()) {
             (Some(link), _) => link.live.latest_sample.basis.map_or_else(Self::default, |basis| Self {
                 proven_skew_ppm: basis.proven_skew_ppm,
-                grown_window: basis.grown_window,
+                oldest_exchange_age: basis.oldest_exchange_age,
             }),
-            (None, Some(point)) => {
-                Self { proven_skew_ppm: point.proven_skew_ppm, grown_window: point.grown_window }
-            }
+            (None, Some(point)) => Self {
+                proven_skew_ppm: point.proven_skew_ppm,
+                oldest_exchange_age: point.oldest_exchange_age,
+            },
             (None, None) => Self::default(),
         }
     }
@@ -179,9 +180,9 @@ fn describe_proven_drift(
     }
 }
 
-/// Describes the window of exchanges. `grown_window` is its length if it is longer than configured.
-fn window_text(grown_window: Option<Span>) -> String {
-    grown_window.map_or_else(
+/// Describes the window of exchanges. `oldest_exchange_age` is its length if it is longer than configured.
+fn window_text(oldest_exchange_age: Option<Span>) -> String {
+    oldest_exchange_age.map_or_else(
         || "no exchange older than [clock] window_s bounds a delay".to_owned(),
         |age| {
             format!(

@@ -71,8 +71,8 @@ impl ChartInput<'_> {
 
     /// Returns the result of `value_of` for the position and the data of each point. `None` separates two points with a
     /// gap or a clock step between them.
-    // A window is the period between two clock steps. If a clock was set back, the times of two windows overlap, so the
-    // points of each window are drawn separately.
+    // If a clock was set back, the times of two relation periods overlap, so the points of each relation period are
+    // drawn separately.
     pub(super) fn with_breaks<T>(
         &self,
         points: &[ClockPoint],
@@ -80,17 +80,18 @@ impl ChartInput<'_> {
     ) -> Vec<Option<T>> {
         let mut values = Vec::with_capacity(points.len() + self.gaps.len());
         let mut previous: Option<&ClockPoint> = None;
-        let mut windows: Vec<u64> = Vec::new();
+        let mut periods: Vec<u64> = Vec::new();
         for point in points {
-            if !windows.contains(&point.window) {
-                windows.push(point.window);
+            if !periods.contains(&point.relation_period) {
+                periods.push(point.relation_period);
             }
         }
-        let sorted_by_window =
-            windows.iter().flat_map(|window| points.iter().filter(move |point| point.window == *window));
-        for point in sorted_by_window {
+        let sorted_by_period = periods
+            .iter()
+            .flat_map(|period| points.iter().filter(move |point| point.relation_period == *period));
+        for point in sorted_by_period {
             let is_separate = |previous: &ClockPoint| {
-                previous.window != point.window
+                previous.relation_period != point.relation_period
                     || self.gaps.iter().any(|(from, to)| previous.at <= *from && *to <= point.at)
             };
             if previous.is_some_and(is_separate) {

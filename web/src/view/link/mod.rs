@@ -158,7 +158,8 @@ impl<'a> Subject<'a> {
         }
     }
 
-    /// Sets the assumptions. A link that is not in the live state has the assumptions of its newest stored window.
+    /// Sets the assumptions. A link that is not in the live state has the assumptions of its newest stored relation
+    /// period.
     pub(crate) fn with_assumptions(self, assumptions: Option<DelayAssumptions>) -> Self {
         Self { assumptions, ..self }
     }
@@ -209,9 +210,11 @@ impl<'a> Subject<'a> {
     pub(crate) fn offset(&self) -> Option<&Offset> {
         let Some(link) = self.live else { return self.last_offset.as_ref() };
         // If the edge is connected, an older offset says nothing about the present. Only the newest point may stand in
-        // for a missing offset, and only if no clock was stepped since then: a clock step begins a new window.
-        let is_valid =
-            |point: &&Arc<ClockPoint>| !self.connected || point.window == link.live.latest_sample.window;
+        // for a missing offset, and only if no clock was stepped since then: a clock step begins a new relation
+        // period.
+        let is_valid = |point: &&Arc<ClockPoint>| {
+            !self.connected || point.relation_period == link.live.latest_sample.relation_period
+        };
         let recent = if self.connected { 1 } else { link.history.len() };
         let mut candidates = link.history.iter().rev().take(recent).filter(is_valid);
         link.live.latest_sample.offset.as_ref().or_else(|| candidates.find_map(|point| point.offset.as_ref()))
@@ -246,7 +249,7 @@ impl<'a> Subject<'a> {
         let mut newest_first: Vec<&ClockPoint> = recent.map(|point| &**point).collect();
         let first_unsettled = newest_first
             .iter()
-            .position(|point| !is_settled(point) || point.window != newest_first[0].window);
+            .position(|point| !is_settled(point) || point.relation_period != newest_first[0].relation_period);
         let is_whole_history = self.history().len() == newest_first.len();
         // In the second in which the relation was established, some delays are older than the relation, so the whole
         // second is excluded. If all recent points are settled and there are older points, the relation was established

@@ -40,7 +40,7 @@ pub(super) fn track(cloud: &str, input: &ChartInput<'_>, view: OffsetView) -> Tr
     // The offset of a bucket is the offset at one time within the bucket, so the trend at that time is subtracted.
     let without_trend = |point: &ClockPoint, span: Span| {
         let at = point.offset.as_ref().map_or(point.at, |offset| offset.at);
-        (span.seconds() - trend.at(point.window, at)) * 1e3
+        (span.seconds() - trend.at(point.relation_period, at)) * 1e3
     };
     let ends = |point: &ClockPoint, interval: Interval| {
         (without_trend(point, interval.lo), without_trend(point, interval.hi))

@@ -80,7 +80,7 @@ pub(super) fn sample(
     // The network was slow for half a minute. A clock was stepped a minute ago, and the bounds were wider for a few
     // seconds after the step.
     let slowdown = if (140..175).contains(&ago) { 1.9 } else { 1.0 };
-    let (window, stepped) = if ago > 60 { (11, seconds(-0.0182)) } else { (12, Span::ZERO) };
+    let (relation_period, stepped) = if ago > 60 { (11, seconds(-0.0182)) } else { (12, Span::ZERO) };
     let truth = if pipeline.clocks == Clocks::Shared {
         Span::ZERO
     } else {
@@ -131,7 +131,7 @@ pub(super) fn sample(
         peer: rack,
         peer_name: slug("rack-a"),
         at,
-        window,
+        relation_period,
         max_drift_ppm: 50.0,
         upper: exchange,
         lower: exchange,

@@ -1,4 +1,4 @@
-//! Tests of seconds, windows and restarts. The relation itself is tested in the crate `clock`.
+//! Tests of seconds, relation periods and restarts. The relation itself is tested in the crate `clock`.
 
 use peernet_clock::{ClockClaim, DelaySource, Exchange, Interval, RelationSettings};
 use peernet_networks::RawClock;
@@ -57,7 +57,7 @@ fn network() -> NetworkName {
 }
 
 #[test]
-fn announcement_without_step_keeps_window() {
+fn announcement_without_step_keeps_relation_period() {
     let mut clock_state = clock_state();
     clock_state.handle_edge_announcement(announcement(0, None), now(0).raw);
     let _ = clock_state.handle_cloud_announcement(announcement(0, None), now(0).raw);
@@ -113,12 +113,12 @@ fn nonempty_second_is_reported_once_when_over() {
 }
 
 #[test]
-fn step_of_peer_begins_window_and_is_named() {
+fn step_of_peer_begins_relation_period_and_is_named() {
     let mut clock_state = clock_state();
     for sent in [0, 100, 200] {
         let _ = clock_state.judge(&network(), &exchange(sent, 0), MESSAGE_DELAYS, now(sent + 4));
     }
-    let before = clock_state.latest_sample(&network(), now(250)).window;
+    let before = clock_state.latest_sample(&network(), now(250)).relation_period;
     let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(250).raw);
     // An exchange that was in flight when the step was announced is not used, even if it is plausible.
     let in_flight = ExchangeObservation { cloud_epoch: Some(1), ..exchange(300, 3000) };
@@ -127,9 +127,9 @@ fn step_of_peer_begins_window_and_is_named() {
     assert_eq!((up.verdict, down.verdict), (Verdict::Stepped, Verdict::Stepped));
     let [sample] = &changes.samples[..] else { panic!("{changes:?}") };
     assert_eq!(
-        (sample.window, sample.at),
+        (sample.relation_period, sample.at),
         (before, at(304)),
-        "exchanges before the step belong to the old window"
+        "exchanges before the step belong to the old relation period"
     );
     assert!(sample.upper.is_some() && sample.offset.is_none(), "{sample:?}");
     let after = ExchangeObservation { cloud_epoch: Some(1), ..exchange(400, 3000) };
@@ -141,7 +141,7 @@ fn step_of_peer_begins_window_and_is_named() {
     }
     assert!(changes.samples.is_empty(), "{changes:?}");
     let changes = clock_state.advance_second(now(1000));
-    assert_ne!(changes.samples[0].window, before);
+    assert_ne!(changes.samples[0].relation_period, before);
     assert_eq!(changes.samples[0].upper, Some(after.exchange));
 
     let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(250).raw);
@@ -169,7 +169,7 @@ fn exchange_across_step_is_counted_without_value() {
 }
 
 #[test]
-fn claims_after_step_do_not_reach_earlier_window() {
+fn claims_after_step_do_not_reach_earlier_period() {
     let mut clock_state = clock_state();
     let announcement_with_claim = |millis, epoch| {
         let error = Interval::exactly(Span::from_millis(millis));
@@ -177,15 +177,15 @@ fn claims_after_step_do_not_reach_earlier_window() {
     };
     let _ = clock_state.handle_cloud_announcement(announcement_with_claim(0, 0), now(5000).raw);
     let _ = clock_state.judge(&network(), &exchange(5000, 0), MESSAGE_DELAYS, now(5004));
-    let before = clock_state.latest_sample(&network(), now(5010)).window;
+    let before = clock_state.latest_sample(&network(), now(5010)).relation_period;
     // The edge's clock is set back by three seconds, and chrony knows the size of the step at once.
     clock_state.handle_edge_announcement(announcement_with_claim(-3000, 1), now(2200).raw);
     assert_eq!(clock_state.latest_sample(&network(), now(2200)).offset, None);
     let changes = clock_state.advance_second(now(2200));
     let [sample] = &changes.samples[..] else { panic!("{changes:?}") };
-    assert_eq!((sample.window, sample.at, &sample.offset), (before, at(6000), &None));
+    assert_eq!((sample.relation_period, sample.at, &sample.offset), (before, at(6000), &None));
     let sample = clock_state.latest_sample(&network(), now(2300));
-    assert_ne!(sample.window, before);
+    assert_ne!(sample.relation_period, before);
     assert_eq!(sample.offset.map(|offset| offset.estimate), Some(Span::from_seconds(3)));
 }
 
@@ -444,10 +444,10 @@ fn observed_stamps_of_another_epoch_are_stepped() {
 /// There are ten exchanges a second. The middle of their bounds moves by 8 ms from the 20th exchange on, and back from
 /// the 40th exchange on.
 #[test]
-fn suspected_jump_begins_window_and_is_reported_once() {
+fn suspected_jump_begins_relation_period_and_is_reported_once() {
     let mut clock_state = clock_state();
-    let before = clock_state.latest_sample(&network(), now(0)).window;
-    let (mut jumps, mut windows) = (Vec::new(), BTreeSet::new());
+    let before = clock_state.latest_sample(&network(), now(0)).relation_period;
+    let (mut jumps, mut periods) = (Vec::new(), BTreeSet::new());
     for number in 0..60 {
         let sent = number * 100;
         let mut observation = exchange(sent, 0);
@@ -460,12 +460,12 @@ fn suspected_jump_begins_window_and_is_reported_once() {
         let (_, changes) = clock_state.judge(&network(), &observation, MESSAGE_DELAYS, now(sent + 9));
         jumps.extend(changes.jump);
         assert!(changes.restart.is_none() && changes.excess_skew.is_none(), "{changes:?}");
-        windows.insert(clock_state.latest_sample(&network(), now(sent + 9)).window);
+        periods.insert(clock_state.latest_sample(&network(), now(sent + 9)).relation_period);
     }
     let [jump] = jumps[..] else { panic!("{jumps:?}") };
     assert!(
         (jump.movement - Span::from_millis(8)).abs() < Span::from_millis(1) && jump.unreported == 0,
         "{jump:?}"
     );
-    assert!(windows.contains(&before) && windows.len() == 3, "{windows:?}");
+    assert!(periods.contains(&before) && periods.len() == 3, "{periods:?}");
 }

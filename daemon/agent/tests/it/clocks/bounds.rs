@@ -46,7 +46,11 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
     let judged: u32 = samples.iter().filter_map(|sample| sample.up).map(|up| up.count).sum();
     assert_eq!(judged, 250);
     assert!(samples.iter().map(|sample| sample.probes.answered).sum::<u32>() > 5, "{samples:?}");
-    assert!(samples.windows(2).all(|pair| pair[0].window == pair[1].window && pair[0].at < pair[1].at));
+    assert!(
+        samples
+            .windows(2)
+            .all(|pair| pair[0].relation_period == pair[1].relation_period && pair[0].at < pair[1].at)
+    );
     for sample in &samples {
         assert_eq!(sample.peer_name.as_str(), "cloud");
         let offset = sample.offset.as_ref().expect("known");

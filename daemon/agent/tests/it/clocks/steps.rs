@@ -117,9 +117,9 @@ async fn wall_clock_set_during_run_changes_no_delay() {
 
         edge.stop().await.expect("stops well");
         let received_events = aggregator.until(|received_events| !received_events.goodbyes.is_empty()).await;
-        let windows: BTreeSet<_> =
-            received_events.clock_samples().iter().map(|sample| sample.window).collect();
-        assert_eq!(windows.len(), 1, "the step begins no new window");
+        let periods: BTreeSet<_> =
+            received_events.clock_samples().iter().map(|sample| sample.relation_period).collect();
+        assert_eq!(periods.len(), 1, "the step begins no new relation period");
         assert_eq!(link_steps(&received_events).len(), usize::from(!on_edge), "the step is reported once");
         cloud.stop().await.expect("stops well");
     }

@@ -23,7 +23,7 @@ fn link(peer: HostId, name: &str, end_s: f64, lost: u32) -> LinkLive {
             peer,
             peer_name: slug(name),
             at: wall(end_s),
-            window: 7,
+            relation_period: 7,
             max_drift_ppm: 50.0,
             upper: None,
             lower: None,

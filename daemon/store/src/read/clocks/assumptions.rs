@@ -1,4 +1,4 @@
-//! Assumptions behind the bounds of one-way delays, as the clock windows of links store them.
+//! Assumptions behind the bounds of one-way delays, as the relation periods of links store them.
 
 use peernet_clock::{RelatedClocks, Span, WallTime};
 use sqlx::FromRow;
@@ -9,14 +9,14 @@ use crate::read::{sql, value_of_number};
 use crate::readers::Readers;
 use crate::types::{DelayAssumptions, LinkKey};
 
-/// Tolerance before the first and after the last sample of a window. The time of a sample is the end of its second, so
-/// a message may be older than the window's first sample. The delays of a message are judged when the answer arrives,
-/// which may be after the window's last sample.
+/// Tolerance before the first and after the last sample of a relation period. The time of a sample is the end of its
+/// second, so a message may be older than the relation period's first sample. The delays of a message are judged when
+/// the answer arrives, which may be after the relation period's last sample.
 const TOLERANCE: Span = Span::from_seconds(60);
 
-/// A window of a link with its assumptions.
+/// A relation period of a link with its assumptions.
 #[derive(Debug, FromRow)]
-struct Window {
+struct RelationPeriod {
     cloud: i64,
     first_ns: i64,
     last_ns: i64,
@@ -27,7 +27,7 @@ struct Window {
     probes_authenticated: Option<bool>,
 }
 
-impl Window {
+impl RelationPeriod {
     fn assumptions(&self) -> Result<DelayAssumptions, StoreError> {
         let clocks =
             self.clocks.map(|number| value_of_number(WHAT, RelatedClocks::ALL, number)).transpose()?;
@@ -41,12 +41,12 @@ impl Window {
     }
 }
 
-/// The windows of a run's edge over the run's network within a period, with their assumptions.
+/// The relation periods of a run's edge over the run's network within a range of times, with their assumptions.
 #[derive(Debug)]
-pub(in crate::read) struct WindowAssumptions(Vec<Window>);
+pub(in crate::read) struct PeriodAssumptions(Vec<RelationPeriod>);
 
-impl WindowAssumptions {
-    /// Reads the windows of a run's edge that have samples from `from` to `to`, by the edge's wall clock.
+impl PeriodAssumptions {
+    /// Reads the relation periods of a run's edge that have samples from `from` to `to`, by the edge's wall clock.
     pub(in crate::read) async fn read(
         readers: &Readers,
         run: i64,
@@ -58,7 +58,7 @@ impl WindowAssumptions {
             .await
             .map_err(readers.error_for(WHAT))?;
         let Some((edge, network)) = edge_and_network else { return Ok(Self(Vec::new())) };
-        let windows = sqlx::query_as(sql::ASSUMED_WINDOWS)
+        let periods = sqlx::query_as(sql::ASSUMED_PERIODS)
             .bind(edge)
             .bind(network)
             .bind((from - TOLERANCE).unix_nanos())
@@ -66,36 +66,36 @@ impl WindowAssumptions {
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.error_for(WHAT))?;
-        Ok(Self(windows))
+        Ok(Self(periods))
     }
 
     /// Returns the assumptions for a message between the edge and a cloud. `at` is the time on the edge's wall clock
-    /// when the edge sent or received the message. Returns `None` if no window has samples around this time.
+    /// when the edge sent or received the message. Returns `None` if no relation period has samples around this time.
     ///
-    /// If the edge's clock was set back, several windows may contain the time. In this case, the window that arrived
-    /// last is used.
+    /// If the edge's clock was set back, several relation periods may contain the time. In this case, the relation
+    /// period that arrived last is used.
     pub(in crate::read) fn at(
         &self,
         cloud: i64,
         at: WallTime,
     ) -> Result<Option<DelayAssumptions>, StoreError> {
         let contains_time = |tolerance: Span| {
-            move |window: &&Window| {
+            move |period: &&RelationPeriod| {
                 let at = at.unix_nanos();
-                window.cloud == cloud
-                    && window.first_ns.saturating_sub(tolerance.nanos()) <= at
-                    && at <= window.last_ns.saturating_add(tolerance.nanos())
+                period.cloud == cloud
+                    && period.first_ns.saturating_sub(tolerance.nanos()) <= at
+                    && at <= period.last_ns.saturating_add(tolerance.nanos())
             }
         };
-        let windows = || self.0.iter().rev();
-        // A window that contains the time is preferred to a window that is only near it.
-        let window =
-            windows().find(contains_time(Span::ZERO)).or_else(|| windows().find(contains_time(TOLERANCE)));
-        window.map(Window::assumptions).transpose()
+        let periods = || self.0.iter().rev();
+        // A relation period that contains the time is preferred to a relation period that is only near it.
+        let period =
+            periods().find(contains_time(Span::ZERO)).or_else(|| periods().find(contains_time(TOLERANCE)));
+        period.map(RelationPeriod::assumptions).transpose()
     }
 }
 
-/// Returns the assumptions of a link's newest window, or `None` for an unknown link.
+/// Returns the assumptions of a link's newest relation period, or `None` for an unknown link.
 pub(crate) async fn link_assumptions(
     readers: &Readers,
     LinkKey { edge, cloud, network }: &LinkKey,
@@ -108,10 +108,10 @@ pub(crate) async fn link_assumptions(
         .await
         .map_err(readers.error_for(WHAT))?;
     let Some(link) = link else { return Ok(None) };
-    let newest: Option<Window> = sqlx::query_as(sql::NEWEST_ASSUMED_WINDOW)
+    let newest: Option<RelationPeriod> = sqlx::query_as(sql::NEWEST_ASSUMED_PERIOD)
         .bind(link)
         .fetch_optional(&readers.pool())
         .await
         .map_err(readers.error_for(WHAT))?;
-    newest.as_ref().map(Window::assumptions).transpose()
+    newest.as_ref().map(RelationPeriod::assumptions).transpose()
 }

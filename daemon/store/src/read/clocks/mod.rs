@@ -14,7 +14,7 @@ use peernet_stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
 use serde::Deserialize;
 use sqlx::FromRow;
 
-pub(super) use self::assumptions::WindowAssumptions;
+pub(super) use self::assumptions::PeriodAssumptions;
 pub(crate) use self::assumptions::link_assumptions;
 use self::bucket::Bucket;
 use self::repeats::RepeatedTimes;
@@ -46,7 +46,8 @@ struct StoredLink {
 #[derive(FromRow, Deserialize)]
 struct Row {
     at_ns: i64,
-    window: i64,
+    #[sqlx(rename = "window")]
+    relation_period: i64,
     offset_ns: Option<i64>,
     offset_lo_ns: Option<i64>,
     offset_hi_ns: Option<i64>,
@@ -77,7 +78,8 @@ struct Row {
     clocks: Option<u8>,
     proven_skew_min_ppm: Option<f64>,
     proven_skew_max_ppm: Option<f64>,
-    grown_window_ns: Option<i64>,
+    #[sqlx(rename = "grown_window_ns")]
+    oldest_exchange_age_ns: Option<i64>,
 }
 
 pub(crate) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError> {
@@ -86,7 +88,7 @@ pub(crate) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError>
         sqlx::query_as(sql::LINKS).fetch_all(&readers.pool()).await.map_err(readers.error_for(WHAT))?;
     let mut links = Vec::with_capacity(rows.len());
     for row in rows {
-        // All samples of this link are deleted, so the link has no range of times.
+        // A link whose samples have all been deleted has no range of times and is left out.
         let (Some(first), Some(last)) = (row.first_ns, row.last_ns) else { continue };
         links.push(LinkRow {
             edge: parse(WHAT, &row.edge)?,
@@ -144,7 +146,7 @@ pub(crate) async fn series(
             let mut rows: Vec<Row> =
                 serde_json::from_str(&bucket).map_err(|error| corrupt_data(WHAT, error))?;
             // SQLite does not guarantee the order of the rows within an aggregate function.
-            rows.sort_by_key(|row| (row.at_ns, row.window));
+            rows.sort_by_key(|row| (row.at_ns, row.relation_period));
             rows.iter().try_for_each(|row| points.add(row))?;
         }
     }
@@ -176,9 +178,9 @@ struct Points {
 impl Points {
     /// Adds the next clock sample.
     fn add(&mut self, row: &Row) -> Result<(), StoreError> {
-        // If the edge's wall clock was set back, two windows have samples of the same times. Only the later window is
-        // used.
-        if self.repeats.is_superseded(row.window, row.at_ns) {
+        // If the edge's wall clock was set back, two relation periods have samples of the same times. Only the later
+        // relation period is used.
+        if self.repeats.is_superseded(row.relation_period, row.at_ns) {
             return Ok(());
         }
         let number = bucket_number_of(row.at_ns, self.width);
@@ -224,7 +226,7 @@ impl Row {
     fn point_without_offset(&self) -> Result<ClockPoint, StoreError> {
         Ok(ClockPoint {
             at: wall(self.at_ns),
-            window: self.window.cast_unsigned(),
+            relation_period: self.relation_period.cast_unsigned(),
             offset: None,
             probes: self.probes(),
             round_trip: self.round_trip(),
@@ -232,7 +234,7 @@ impl Row {
             down: self.down()?,
             clocks: self.clocks()?,
             proven_skew_ppm: self.proven_skew_min_ppm.zip(self.proven_skew_max_ppm),
-            grown_window: self.grown_window_ns.map(Span::from_nanos),
+            oldest_exchange_age: self.oldest_exchange_age_ns.map(Span::from_nanos),
         })
     }
 

@@ -9,21 +9,23 @@ use crate::error::StoreError;
 use crate::read::sql;
 use crate::readers::Readers;
 
-/// A window and the range of its samples' times.
+/// A relation period and the range of its samples' times.
 #[derive(Debug, FromRow)]
-struct Window {
-    window: i64,
+struct RelationPeriod {
+    #[sqlx(rename = "window")]
+    relation_period: i64,
     first_ns: i64,
     last_ns: i64,
 }
 
-/// Windows whose times overlap with the times of an earlier window. Samples of the earlier window were taken before the
-/// clock was set back. For the common times, only the samples of the later window are used.
+/// Relation periods whose times overlap with the times of an earlier relation period. Samples of the earlier relation
+/// period were taken before the clock was set back. For the common times, only the samples of the later relation period
+/// are used.
 #[derive(Debug, Default)]
 pub(super) struct RepeatedTimes {
-    /// Position of each window in the order of arrival, by the window's number.
+    /// Position of each relation period in the order of arrival, by the relation period's number.
     positions: HashMap<i64, usize>,
-    /// Position, first and last time of each window that begins before an earlier window ends.
+    /// Position, first and last time of each relation period that begins before an earlier relation period ends.
     overlapping: Vec<(usize, i64, i64)>,
 }
 
@@ -33,7 +35,7 @@ impl RepeatedTimes {
         link: i64,
         (from, to): (i64, i64),
     ) -> Result<Self, StoreError> {
-        let windows: Vec<Window> = sqlx::query_as(sql::CLOCK_WINDOW_ORDER)
+        let relation_periods: Vec<RelationPeriod> = sqlx::query_as(sql::RELATION_PERIOD_ORDER)
             .bind(link)
             .bind(from)
             .bind(to)
@@ -42,19 +44,21 @@ impl RepeatedTimes {
             .map_err(readers.error_for(WHAT))?;
         let mut repeats = Self::default();
         let mut end = i64::MIN;
-        for (position, Window { window, first_ns, last_ns }) in windows.into_iter().enumerate() {
+        for (position, RelationPeriod { relation_period, first_ns, last_ns }) in
+            relation_periods.into_iter().enumerate()
+        {
             if first_ns <= end {
                 repeats.overlapping.push((position, first_ns, last_ns));
             }
             end = end.max(last_ns);
-            repeats.positions.insert(window, position);
+            repeats.positions.insert(relation_period, position);
         }
         Ok(repeats)
     }
 
-    /// Returns whether a window after `window` contains this time.
-    pub(super) fn is_superseded(&self, window: i64, at_ns: i64) -> bool {
-        let Some(position) = self.positions.get(&window) else { return false };
+    /// Returns whether a relation period after `relation_period` contains this time.
+    pub(super) fn is_superseded(&self, relation_period: i64, at_ns: i64) -> bool {
+        let Some(position) = self.positions.get(&relation_period) else { return false };
         let supersedes =
             |(other, first, last): &(usize, i64, i64)| other > position && *first <= at_ns && at_ns <= *last;
         self.overlapping.iter().any(supersedes)

@@ -1,7 +1,7 @@
 //! Relations between the clocks of a run's edge and the clocks of each of its clouds, from stored samples.
 //!
-//! A window relates one pair of clocks. Therefore there are separate lists of windows for times of free-running clocks
-//! and for times of wall clocks.
+//! A relation period relates one pair of clocks. Therefore there are separate lists of relation periods for times of
+//! free-running clocks and for times of wall clocks.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -9,8 +9,8 @@ use peernet_clock::{RawTime, RelatedClocks, Relation, Span, WallTime};
 use sqlx::FromRow;
 
 use super::super::{sql, value_of_number};
-use super::rolling::{EXCHANGE_RANGE, RollingWindow};
-use super::windows::{Timeline, WindowExtent};
+use super::relation_periods::{PeriodExtent, Timeline};
+use super::rolling::{EXCHANGE_RANGE, RollingRelation};
 use crate::column::count;
 use crate::error::StoreError;
 use crate::readers::Readers;
@@ -19,12 +19,13 @@ use crate::readers::Readers;
 const WHAT: &str = "clock samples";
 /// Time after the start of the last iteration in which delays of this iteration may occur.
 const MAX_ITERATION: Span = Span::from_seconds(600);
-/// Maximum number of windows of one link within a run; later windows are ignored.
-const MAX_WINDOWS: u32 = 10_000;
+/// Maximum number of relation periods of one link within a run; later relation periods are ignored.
+const MAX_PERIODS: u32 = 10_000;
 /// Maximum number of clouds of one run in memory, and of relations of one cloud in memory. When the maximum is reached,
 /// all of them are discarded; they are read again when needed.
 const MAX_CACHED: usize = 16;
-/// Tolerance of the comparison in [`Window::matches_clocks`]: the edge's wall clock may be slewed between two samples.
+/// Tolerance of the comparison in [`RelationPeriod::matches_clocks`]: the edge's wall clock may be slewed between two
+/// samples.
 const MAX_SLEW: Span = Span::from_seconds(1);
 
 /// A time of the edge, as a transit's stamp states it.
@@ -38,27 +39,28 @@ pub(super) struct EdgeTime {
     pub(super) wall: WallTime,
 }
 
-/// A stored window.
+/// A stored relation period: a period between two steps of a clock, in which one clock relation holds.
 #[derive(FromRow)]
-struct Window {
+struct RelationPeriod {
     clocks: u8,
-    window: i64,
+    #[sqlx(rename = "window")]
+    number: i64,
     // These four times are readings of the edge's related clock.
     first_ns: i64,
     last_ns: i64,
     sent_ns: i64,
     returned_ns: i64,
-    /// Smallest and largest difference between the edge's wall clock and its raw clock in the window's samples; `None`
-    /// if the window relates wall clocks.
+    /// Smallest and largest difference between the edge's wall clock and its raw clock in the relation period's
+    /// samples; `None` if the relation period relates wall clocks.
     ahead_min_ns: Option<i64>,
     ahead_max_ns: Option<i64>,
     samples: i64,
 }
 
-impl Window {
+impl RelationPeriod {
     /// Returns whether the difference between the edge's wall clock and its raw clock at this time is the same as in
-    /// the window's samples. After a restart of the machine, the raw clock may show the same times again, but with
-    /// another difference.
+    /// the relation period's samples. After a restart of the machine, the raw clock may show the same times again, but
+    /// with another difference.
     fn matches_clocks(&self, time: EdgeTime) -> bool {
         let ahead = time.wall.unix_nanos().saturating_sub(time.at.nanos());
         let tolerance = MAX_SLEW.nanos();
@@ -75,44 +77,44 @@ pub(super) struct Clouds<'a> {
     first_and_last_start: (WallTime, WallTime),
     /// Clouds that were read, by their ids; `None` for a host without a link to the edge.
     cache: HashMap<i64, Option<Cloud>>,
-    /// Link, window and number of samples of the windows that were used. Each window is counted once, however many
-    /// delays use it.
-    used_windows: BTreeSet<(i64, i64, i64)>,
+    /// Link, relation period and number of samples of the relation periods that were used. Each relation period is
+    /// counted once, however many delays use it.
+    used_periods: BTreeSet<(i64, i64, i64)>,
 }
 
 /// A cloud with a link.
 struct Cloud {
     link: i64,
-    /// For each pair of related clocks, the windows that relate this pair.
-    windows: HashMap<RelatedClocks, Windows>,
-    /// Windows whose relations are in memory, by the related clocks and the number of the window.
-    rolling: HashMap<(RelatedClocks, i64), RollingWindow>,
+    /// For each pair of related clocks, the relation periods that relate this pair.
+    periods: HashMap<RelatedClocks, RelationPeriods>,
+    /// Relation periods whose relations are in memory, by the related clocks and the number of the relation period.
+    rolling: HashMap<(RelatedClocks, i64), RollingRelation>,
 }
 
-/// The windows that relate one pair of clocks.
-struct Windows {
-    windows: Vec<Window>,
+/// The relation periods that relate one pair of clocks.
+struct RelationPeriods {
+    periods: Vec<RelationPeriod>,
     timeline: Timeline,
 }
 
-impl Windows {
-    fn new(windows: Vec<Window>) -> Self {
+impl RelationPeriods {
+    fn new(periods: Vec<RelationPeriod>) -> Self {
         let at = RawTime::from_nanos;
-        let extents: Vec<WindowExtent> = windows
+        let extents: Vec<PeriodExtent> = periods
             .iter()
-            .map(|window| WindowExtent {
-                first: at(window.first_ns),
-                last: at(window.last_ns),
-                sent: at(window.sent_ns),
-                returned: at(window.returned_ns),
+            .map(|period| PeriodExtent {
+                first: at(period.first_ns),
+                last: at(period.last_ns),
+                sent: at(period.sent_ns),
+                returned: at(period.returned_ns),
             })
             .collect();
-        Self { timeline: Timeline::new(&extents), windows }
+        Self { timeline: Timeline::new(&extents), periods }
     }
 
-    /// Returns the window to which a time belongs, or `None` if the window is uncertain.
-    fn at(&self, time: EdgeTime) -> Option<&Window> {
-        self.windows.get(self.timeline.window(time.at)?).filter(|window| window.matches_clocks(time))
+    /// Returns the relation period to which a time belongs, or `None` if the relation period is uncertain.
+    fn at(&self, time: EdgeTime) -> Option<&RelationPeriod> {
+        self.periods.get(self.timeline.period(time.at)?).filter(|period| period.matches_clocks(time))
     }
 }
 
@@ -130,7 +132,7 @@ impl<'a> Clouds<'a> {
             network,
             first_and_last_start,
             cache: HashMap::new(),
-            used_windows: BTreeSet::new(),
+            used_periods: BTreeSet::new(),
         }
     }
 
@@ -149,26 +151,26 @@ impl<'a> Clouds<'a> {
             self.cache.insert(cloud, read);
         }
         let Some(Some(cloud)) = self.cache.get_mut(&cloud) else { return Ok(None) };
-        let window = cloud.windows.get(&time.clocks).and_then(|windows| windows.at(time));
-        let Some(Window { window, samples, .. }) = window else { return Ok(None) };
-        self.used_windows.insert((cloud.link, *window, *samples));
-        let key = (time.clocks, *window);
+        let period = cloud.periods.get(&time.clocks).and_then(|periods| periods.at(time));
+        let Some(RelationPeriod { number, samples, .. }) = period else { return Ok(None) };
+        self.used_periods.insert((cloud.link, *number, *samples));
+        let key = (time.clocks, *number);
         if cloud.rolling.len() >= MAX_CACHED && !cloud.rolling.contains_key(&key) {
             cloud.rolling.clear();
         }
-        let new_window = || RollingWindow::new((cloud.link, *window), time.clocks, time.at);
-        cloud.rolling.entry(key).or_insert_with(new_window).at(self.readers, time.at).await
+        let new_relation = || RollingRelation::new((cloud.link, *number), time.clocks, time.at);
+        cloud.rolling.entry(key).or_insert_with(new_relation).at(self.readers, time.at).await
     }
 
-    /// Returns the number of stored samples in the windows that were used. Samples shortly before and after the run are
-    /// included.
+    /// Returns the number of stored samples in the relation periods that were used. Samples shortly before and after
+    /// the run are included.
     pub(super) fn samples(&self) -> u64 {
-        self.used_windows.iter().map(|(.., samples)| count(*samples)).sum()
+        self.used_periods.iter().map(|(.., samples)| count(*samples)).sum()
     }
 
-    /// Reads the link over the run's network, and the windows of this link. Other networks need no look-up: a clock
-    /// relation belongs to a pair of hosts, so the link's samples also contain exchanges of these hosts over other
-    /// networks.
+    /// Reads the link over the run's network, and the relation periods of this link. Other networks need no look-up: a
+    /// clock relation belongs to a pair of hosts, so the link's samples also contain exchanges of these hosts over
+    /// other networks.
     async fn read_cloud(&self, cloud: i64) -> Result<Option<Cloud>, StoreError> {
         let link: Option<i64> = sqlx::query_scalar(sql::LINK_BY_IDS)
             .bind(self.edge)
@@ -179,23 +181,23 @@ impl<'a> Clouds<'a> {
             .map_err(self.readers.error_for(WHAT))?;
         let Some(link) = link else { return Ok(None) };
         let (first, last) = self.first_and_last_start;
-        let windows: Vec<Window> = sqlx::query_as(sql::CLOCK_WINDOWS)
+        let periods: Vec<RelationPeriod> = sqlx::query_as(sql::RELATION_PERIODS)
             .bind(link)
             .bind((first - EXCHANGE_RANGE).unix_nanos())
             .bind((last + MAX_ITERATION + EXCHANGE_RANGE).unix_nanos())
-            .bind(MAX_WINDOWS)
+            .bind(MAX_PERIODS)
             .fetch_all(&self.readers.pool())
             .await
             .map_err(self.readers.error_for(WHAT))?;
-        let mut by_clocks: HashMap<RelatedClocks, Vec<Window>> = HashMap::new();
-        for window in windows {
+        let mut by_clocks: HashMap<RelatedClocks, Vec<RelationPeriod>> = HashMap::new();
+        for period in periods {
             by_clocks
-                .entry(value_of_number(WHAT, RelatedClocks::ALL, window.clocks)?)
+                .entry(value_of_number(WHAT, RelatedClocks::ALL, period.clocks)?)
                 .or_default()
-                .push(window);
+                .push(period);
         }
-        let windows =
-            by_clocks.into_iter().map(|(clocks, windows)| (clocks, Windows::new(windows))).collect();
-        Ok(Some(Cloud { link, windows, rolling: HashMap::new() }))
+        let periods =
+            by_clocks.into_iter().map(|(clocks, periods)| (clocks, RelationPeriods::new(periods))).collect();
+        Ok(Some(Cloud { link, periods, rolling: HashMap::new() }))
     }
 }

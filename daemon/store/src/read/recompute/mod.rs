@@ -6,8 +6,8 @@
 
 mod clouds;
 mod delay_sums;
+mod relation_periods;
 mod rolling;
-mod windows;
 
 use peernet_clock::{DelaySource, Direction, OneWayDelay, RawTime, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{RawStamps, Slug, stage};

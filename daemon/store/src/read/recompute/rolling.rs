@@ -50,13 +50,13 @@ struct Row {
 /// Interval of the offset that follows from the claims of both hosts' time daemons.
 type Claim = Option<(DelaySource, Interval)>;
 
-/// The relation of one window, from the exchanges around a time that advances.
-pub(super) struct RollingWindow {
-    /// The link and the number of its window.
+/// The clock relation of one relation period, from the exchanges around a time that advances.
+pub(super) struct RollingRelation {
+    /// The link and the number of its relation period.
     key: (i64, i64),
     clocks: RelatedClocks,
     /// The relation; `None` before the first sample. The first sample gives the drift limit, because all samples of a
-    /// window have the same limit.
+    /// relation period have the same limit.
     relation: Option<Relation>,
     /// Rows that were read but not learnt yet.
     unlearnt_rows: VecDeque<Row>,
@@ -71,9 +71,9 @@ pub(super) struct RollingWindow {
     current_claim: Claim,
 }
 
-impl RollingWindow {
-    /// Creates the relation of a window for times from `at` on. A later call may ask for a time that is earlier than
-    /// `at` by at most `MAX_DISORDER`.
+impl RollingRelation {
+    /// Creates the clock relation of a relation period for times from `at` on. A later call may ask for a time that is
+    /// earlier than `at` by at most `MAX_DISORDER`.
     pub(super) fn new(key: (i64, i64), clocks: RelatedClocks, at: RawTime) -> Self {
         Self {
             key,
@@ -163,7 +163,8 @@ impl RollingWindow {
             relation.learn(&ExchangeObservation {
                 exchange,
                 cloud_elapsed: None,
-                // A new window begins when a clock is interrupted, so all exchanges of a window are from one epoch.
+                // A new relation period begins when a clock is interrupted, so all exchanges of a relation period are
+                // from one epoch.
                 edge_epoch: 1,
                 cloud_epoch: Some(1),
             });

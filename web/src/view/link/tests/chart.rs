@@ -57,7 +57,7 @@ fn outliers_after_clock_step_change_neither_trend_nor_scale() {
     // and the band of the next second is wide.
     for (place, point) in link.history.iter_mut().enumerate().skip(60) {
         let point = Arc::make_mut(point);
-        point.window = 2;
+        point.relation_period = 2;
         let offset = point.offset.as_mut().expect("known");
         let by = if place == 60 { Span::ZERO } else { Span::from_seconds(5) };
         offset.estimate += by;
@@ -76,7 +76,7 @@ fn outliers_after_clock_step_change_neither_trend_nor_scale() {
 }
 
 #[test]
-fn repeated_seconds_are_drawn_per_window() {
+fn repeated_seconds_are_drawn_per_relation_period() {
     let at = |half_seconds: i64| WallTime::from_unix_nanos(NOW.unix_nanos() + half_seconds * 500_000_000);
     let points: Vec<ClockPoint> = (0..40).map(|n| clock_point(at(n), (n % 2) as u64, Some(0.0005))).collect();
     let whole = LinkTimeSeries { from: at(0), to: at(40), bucket: 1, points };

@@ -88,7 +88,7 @@ fn basis_of_bounds_lists_assumptions_and_proven_skew() {
         clocks: RelatedClocks::Raw,
         max_drift_change_ppm_per_s: Some(1.0),
         proven_skew_ppm: Some((61.5, 64.0)),
-        grown_window: Some(Span::from_seconds(42)),
+        oldest_exchange_age: Some(Span::from_seconds(42)),
         claims_trusted: false,
         probes_authenticated: Some(false),
         ..EstimateBasis::default()

@@ -18,7 +18,7 @@ fn chart_removes_steady_drift_and_breaks_at_step() {
     let trend = OffsetTrend::of(&points);
     for point in &points {
         let estimate = point.offset.as_ref().expect("known").estimate.seconds();
-        assert!((estimate - trend.at(point.window, point.at)).abs() < 1e-9);
+        assert!((estimate - trend.at(point.relation_period, point.at)).abs() < 1e-9);
     }
 }
 
