@@ -7,7 +7,7 @@ use anyhow::{Context, anyhow, bail};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-use crate::foreground::length;
+use crate::foreground::long_duration;
 
 /// Time limit for stored answers, from the lookup of the host's name to the last byte.
 const STORED_TIMEOUT: Duration = Duration::from_secs(5);
@@ -52,7 +52,7 @@ impl Api {
         let url = format!("{}{path}", self.url.trim_end_matches('/'));
         let describe = |error: ureq::Error| match error {
             ureq::Error::Timeout(_) => {
-                anyhow!("no complete answer within {}", length(timeout.as_secs_f64()))
+                anyhow!("no complete answer within {}", long_duration(timeout.as_secs_f64()))
             }
             // The library's text of this error begins with "io: ", so only the cause is kept.
             ureq::Error::Io(error) => error.into(),

@@ -276,7 +276,8 @@ fn facts(subject: &Subject<'_>, snapshot: &LiveState) -> Vec<String> {
     if let Some(link) = subject.live {
         facts.push(panels::probing(&link.live.probing));
         if !link.connected {
-            let ago = peernet_statistics::number::length((snapshot.at - link.last_seen).seconds().max(0.0));
+            let ago =
+                peernet_statistics::number::long_duration((snapshot.at - link.last_seen).seconds().max(0.0));
             facts.push(format!("reported {ago} ago"));
         }
     }

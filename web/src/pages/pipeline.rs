@@ -9,7 +9,9 @@ use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_aggregator::{LiveState, PipelineSnapshot, Window};
 use peernet_logger::{Slug, stage};
-use peernet_statistics::number::{NONE, SPACE, count, duration, length, percent, rate, share, total_ms};
+use peernet_statistics::number::{
+    NONE, SPACE, count, duration, long_duration, percent, rate, share, total_ms,
+};
 use peernet_store::{QuantityStatistics, RunFilter, RunSummary};
 use peernet_stream::{PipelineState, PlacementKind};
 use serde::Deserialize;
@@ -249,7 +251,10 @@ fn pipeline_page(
     let mut facts = vec![place::route(&host, placement)];
     facts.extend(placement.network.clone());
     facts.extend([place::model(placement), pipeline.load.clone()]);
-    facts.push(format!("last update {} ago", length((snapshot.at - pipeline.last_seen).seconds().max(0.0))));
+    facts.push(format!(
+        "last update {} ago",
+        long_duration((snapshot.at - pipeline.last_seen).seconds().max(0.0))
+    ));
     let charts = vec![ChartCard::new(pipeline, snapshot, app.zone)];
     let link = link::href_of_placement(snapshot, &host, placement);
     let cloud = placement.peer.as_ref().map_or("", Slug::as_str);

@@ -6,7 +6,9 @@ use std::cmp::Reverse;
 use peernet_aggregator::{HostSnapshot, RejectedBatches};
 use peernet_clock::Span;
 use peernet_figures::drawing;
-use peernet_statistics::number::{self, NONE, SPACE, bytes, count, figure, fixed, length, percent, roughly};
+use peernet_statistics::number::{
+    self, NONE, SPACE, bytes, count, estimated_duration, figure, fixed, long_duration, percent,
+};
 use peernet_store::StoredCounts;
 use peernet_stream::Accounting;
 
@@ -116,9 +118,11 @@ impl Events {
             loss_reasons: loss_reasons(account),
             spool: Spool::of(name, account),
             behind: (
-                host.behind.map_or_else(|| format!("0{SPACE}s"), |behind| length(behind.seconds())),
+                host.behind.map_or_else(|| format!("0{SPACE}s"), |behind| long_duration(behind.seconds())),
                 match host.catching_up {
-                    Some(progress) => format!("about {} left", roughly(progress.remaining.seconds())),
+                    Some(progress) => {
+                        format!("about {} left", estimated_duration(progress.remaining.seconds()))
+                    }
                     None if account.waiting == 0 => "nothing waits".to_owned(),
                     None => format!("{} wait", counted_events(account.waiting)),
                 },
@@ -161,11 +165,11 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
         remarks.push(Remark::new(tone, "gap", word, text));
     }
     if let Some(behind) = host.behind.filter(|behind| *behind > FAR_BEHIND) {
-        let behind = length(behind.seconds());
+        let behind = long_duration(behind.seconds());
         remarks.push(match host.catching_up {
             Some(progress) => {
                 let (left, rate) =
-                    (roughly(progress.remaining.seconds()), figure(progress.events_per_second));
+                    (estimated_duration(progress.remaining.seconds()), figure(progress.events_per_second));
                 let text = format!(
                     "{behind} behind, about {left} left at {rate} events/s. Live figures are not affected."
                 );

@@ -4,7 +4,7 @@ use peernet_aggregator::{HostSnapshot, LiveState, PipelineSnapshot};
 use peernet_analysis::trust::NOTABLE_SHARE;
 use peernet_clock::WallTime;
 use peernet_logger::Name;
-use peernet_statistics::number::{count, length, percent, roughly};
+use peernet_statistics::number::{count, estimated_duration, long_duration, percent};
 use peernet_stream::PipelineState;
 
 use super::chip::{Chip, Tone};
@@ -108,11 +108,11 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
     }
     if let Some(behind) = host.behind.filter(|behind| *behind > FAR_BEHIND) {
         let left = host.catching_up.map_or_else(String::new, |progress| {
-            format!(", about {} left", roughly(progress.remaining.seconds()))
+            format!(", about {} left", estimated_duration(progress.remaining.seconds()))
         });
         let text = format!(
             "storing is {} behind measuring{left}, {} events wait on the host. Live figures are not affected.",
-            length(behind.seconds()),
+            long_duration(behind.seconds()),
             count(host.accounting.waiting)
         );
         notes.push(note(Chip::new(Tone::Warn, "stale", "behind"), text));

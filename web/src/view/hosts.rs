@@ -3,7 +3,7 @@
 use peernet_aggregator::{HostSnapshot, LiveState, MetricsPoint};
 use peernet_clock::{ClockIdentity, Span};
 use peernet_figures::drawing::sparkline;
-use peernet_statistics::number::{NONE, SPACE, count, fixed, gigabytes, length, whole_percent};
+use peernet_statistics::number::{NONE, SPACE, count, fixed, gigabytes, long_duration, whole_percent};
 use peernet_stream::{Hardware, HostMetrics};
 
 use super::chip::{Chip, Tone};
@@ -137,7 +137,7 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
     if size < 1.0 {
         return ("its own".to_owned(), title);
     }
-    let away = format!("{} {}", length(size), if ahead.is_negative() { "behind" } else { "ahead" });
+    let away = format!("{} {}", long_duration(size), if ahead.is_negative() { "behind" } else { "ahead" });
     (format!("its own, {away}"), format!("its own clock, {away} when its last update arrived"))
 }
 

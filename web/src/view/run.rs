@@ -11,7 +11,9 @@ use peernet_clock::{Verdict, WallTime};
 use peernet_figures::drawing::StageBar;
 use peernet_figures::scale::Scale as AxisScale;
 use peernet_logger::stage;
-use peernet_statistics::number::{DurationFormat, NONE, SPACE, count, fixed, length, throughput, times};
+use peernet_statistics::number::{
+    DurationFormat, NONE, SPACE, count, fixed, long_duration, throughput, times,
+};
 use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
 use serde::Serialize;
 
@@ -122,7 +124,7 @@ impl StoredRun<'_> {
     pub(crate) fn time_remarks(&self) -> Vec<String> {
         let failed = episodes::failed_count_text(self.episodes, &self.run.summary);
         let standstill = self.starts.times.standstill_s.map(|seconds| {
-            format!("no start for {}: the clock was set, or the pipeline stood still", length(seconds))
+            format!("no start for {}: the clock was set, or the pipeline stood still", long_duration(seconds))
         });
         [episodes::episode_count_text(self.episodes), failed, standstill].into_iter().flatten().collect()
     }

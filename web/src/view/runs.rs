@@ -4,7 +4,7 @@ use peernet_aggregator::LiveState;
 use peernet_analysis::outcomes::failed_share;
 use peernet_analysis::trust::MissingCount;
 use peernet_clock::WallTime;
-use peernet_statistics::number::{NONE, count, counted, length, milliseconds, percent};
+use peernet_statistics::number::{NONE, count, counted, long_duration, milliseconds, percent};
 use peernet_store::{GapRow, RetentionConfig, RunSummary};
 use peernet_stream::ExperimentPosition;
 
@@ -174,7 +174,7 @@ impl RunLine {
             model: place::model(&run.placement),
             started: zone.moment(run.started),
             lasted: end_time(run)
-                .map_or_else(|| NONE.to_owned(), |end| length((end - run.started).seconds())),
+                .map_or_else(|| NONE.to_owned(), |end| long_duration((end - run.started).seconds())),
             end: End::of(run, snapshot, zone),
             iterations: count(run.counts.total()),
             failed: failed_share(&run.counts).map_or_else(|| NONE.to_owned(), percent),

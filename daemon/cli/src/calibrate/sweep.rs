@@ -5,7 +5,7 @@ use peernet_clock::{Direction, MonoTime};
 use peernet_statistics::number::{self, NONE, bytes, count, milliseconds};
 
 use super::plan::Plan;
-use crate::foreground::{Progress, roughly};
+use crate::foreground::{Progress, estimated_duration};
 
 /// Display of the sweep's progress.
 pub(super) struct SweepDisplay {
@@ -72,7 +72,7 @@ impl SweepLimits {
             bytes(smallest as f64).plain(),
             describe_median(samples, largest),
             bytes(largest as f64).plain(),
-            roughly(remaining_s),
+            estimated_duration(remaining_s),
         );
         (text, fraction_done)
     }

@@ -22,7 +22,7 @@ pub(crate) use agent_end::AgentEnd;
 pub(crate) use command_line::command_line;
 pub(crate) use condition::describe_condition;
 pub(crate) use dashboard::dashboard_hint;
-pub(crate) use duration::{length, roughly};
+pub(crate) use duration::{estimated_duration, long_duration};
 pub(crate) use latency::describe_quantiles;
 pub(crate) use log::{LogDestination, start_log};
 pub(crate) use peer_wait::{PeerWait, PipelineActivity};

@@ -6,7 +6,7 @@ use peernet_statistics::{Summary, number};
 use peernet_stream::Condition;
 use serde::{Deserialize, Serialize};
 
-use crate::foreground::{describe_quantiles, roughly};
+use crate::foreground::{describe_quantiles, estimated_duration};
 
 /// Progress of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,7 +56,7 @@ impl fmt::Display for ProgressReport {
         if let Some(p50) = self.totals.quantile(0.5) {
             write!(f, ", total {}", describe_quantiles(p50, self.totals.p99()))?;
         }
-        self.left_s.map_or(Ok(()), |left| write!(f, ", {} left", roughly(left)))
+        self.left_s.map_or(Ok(()), |left| write!(f, ", {} left", estimated_duration(left)))
     }
 }
 

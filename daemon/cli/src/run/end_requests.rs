@@ -6,7 +6,7 @@ use std::time::Duration;
 use rustix::process::Signal;
 use tokio::time::Instant;
 
-use crate::foreground::length;
+use crate::foreground::long_duration;
 
 /// Limit after the first request: work in progress is finished, and the results are written.
 const FIRST_TIMEOUT: Duration = Duration::from_secs(60);
@@ -27,7 +27,7 @@ impl EndRequests {
         let mut within = |time: Duration| {
             let deadline = self.deadline.map_or(now + time, |deadline| deadline.min(now + time));
             self.deadline = Some(deadline);
-            length((deadline - now).as_secs_f64())
+            long_duration((deadline - now).as_secs_f64())
         };
         // The signals differ, so that a process cannot take the second one for a repetition of the first.
         match self.requests {

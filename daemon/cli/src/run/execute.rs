@@ -14,7 +14,7 @@ use super::folder::Folder;
 use super::plan::Run;
 use super::state::{Record, RunResult};
 use crate::experiment::RunStatus;
-use crate::foreground::{Progress, Signals, command_line, length, roughly};
+use crate::foreground::{Progress, Signals, command_line, estimated_duration, long_duration};
 use crate::measure::{ProgressReport, RunRequest};
 use crate::short::shorten_label;
 
@@ -87,7 +87,8 @@ impl Execution<'_> {
             }
             let fraction_of_run =
                 report.iterations.map_or(0.0, |count| report.done as f64 / count.max(1) as f64);
-            let left = report.left_s.zip(later_runs_s).map(|(run_s, later_s)| roughly(run_s + later_s));
+            let left =
+                report.left_s.zip(later_runs_s).map(|(run_s, later_s)| estimated_duration(run_s + later_s));
             let left = left.map_or_else(String::new, |left| format!(", {left} left in total"));
             let trouble = report.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
             let state = || {
@@ -112,7 +113,7 @@ impl Execution<'_> {
             progress.print_line(format_args!(
                 "{name}: {} after {}{reason}",
                 result.status.name(),
-                length(seconds)
+                long_duration(seconds)
             ));
         }
         self.record.end_run(run, result);

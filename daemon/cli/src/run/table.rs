@@ -7,7 +7,7 @@ use super::estimate::Estimates;
 use super::plan::Run;
 use super::state::Record;
 use crate::experiment::RunStatus;
-use crate::foreground::{length, roughly};
+use crate::foreground::{estimated_duration, long_duration};
 use crate::short::shorten_label;
 
 /// Text of cells without a known value.
@@ -42,7 +42,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
         cells.push(state.status.name().to_owned());
         let measured_s = state.seconds.filter(|_| state.status == RunStatus::Finished);
         let time_s = measured_s.or_else(|| estimates.duration_s(run.configuration));
-        cells.push(time_s.map_or_else(|| UNKNOWN.to_owned(), length));
+        cells.push(time_s.map_or_else(|| UNKNOWN.to_owned(), long_duration));
         cells
     });
     Table { header, label_columns, rows: rows.collect(), marked: None }.text()
@@ -52,7 +52,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
 pub(super) fn describe_plan(to_do: &[Run], record: &Record, estimates: &Estimates) -> String {
     let known_durations: Vec<f64> =
         to_do.iter().filter_map(|run| estimates.duration_s(run.configuration)).collect();
-    let sum = roughly(known_durations.iter().sum());
+    let sum = estimated_duration(known_durations.iter().sum());
     let time = match to_do.len() - known_durations.len() {
         0 => format!("about {sum}"),
         1 if to_do.len() == 1 => "how long it takes is not known".to_owned(),

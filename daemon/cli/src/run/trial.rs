@@ -21,7 +21,7 @@ use super::children::{self, ChildEvent, ProcessResult};
 use super::estimate::Pace;
 use super::file::Configuration;
 use super::plan::{Plan, describe_labels};
-use crate::foreground::{Progress, Signals, length};
+use crate::foreground::{Progress, Signals, long_duration};
 use crate::measure::RunRequest;
 use crate::short::shorten_label;
 
@@ -97,7 +97,7 @@ pub(super) async fn configurations(
             ChildEvent::ProgressReport(reports) => {
                 let (now, trouble) =
                     (clock.mono(), reports.iter().flatten().find_map(|report| report.trouble.clone()));
-                let elapsed = length((now - began).seconds());
+                let elapsed = long_duration((now - began).seconds());
                 progress.show(now, trouble, || (format!("{state}, for {elapsed}"), fraction_done));
             }
         })

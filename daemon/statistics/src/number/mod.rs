@@ -7,7 +7,7 @@
 
 mod bounds;
 mod estimate;
-mod length;
+mod long_duration;
 mod milliseconds;
 mod quantity;
 #[cfg(test)]
@@ -15,7 +15,7 @@ mod tests;
 
 pub use bounds::{bound, bound_ms, ends_ms, interval_ms, offset_ms, shift_ms, signed_within_ms, within_ms};
 pub use estimate::Estimate;
-pub use length::{length, roughly};
+pub use long_duration::{estimated_duration, long_duration};
 pub use milliseconds::{
     DurationFormat, column_decimals, duration, error_ms, mean_std, mean_std_ms, milliseconds, range_ms,
     total_ms, trip_ms,

@@ -166,13 +166,13 @@ fn shares_rates_and_sizes_are_formatted_with_three_digits() {
 
 #[test]
 fn durations_are_formatted_in_two_units() {
-    assert_eq!(length(0.42), "0.4\u{202f}s");
-    assert_eq!(length(35.2), "35\u{202f}s");
-    assert_eq!(length(252.0), "4\u{202f}min 12\u{202f}s");
-    assert_eq!(length(600.0), "10\u{202f}min");
-    assert_eq!(length(7_500.0), "2\u{202f}h 5\u{202f}min");
-    assert_eq!(length(273_600.0), "3\u{202f}d 4\u{202f}h");
-    assert_eq!(length(-1.0), NONE);
+    assert_eq!(long_duration(0.42), "0.4\u{202f}s");
+    assert_eq!(long_duration(35.2), "35\u{202f}s");
+    assert_eq!(long_duration(252.0), "4\u{202f}min 12\u{202f}s");
+    assert_eq!(long_duration(600.0), "10\u{202f}min");
+    assert_eq!(long_duration(7_500.0), "2\u{202f}h 5\u{202f}min");
+    assert_eq!(long_duration(273_600.0), "3\u{202f}d 4\u{202f}h");
+    assert_eq!(long_duration(-1.0), NONE);
 }
 
 #[test]
@@ -202,12 +202,12 @@ fn estimated_durations_are_rounded_to_coarse_units() {
         [(3.0, "10 s"), (51.0, "1 min"), (277.0, "5 min"), (3_541.0, "1 h"), (11_520.0, "3 h 20 min")]
     {
         assert_eq!(
-            roughly(seconds),
+            estimated_duration(seconds),
             text.replace(' ', SPACE).replace(&format!("h{SPACE}"), "h "),
             "{seconds}"
         );
     }
-    assert_eq!(roughly(f64::INFINITY), NONE);
+    assert_eq!(estimated_duration(f64::INFINITY), NONE);
 }
 
 #[test]

@@ -10,7 +10,7 @@ use peernet_analysis::total_column::TotalColumn;
 use peernet_clock::WallTime;
 use peernet_figures::drawing::{OverTimeAxes, StageBucket, StagePart, StagesOverTime};
 use peernet_logger::{Name, stage};
-use peernet_statistics::number::{self, duration, length};
+use peernet_statistics::number::{self, duration, long_duration};
 use peernet_store::{
     DelayAccuracy, Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store,
 };
@@ -164,7 +164,7 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
 /// clock was set back during the run.
 fn length_text(run: &RunSummary, episodes: &Episodes) -> Option<String> {
     let seconds = (run.last_iteration? - episodes.first.unwrap_or(run.started)).seconds();
-    let length = if seconds < 1.0 { duration(seconds).to_string() } else { length(seconds) };
+    let length = if seconds < 1.0 { duration(seconds).to_string() } else { long_duration(seconds) };
     (seconds > 0.0).then(|| format!("{length} between the starts of the first and the last iteration"))
 }
 
@@ -225,7 +225,7 @@ fn data(
     let range = if buckets.is_empty() {
         "no statistics are stored".to_owned()
     } else {
-        format!("medians from {} to {} over {}", duration(lo), duration(hi), length(length_s))
+        format!("medians from {} to {} over {}", duration(lo), duration(hi), long_duration(length_s))
     };
     let remarks = [episodes::episode_count_text(episodes), episodes::failed_count_text(episodes, run)]
         .into_iter()

@@ -9,7 +9,7 @@ use peernet_clock::WallTime;
 use peernet_figures::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};
 use peernet_logger::stage;
 use peernet_statistics::Summary;
-use peernet_statistics::number::{self, duration, length};
+use peernet_statistics::number::{self, duration, long_duration};
 use peernet_store::{MeasuredTime, RunSummary, Store};
 
 use super::differences::CONCURRENT_READS;
@@ -137,7 +137,7 @@ pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option
         0 => COUNTED_TIME.to_owned(),
         width_s => format!(
             "Only complete intervals of {} during which all edges of a repeat were measuring are counted: finer statistics were deleted.",
-            length(f64::from(width_s))
+            long_duration(f64::from(width_s))
         ),
     };
     Some(UsersPlot { plot: plot(&curves, &points), rows, method: format!("{method} {FAIRNESS_MEANING}") })

@@ -1,7 +1,7 @@
 //! Texts about the assumptions on which the bounds of one-way delays depend.
 
 use peernet_clock::{DelaySource, Offset, RelatedClocks, Span};
-use peernet_statistics::number::{SPACE, figure, fixed, length};
+use peernet_statistics::number::{SPACE, figure, fixed, long_duration};
 use peernet_store::DelayAssumptions;
 
 use super::Subject;
@@ -188,7 +188,7 @@ fn window_text(oldest_exchange_age: Option<Span>) -> String {
             format!(
                 "grown to {} because exchanges are rare: the newest eight exchanges bound the delay whatever their age; if an \
                  assumption is violated, the bound is wrong for as long",
-                length(age.seconds())
+                long_duration(age.seconds())
             )
         },
     )

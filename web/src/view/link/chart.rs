@@ -5,7 +5,7 @@ use peernet_clock::{Span, Verdict, WallTime};
 use peernet_figures::look::{Style, TextStyle};
 use peernet_figures::plot::{At, Item, Label, Path};
 use peernet_figures::scale::{Scale, Tick, times_of_day};
-use peernet_statistics::number::{self, SPACE, bound, bound_ms, count, figure, length};
+use peernet_statistics::number::{self, SPACE, bound, bound_ms, count, figure, long_duration};
 use peernet_store::{ClockPoint, IncidentRow};
 use serde::Deserialize;
 
@@ -284,7 +284,7 @@ fn round_trips(input: &ChartInput<'_>) -> Track {
 
 /// Returns the width of a bucket in words: `2 s`, `24 min`.
 fn bucket_text(seconds: i64) -> String {
-    if seconds < 60 { format!("{seconds}{SPACE}s") } else { length(seconds as f64) }
+    if seconds < 60 { format!("{seconds}{SPACE}s") } else { long_duration(seconds as f64) }
 }
 
 /// Draws labels with round times of day along the axis.
@@ -308,7 +308,7 @@ fn range(values: impl Iterator<Item = f64>) -> Option<String> {
 
 fn finding(subject: &Subject<'_>, input: &ChartInput<'_>, incidents: usize) -> String {
     let time_series = input.time_series;
-    let mut text = format!("{} over {}.", subject.route(), length(time_series.seconds()));
+    let mut text = format!("{} over {}.", subject.route(), long_duration(time_series.seconds()));
     if time_series.points.is_empty() {
         return format!("{text} Nothing was reported.");
     }

@@ -169,7 +169,7 @@ fn explain_bound(offset: &Offset, time_series: &LinkTimeSeries) -> Vec<String> {
     if let Some(age) = offset.age.filter(|age| age.seconds() > 5.0) {
         why.push(format!(
             "The newest exchange is {} old.",
-            peernet_statistics::number::length(age.seconds())
+            peernet_statistics::number::long_duration(age.seconds())
         ));
     }
     why

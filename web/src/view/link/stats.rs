@@ -2,7 +2,7 @@
 
 use peernet_clock::{RelatedClocks, Span};
 use peernet_statistics::number::{
-    NONE, SPACE, bound, count, figure, length, offset_ms, percent, signed, trip_ms,
+    NONE, SPACE, bound, count, figure, long_duration, offset_ms, percent, signed, trip_ms,
 };
 
 use super::super::chip::Chip;
@@ -132,7 +132,7 @@ fn lost(time_series: &LinkTimeSeries) -> Stat {
     let (lost, ended) = (count(probes.lost.into()), count(probes.ended().into()));
     let share = probes.lost_share().map(percent);
     let line = match share {
-        Some(_) => format!("{lost} of {ended} in {}", length(time_series.seconds())),
+        Some(_) => format!("{lost} of {ended} in {}", long_duration(time_series.seconds())),
         None => "no probes".to_owned(),
     };
     Stat::new("Probes lost", share, "%", line)

@@ -3,7 +3,7 @@
 use super::{NONE, SPACE, count, fixed_or_less_than};
 
 /// Formats a duration: `0.4 s`, `35 s`, `4 min 12 s`, `2 h 5 min`, `3 d 4 h`.
-pub fn length(seconds: f64) -> String {
+pub fn long_duration(seconds: f64) -> String {
     if !seconds.is_finite() || seconds < 0.0 {
         return NONE.to_owned();
     }
@@ -24,7 +24,7 @@ pub fn length(seconds: f64) -> String {
 }
 
 /// Formats a duration with the precision of an estimate: `40 s`, `5 min`, `3 h 20 min`.
-pub fn roughly(seconds: f64) -> String {
+pub fn estimated_duration(seconds: f64) -> String {
     let step = match seconds {
         seconds if seconds < 60.0 => 10.0,
         seconds if seconds < 3_600.0 => 60.0,
@@ -32,5 +32,5 @@ pub fn roughly(seconds: f64) -> String {
         _ => 3_600.0,
     };
     // The duration is rounded up, because it does no harm if something ends earlier than announced.
-    length((seconds / step).ceil() * step)
+    long_duration((seconds / step).ceil() * step)
 }
