@@ -32,7 +32,7 @@ impl Api {
     /// Requests the document at a path below the dashboard's address.
     ///
     /// # Errors
-    /// When no server answers, or the answer does not have the expected form (69).
+    /// When no server answers, or the answer does not have the expected form (exit code 69).
     pub(crate) fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
         self.request(path, STORED_TIMEOUT).map_err(|error| Failure::new(Exit::Unavailable, error))
     }

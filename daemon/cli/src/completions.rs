@@ -18,7 +18,7 @@ pub(crate) struct Arguments {
 /// Prints the script.
 ///
 /// # Errors
-/// When the script is not UTF-8 (70), which does not happen.
+/// When the script is not UTF-8 (exit code 70), which does not happen.
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut Cli::command(), "peernet", &mut script);

@@ -77,7 +77,7 @@ struct VerdictCount {
 /// Prints the delays as stored (`before`) and as computed again (`after`), in adjacent rows.
 ///
 /// # Errors
-/// When the aggregator does not answer, or has no such run (69).
+/// When the aggregator does not answer, or has no such run (exit code 69).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let path = format!("/api/v1/runs/{}/recomputed", arguments.run);
     if arguments.json {

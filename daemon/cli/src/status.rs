@@ -101,7 +101,7 @@ const WINDOW_S: u32 = 10;
 /// Prints the table of the pipelines and the table of the hosts.
 ///
 /// # Errors
-/// When the aggregator does not answer (69).
+/// When the aggregator does not answer (exit code 69).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Pipelines { pipelines } = arguments.api.get("/api/v1/pipelines")?;
     let Hosts { hosts, clock_faults: faulty } = arguments.api.get("/api/v1/hosts")?;

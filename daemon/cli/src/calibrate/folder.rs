@@ -9,7 +9,8 @@ use peernet_networks::Address;
 
 use super::Arguments;
 
-/// A folder that exists before anything is measured.
+/// The folder for the results. It is created before anything is measured, so that a folder that cannot be used is an
+/// error at the start.
 pub(super) struct Folder {
     path: PathBuf,
     /// `true` if the folder was created for this calibration.
@@ -20,7 +21,7 @@ impl Folder {
     /// Creates the folder of `--result-loc`, or a folder that is named after peer and time.
     ///
     /// # Errors
-    /// When the folder is not empty (64) or cannot be created (73).
+    /// When the folder is not empty (exit code 64) or cannot be created (exit code 73).
     pub(super) fn make(arguments: &Arguments, peer: &Address, at: WallTime) -> Result<Self, Failure> {
         let path = arguments.result_loc.clone().unwrap_or_else(|| default_path(peer, at));
         let entries = std::fs::read_dir(&path);

@@ -32,8 +32,9 @@ use plan::Plan;
 /// Studies the link, prints the study and writes its files.
 ///
 /// # Errors
-/// When the peer cannot be reached or fails (69), the study has no result (69), the configuration is wrong (78), the
-/// results cannot be written (73), or the user ended the calibration early (130).
+/// When the peer cannot be reached or fails (exit code 69), the study has no result (exit code 69), the configuration
+/// is wrong (exit code 78), the results cannot be written (exit code 73), or the user ended the calibration early (exit
+/// code 130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     start_log(LogDestination::StandardError)?;

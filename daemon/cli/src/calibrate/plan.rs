@@ -112,7 +112,7 @@ impl Plan {
     /// is given.
     ///
     /// # Errors
-    /// When the file cannot be read (66) or its tables are wrong (78).
+    /// When the file cannot be read (exit code 66) or its tables are wrong (exit code 78).
     pub(super) fn agent(&self, file: Option<&Path>, state_dir: &Path) -> Result<AgentConfig, Failure> {
         let mut config = read_agent_tables(file)?;
         state_dir.clone_into(&mut config.agent.state_dir);

@@ -34,7 +34,8 @@ pub(crate) struct CollectedResults {
 /// unless all its runs are at the named paths.
 ///
 /// # Errors
-/// When a path has no results or all results are excluded (66), or the baseline or all results cannot be read (65).
+/// When a path has no results or all results are excluded (exit code 66), or the baseline or all results cannot be read
+/// (exit code 65).
 pub(crate) fn collect(
     named_paths: &[PathBuf],
     baseline: Option<&Path>,

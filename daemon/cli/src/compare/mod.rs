@@ -64,8 +64,8 @@ enum Format {
 /// they are differences of the totals from the best line.
 ///
 /// # Errors
-/// When there are no results (66), some cannot be read (65; the others are printed), or the file cannot be written
-/// (73).
+/// When there are no results (exit code 66), some cannot be read (exit code 65; the others are printed), or the file
+/// cannot be written (exit code 73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let CollectedResults { runs, baseline, notes, unreadable } =
         collect(&arguments.runs, arguments.baseline.as_deref(), &needs_column)?;

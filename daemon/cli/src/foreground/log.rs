@@ -40,7 +40,7 @@ const WARNING_TARGETS: [&str; 2] = [REMARK_LOG_TARGET, LOAD_LOG_TARGET];
 /// connections, and warnings about models that take long to load.
 ///
 /// # Errors
-/// When the variable does not contain a valid level (78).
+/// When the variable does not contain a valid level (exit code 78).
 pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
     let configuration_failure = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
     let level = std::env::var(VARIABLE).unwrap_or_else(|_| default_level());

@@ -94,7 +94,7 @@ impl ReadyAgent {
     /// Checks the configuration and everything that it names, and creates the clocks.
     ///
     /// # Errors
-    /// When the clock cannot be read (69), or the configuration is wrong (78).
+    /// When the clock cannot be read (exit code 69), or the configuration is wrong (exit code 78).
     pub(crate) fn new(config: AgentConfig) -> Result<Self, Failure> {
         let unavailable = |error: std::io::Error| Failure::new(Exit::Unavailable, error);
         let system_clock = clock::system(&config.agent.clock_identity).map_err(unavailable)?;
@@ -116,7 +116,7 @@ impl ReadyAgent {
     /// the waiting for work in progress.
     ///
     /// # Errors
-    /// When the agent cannot start (69) or loses a task (70).
+    /// When the agent cannot start (exit code 69) or loses a task (exit code 70).
     pub(crate) fn watch<O: RunObserver>(
         self,
         observer: &mut O,

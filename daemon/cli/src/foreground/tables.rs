@@ -16,7 +16,7 @@ const USED_TABLES: [&str; 4] = ["clock", "probes", "clock_fault", "onnxruntime"]
 /// clock identity. Returns the defaults without a file.
 ///
 /// # Errors
-/// When the file cannot be read (66) or its tables are wrong (78).
+/// When the file cannot be read (exit code 66) or its tables are wrong (exit code 78).
 pub(crate) fn read_agent_tables(file: Option<&Path>) -> Result<AgentConfig, Failure> {
     let Some(file) = file else { return Ok(AgentConfig::default()) };
     let text = small_file::read(file, small_file::MAX_BYTES)

@@ -25,8 +25,8 @@ pub(crate) struct Arguments {
 /// Measures the requested run. Prints its progress as lines of JSON objects, and output of custom code as JSON texts.
 ///
 /// # Errors
-/// Those of [`measure`]. Also when the request cannot be read (66) or parsed (78), `PEERNET_LOG` is not a valid level
-/// (78), or iterations failed (75).
+/// Those of [`measure`]. Also when the request cannot be read (exit code 66) or parsed (exit code 78), `PEERNET_LOG` is
+/// not a valid level (exit code 78), or iterations failed (exit code 75).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     exit_with_parent();
     start_log(LogDestination::Parent)?;

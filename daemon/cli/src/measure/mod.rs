@@ -75,9 +75,9 @@ impl MeasuredRun {
 /// Measures the requested run and writes its results.
 ///
 /// # Errors
-/// When the configuration is wrong (78), the agent cannot start (69), or the folder for the results cannot be used
-/// (64, 69, 73). Also when there are no rows, because the peer or the agent failed (69) or the user ended the run
-/// before the first iteration (130).
+/// When the configuration is wrong (exit code 78), the agent cannot start (exit code 69), or the folder for the results
+/// cannot be used (exit code 64, 69 or 73). Also when there are no rows, because the peer or the agent failed (exit
+/// code 69) or the user ended the run before the first iteration (exit code 130).
 pub(crate) fn measure(
     request: &RunRequest,
     progress_display: &mut dyn ProgressDisplay,

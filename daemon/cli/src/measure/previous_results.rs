@@ -39,7 +39,7 @@ impl PreviousResultsGuard {
     /// Moves the results of a folder away.
     ///
     /// # Errors
-    /// When the results cannot be moved (73).
+    /// When the results cannot be moved (exit code 73).
     pub(super) fn move_away(results_dir: &Path) -> Result<Self, Failure> {
         let mut guard = Self { results_dir: results_dir.to_owned(), moved_results: None };
         if !ResultFolder::replaced_files(results_dir).any(|name| results_dir.join(name).is_file()) {
@@ -72,7 +72,7 @@ impl PreviousResultsGuard {
     /// meanwhile.
     ///
     /// # Errors
-    /// When the results cannot be moved (73).
+    /// When the results cannot be moved (exit code 73).
     pub(super) fn recover(results_dir: &Path) -> Result<(), Failure> {
         let mut folders: Vec<PathBuf> = leftover_folders(results_dir).collect();
         // A folder with a record has all results of a run, so it is restored rather than a folder without a record.

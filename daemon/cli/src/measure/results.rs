@@ -33,8 +33,8 @@ impl Results {
     /// Creates and locks the folder that the request names.
     ///
     /// # Errors
-    /// When the folder holds results that must not be replaced (64), another program writes there (69), or the folder
-    /// cannot be created (73).
+    /// When the folder holds results that must not be replaced (exit code 64), another program writes there (exit code
+    /// 69), or the folder cannot be created (exit code 73).
     pub(super) fn prepare(request: &RunRequest) -> Result<Self, Failure> {
         // Previous results are restored only if the folder can be locked, which shows that no run is active there.
         if PreviousResultsGuard::has_leftovers(&request.folder)
@@ -59,7 +59,7 @@ impl Results {
     /// Returns the writer of the rows.
     ///
     /// # Errors
-    /// When the file cannot be written (73).
+    /// When the file cannot be written (exit code 73).
     pub(super) fn writer(&self) -> Result<RowWriter, Failure> {
         self.folder.writer().map_err(failure)
     }

@@ -53,7 +53,7 @@ impl RunRequest {
     /// Returns the pipeline.
     ///
     /// # Errors
-    /// When there is not exactly one pipeline, or the pipeline has no limit (78).
+    /// When there is not exactly one pipeline, or the pipeline has no limit (exit code 78).
     pub(super) fn pipeline(&self) -> Result<&PipelineConfig, Failure> {
         let invalid = |text: &str| Failure::new(Exit::Configuration, anyhow!("{text}"));
         match self.agent.pipelines.as_slice() {

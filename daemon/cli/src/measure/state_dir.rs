@@ -23,7 +23,7 @@ impl AgentStateDir {
     /// Returns the folder of this agent.
     ///
     /// # Errors
-    /// When no folder can be used for the state (69).
+    /// When no folder can be used for the state (exit code 69).
     pub(crate) fn for_agent(agent: &HostConfig) -> Result<Self, Failure> {
         let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
         // Without an aggregator nobody has to recognise the host, so no state has to stay.
@@ -45,7 +45,7 @@ impl AgentStateDir {
     ///
     /// # Errors
     /// When the spool of an earlier version cannot be taken over, or the key for the arguments of programs cannot be
-    /// read or made (69).
+    /// read or made (exit code 69).
     pub(crate) fn configure(&self, config: &mut AgentConfig) -> Result<(), Failure> {
         self.folder().clone_into(&mut config.agent.state_dir);
         // All runs of this user share one key, so that equal programs of different runs get equal fingerprints.

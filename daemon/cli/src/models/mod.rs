@@ -38,7 +38,7 @@ enum Command {
 /// Executes the subcommand.
 ///
 /// # Errors
-/// When the model does not exist (66), or cannot be used (69).
+/// When the model does not exist (exit code 66), or cannot be used (exit code 69).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.command {
         Command::List(arguments) => list::run(arguments),

@@ -35,8 +35,8 @@ const DEFAULT_RESULTS_DIR: &str = "results";
 /// Measures and writes the results.
 ///
 /// # Errors
-/// Those of [`measure`]. Also when the data set does not exist (66), some iterations failed (75), or the user ended the
-/// run early (130).
+/// Those of [`measure`]. Also when the data set does not exist (exit code 66), some iterations failed (exit code 75),
+/// or the user ended the run early (exit code 130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
     let request = run_request(arguments, devices)?;
     let clock =

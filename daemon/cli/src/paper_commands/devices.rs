@@ -88,7 +88,7 @@ pub(crate) struct DeviceAddresses {
 /// Reads the addresses of all devices. Addresses without a scheme are on `network`.
 ///
 /// # Errors
-/// When the file cannot be read (66) or is incomplete or invalid (78).
+/// When the file cannot be read (exit code 66) or is incomplete or invalid (exit code 78).
 pub(crate) fn addresses(path: &Path, network: NetworkKind) -> Result<DeviceAddresses, Failure> {
     let (path_text, text) = (path.display().to_string(), read_text(path)?);
     let invalid = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
@@ -124,7 +124,8 @@ impl Devices {
     /// Reads the file. If a network is given, it must be the network of the server's address.
     ///
     /// # Errors
-    /// When it cannot be read (66), is incomplete or invalid (78), or has the server on another network (78).
+    /// When it cannot be read (exit code 66), is incomplete or invalid (exit code 78), or has the server on another
+    /// network (exit code 78).
     pub(super) fn read(path: &Path, network: Option<NetworkKind>) -> Result<Self, Failure> {
         let file = path.display().to_string();
         let text = read_text(path)?;
@@ -152,7 +153,7 @@ impl Devices {
     /// Checks that this device may be started in this role.
     ///
     /// # Errors
-    /// When it is not in the file, the file has the roles reversed, or this build lacks the network (78).
+    /// When it is not in the file, the file has the roles reversed, or this build lacks the network (exit code 78).
     pub(super) fn check(&self, name: &Slug, serves: bool) -> Result<(), Failure> {
         // Without this check, a wrong name or role would make the devices wait for each other without an error.
         let (file, server) = (&self.config.file, &self.server);

@@ -18,7 +18,7 @@ const DEFAULT_DEVICE: &str = "cuda:0";
 /// Returns the model's configuration after checking its files and its device.
 ///
 /// # Errors
-/// When the model does not exist (66), or cannot run on this device (69).
+/// When the model does not exist (exit code 66), or cannot run on this device (exit code 69).
 pub(super) fn from_arguments(
     arguments: &Arguments,
     runtime: &OnnxRuntimeConfig,

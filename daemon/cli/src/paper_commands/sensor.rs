@@ -41,7 +41,7 @@ impl SensorType {
 /// Returns the sensor and the transforms of its samples.
 ///
 /// # Errors
-/// When an option is missing (64), or the data set does not exist (66).
+/// When an option is missing (exit code 64), or the data set does not exist (exit code 66).
 pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformConfig>), Failure> {
     let missing_option = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
     // `--sensor-object` implies the type `external`, because `image` is the default.

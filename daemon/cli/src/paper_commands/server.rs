@@ -17,8 +17,9 @@ use crate::measure::AgentStateDir;
 /// Serves until the requested number of answers is given, no more requests will come, or the user presses Ctrl-C.
 ///
 /// # Errors
-/// When the model does not exist (66) or cannot run (69), or the port is in use (69). Also when clients ended their
-/// runs without all iterations (75), or the user ended the server early (130).
+/// When the model does not exist (exit code 66) or cannot run (exit code 69), or the port is in use (exit code 69).
+/// Also when clients ended their runs without all iterations (exit code 75), or the user ended the server early (exit
+/// code 130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
     let mut config = read_agent_tables(arguments.config.as_deref())?;
     let model = model::from_arguments(arguments, &config.onnxruntime)?;

@@ -90,8 +90,9 @@ impl Kind {
 /// Draws the figures and prints their paths.
 ///
 /// # Errors
-/// When there are no results (66), some cannot be read (the others are drawn) or they lack what the kind shows (65),
-/// an option has no meaning for the kind (64), or a file cannot be written (73).
+/// When there are no results (exit code 66), some cannot be read (the others are drawn) or they lack what the kind
+/// shows (exit code 65), an option has no meaning for the kind (exit code 64), or a file cannot be written (exit code
+/// 73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
     let named_paths = distinct_paths(&arguments.runs);

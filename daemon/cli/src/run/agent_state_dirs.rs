@@ -29,7 +29,7 @@ impl AgentStateDirs {
     /// needs no lock.
     ///
     /// # Errors
-    /// When another experiment or agent uses a folder, or a folder cannot be created (69).
+    /// When another experiment or agent uses a folder, or a folder cannot be created (exit code 69).
     pub(super) fn acquire(plan: &Plan, runs: &[Run]) -> Result<Self, Failure> {
         Self::lock(&folders(plan, runs)?)
     }
@@ -77,7 +77,7 @@ fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
 /// Returns events on the hosts of a plan that were not yet delivered to their aggregators. No run may be active.
 ///
 /// # Errors
-/// When there is no folder for the state of the hosts (69).
+/// When there is no folder for the state of the hosts (exit code 69).
 pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<UndeliveredEvents>, Failure> {
     let mut events = Vec::new();
     for folder in folders(plan, &plan.runs)? {

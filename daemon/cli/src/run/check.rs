@@ -49,7 +49,7 @@ pub(super) fn with_experiment_keys(problem: &str) -> String {
 /// once.
 ///
 /// # Errors
-/// When the file has problems on every machine (78).
+/// When the file has problems on every machine (exit code 78).
 pub(super) fn configurations(
     file: &Path,
     configurations: &[Configuration],

@@ -48,7 +48,7 @@ pub(super) async fn warn_if_unreachable(aggregators: &[&Address]) {
 /// spool.
 ///
 /// # Errors
-/// When there is no folder for the state of the hosts (69).
+/// When there is no folder for the state of the hosts (exit code 69).
 pub(super) async fn deliver(plan: &Plan, signals: &mut Signals, quiet: bool) -> Result<(), Failure> {
     let mut hosts_with_events = Vec::new();
     for host in hosts(plan)? {

@@ -33,7 +33,7 @@ impl Execution<'_> {
     /// ended the experiment.
     ///
     /// # Errors
-    /// When the progress cannot be recorded (73).
+    /// When the progress cannot be recorded (exit code 73).
     pub(super) async fn execute_all(&mut self, runs: &[Run], signals: &mut Signals) -> Result<bool, Failure> {
         for (done, run) in runs.iter().enumerate() {
             if self.execute_run(runs, done, run, signals).await? {

@@ -39,7 +39,8 @@ impl Folder {
     /// Creates the folder or opens an existing one, and locks it.
     ///
     /// # Errors
-    /// When another program uses it (69), it holds other files (64) or cannot be created (73).
+    /// When another program uses it (exit code 69), it holds other files (exit code 64) or cannot be created (exit code
+    /// 73).
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
         let cannot_create = |error: std::io::Error| {
             let error = dangling_link(path).unwrap_or_else(|| error.to_string());
@@ -90,7 +91,7 @@ impl Folder {
     /// Reads the record of the experiment; `None` if there is no record.
     ///
     /// # Errors
-    /// When it cannot be read (65).
+    /// When it cannot be read (exit code 65).
     pub(super) fn load(&self) -> Result<Option<Record>, Failure> {
         load(&self.path)
     }
@@ -98,7 +99,7 @@ impl Folder {
     /// Replaces the record as a whole.
     ///
     /// # Errors
-    /// When it cannot be written (73).
+    /// When it cannot be written (exit code 73).
     pub(super) fn save(&self, record: &Record) -> Result<(), Failure> {
         let path = self.path.join(RECORD);
         let write = || {
@@ -119,7 +120,7 @@ impl Folder {
     /// Removes the tables and figures over all runs.
     ///
     /// # Errors
-    /// When something cannot be removed (73).
+    /// When something cannot be removed (exit code 73).
     pub(super) fn clear_results(&self) -> Result<(), Failure> {
         let tables = TABLES.iter().flat_map(|table| FORMATS.map(|format| format!("{table}.{format}")));
         for path in tables.chain(figure_files(&self.path)).map(|name| self.path.join(name)) {
@@ -136,7 +137,7 @@ impl Folder {
     /// Removes all runs and the record.
     ///
     /// # Errors
-    /// When something cannot be removed (73).
+    /// When something cannot be removed (exit code 73).
     pub(super) fn clear(&self, record: &Record) -> Result<(), Failure> {
         record.plan.runs.iter().try_for_each(|run| self.remove(run))?;
         let path = self.path.join(RECORD);
@@ -146,7 +147,7 @@ impl Folder {
     /// Removes the results of a run that is measured again.
     ///
     /// # Errors
-    /// When something cannot be removed (73).
+    /// When something cannot be removed (exit code 73).
     pub(super) fn remove(&self, run: &Run) -> Result<(), Failure> {
         let folder = self.run_dir(run);
         match fs::remove_dir_all(&folder) {
@@ -181,7 +182,7 @@ fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
 /// Reads the record in a folder; `None` if there is no record.
 ///
 /// # Errors
-/// When it cannot be read (65).
+/// When it cannot be read (exit code 65).
 pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
     let path = path.join(RECORD);
     let unreadable = |reason: String| {
@@ -212,7 +213,7 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
 /// Checks that the plan is unchanged since the experiment was started.
 ///
 /// # Errors
-/// When it has changed; the text lists the differences (78).
+/// When it has changed; the text lists the differences (exit code 78).
 pub(super) fn ensure_unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
     if record.plan == *plan {
         return Ok(());

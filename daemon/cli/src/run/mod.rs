@@ -68,9 +68,9 @@ const DEFAULT_PARENT: &str = "results";
 /// Executes an experiment, or continues one.
 ///
 /// # Errors
-/// When the file does not exist (66) or is wrong (78), something that it names is not available (69), the folder
-/// holds other files (64), results cannot be written (73), some runs or iterations failed (75), or the user ended the
-/// experiment early (130).
+/// When the file does not exist (exit code 66) or is wrong (exit code 78), something that it names is not available
+/// (exit code 69), the folder holds other files (exit code 64), results cannot be written (exit code 73), some runs or
+/// iterations failed (exit code 75), or the user ended the experiment early (exit code 130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let file = File::read(&arguments.file, &arguments.set)?;
     let (configurations, networks) = file.configurations(&arguments.models_dir)?;

@@ -36,7 +36,7 @@ pub(super) struct Report {
 /// Writes everything that compares finished runs: tables, and with `plots` also figures.
 ///
 /// # Errors
-/// When results cannot be read (65), or tables cannot be written (73).
+/// When results cannot be read (exit code 65), or tables cannot be written (exit code 73).
 pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Report, Failure> {
     let mut runs: Vec<&Run> =
         record.runs().filter(|(_, state)| state.status.is_done()).map(|(run, _)| run).collect();

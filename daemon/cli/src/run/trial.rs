@@ -53,7 +53,7 @@ struct Trial {
 /// Tries the configurations at these indexes. Configurations with equal trials are tried once.
 ///
 /// # Errors
-/// When no temporary folder can be created (69) or the user ended the trial (130).
+/// When no temporary folder can be created (exit code 69) or the user ended the trial (exit code 130).
 pub(super) async fn configurations(
     plan: &Plan,
     indexes: &BTreeSet<usize>,

@@ -86,7 +86,8 @@ impl File {
     /// Reads a file and replaces the values that `sets` names.
     ///
     /// # Errors
-    /// When it does not exist (66), something in it is wrong (78), or a replaced value has no effect (64).
+    /// When it does not exist (exit code 66), something in it is wrong (exit code 78), or a replaced value has no
+    /// effect (exit code 64).
     pub(super) fn read(path: &Path, sets: &[FieldOverride]) -> Result<Self, Failure> {
         let text = small_file::read(path, small_file::MAX_BYTES)
             .with_context(|| format!("cannot read the experiment {}", path.display()))
@@ -108,7 +109,7 @@ impl File {
     /// unless `[bank]` names others.
     ///
     /// # Errors
-    /// When something is wrong, with the key of each error (78).
+    /// When something is wrong, with the key of each error (exit code 78).
     pub(super) fn configurations(
         &self,
         models: &[PathBuf],
