@@ -98,6 +98,6 @@ fn left_out_note(counts: impl IntoIterator<Item = (usize, &'static str)>) -> Opt
 }
 
 /// Returns a title followed by the name of a run or link; the title alone if the name is empty.
-pub(super) fn with_name(title: &str, name: &str) -> String {
+pub(super) fn title_with_name(title: &str, name: &str) -> String {
     if name.is_empty() { title.to_owned() } else { format!("{title} · {name}") }
 }

@@ -1,9 +1,9 @@
 //! Figure of the cumulative distributions of the total and the longest stages of a run.
 
-use super::columns::{count_note, heading, too_large_note, unit, values, with_name};
+use super::columns::{count_note, heading, too_large_note, unit, values};
 use super::longest_stages::LongestStages;
 use super::missing_data::MissingData;
-use super::replayed::{has_model_latency, with_run};
+use super::replayed::{title_of_column, title_with_marked_name};
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Cumulative, CumulativeCurve, Unit};
 use crate::look::{INK, Mark, Style, stage as look};
@@ -31,11 +31,7 @@ pub(super) fn drawings(
             return Err(MissingData::Column(column.to_owned()));
         }
         let figure = Cumulative {
-            title: if has_model_latency(column) {
-                with_run(&title, record)
-            } else {
-                with_name(&title, &record.title)
-            },
+            title: title_of_column(&title, column, record),
             unit: unit(&record.units, column, &title),
             notes: notes(rows, &[column], &curve.values),
             curves: vec![curve],
@@ -52,7 +48,7 @@ pub(super) fn drawings(
         stages.longest.iter().enumerate().map(|(index, name)| curve(name, values(rows, name), index));
     let curves = std::iter::once(curve(total_column, total_values, 0)).chain(stage_curves).collect();
     let figure = Cumulative {
-        title: with_run("Cumulative distributions", record),
+        title: title_with_marked_name("Cumulative distributions", record),
         unit: Unit::milliseconds("Latency"),
         curves,
         notes,

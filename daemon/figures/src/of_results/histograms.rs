@@ -3,9 +3,9 @@
 use peernet_statistics::number::{fixed, interval_ms, throughput_between};
 use peernet_stream::PlacementKind;
 
-use super::columns::{count_note, heading, too_large_note, unit, values, with_name};
+use super::columns::{count_note, heading, too_large_note, unit, values};
 use super::missing_data::MissingData;
-use super::replayed::{has_model_latency, with_run};
+use super::replayed::title_of_column;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::Histogram;
 use peernet_analysis::figure_files::HISTOGRAMS;
@@ -51,11 +51,7 @@ fn histogram(record: &RunRecord, rows: &Rows, column: &str, title: &str) -> Hist
     notes.extend(clock_bounds_note(rows, column));
     notes.extend(negative_delays_note(column, &values));
     Histogram {
-        title: if has_model_latency(column) {
-            with_run(title, record)
-        } else {
-            with_name(title, &record.title)
-        },
+        title: title_of_column(title, column, record),
         unit: unit(&record.units, column, title),
         stage: column.to_owned(),
         values,

@@ -1,9 +1,9 @@
 //! Figure of latency against the length of answers.
 
 use super::Columns;
-use super::columns::{count_note, heading, is_drawable, too_large_note, unit, with_name};
+use super::columns::{count_note, heading, is_drawable, too_large_note, unit};
 use super::missing_data::MissingData;
-use super::replayed::{has_model_latency, with_run};
+use super::replayed::title_of_column;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Lengths, Unit};
 use peernet_analysis::answer_length::{
@@ -80,11 +80,7 @@ pub(super) fn drawings(
     };
     let title = format!("{} against {}", heading(&y), x_name.replace(['-', '_'], " "));
     let lengths = Lengths {
-        title: if has_model_latency(&y) {
-            with_run(&title, record)
-        } else {
-            with_name(&title, &record.title)
-        },
+        title: title_of_column(&title, &y, record),
         x: x_unit,
         y: y_unit,
         stage: y.clone(),

@@ -6,7 +6,7 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 use peernet_analysis::trust::ReplayedLatencies;
 
-use super::columns::with_name;
+use super::columns::title_with_name;
 
 /// Mark after the name of a run or configuration.
 const MARK: &str = "(replayed)";
@@ -26,13 +26,23 @@ pub(super) fn marked(name: &str, is_replayed: bool) -> String {
 }
 
 /// Returns a title followed by the name of the run, which is marked if its latencies are replayed.
-pub(super) fn with_run(title: &str, record: &RunRecord) -> String {
-    with_name(title, &marked(&record.title, is_replayed(record)))
+pub(super) fn title_with_marked_name(title: &str, record: &RunRecord) -> String {
+    title_with_name(title, &marked(&record.title, is_replayed(record)))
+}
+
+/// Returns the title of a figure of one column, followed by the name of the run. The name is marked if the column contains
+/// replayed latencies.
+pub(super) fn title_of_column(title: &str, column: &str, record: &RunRecord) -> String {
+    if contains_model_latency(column) {
+        title_with_marked_name(title, record)
+    } else {
+        title_with_name(title, &record.title)
+    }
 }
 
 /// Returns whether a column contains the latency of the model, a part of this latency or a sum with it. The other
 /// stages of a run with replayed latencies are measured.
-pub(super) fn has_model_latency(column: &str) -> bool {
+pub(super) fn contains_model_latency(column: &str) -> bool {
     ["inference", "total", "stages-total"].contains(&column) || column.starts_with("inference_")
 }
 

@@ -3,7 +3,7 @@
 use super::columns::{count_note, is_drawable, too_large_note};
 use super::longest_stages::LongestStages;
 use super::missing_data::MissingData;
-use super::replayed::with_run;
+use super::replayed::title_with_marked_name;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Line, TimeSeries, Unit};
 use peernet_analysis::record::RunRecord;
@@ -37,7 +37,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let episode_start =
         |(previous, row): (RowRef<'_>, RowRef<'_>)| (previous.episode() != row.episode()).then(|| time(row));
     let time_series = TimeSeries {
-        title: with_run("Latency over time", record),
+        title: title_with_marked_name("Latency over time", record),
         x_is_iteration: x_title == ITERATION,
         x_title: x_title.to_owned(),
         unit: Unit::milliseconds("Latency"),

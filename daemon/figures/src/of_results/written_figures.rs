@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::replayed::has_model_latency;
+use super::replayed::contains_model_latency;
 use crate::drawing::{
     Cumulative, Histogram, Lengths, Paired, QualityAgainstLatency, Scaling, Sharing, Stacked, TimeSeries,
 };
@@ -57,8 +57,8 @@ impl Drawing {
     /// Returns whether the figure shows latencies of a model, or sums that contain them.
     fn shows_model_latency(&self) -> bool {
         match &self.figure {
-            AnyFigure::Histogram(histogram) => has_model_latency(&histogram.stage),
-            AnyFigure::Lengths(lengths) => has_model_latency(&lengths.stage),
+            AnyFigure::Histogram(histogram) => contains_model_latency(&histogram.stage),
+            AnyFigure::Lengths(lengths) => contains_model_latency(&lengths.stage),
             // Upload and download are measured even if the latencies of the model are replayed.
             AnyFigure::Scaling(_) => false,
             AnyFigure::TimeSeries(_)
