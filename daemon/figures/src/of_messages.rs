@@ -148,12 +148,12 @@ impl MessageFigures {
             "" => format!("{quantity} against payload"),
             link => format!("{quantity} against payload · {link}"),
         };
-        let notes = self.notes.iter().cloned().chain(self.undetermined_rates_note()).collect();
+        let notes = self.notes.iter().cloned().chain(self.undetermined_throughput_note()).collect();
         Scaling { title, unit, explanations, notes, series: self.directions.iter().map(series).collect() }
     }
 
-    /// Returns a note on the directions whose rate is not determined.
-    fn undetermined_rates_note(&self) -> Option<String> {
+    /// Returns a note on the directions whose throughput the delays do not determine.
+    fn undetermined_throughput_note(&self) -> Option<String> {
         let is_undetermined =
             |series: &&MessageSeries| series.increasing_fit().is_some() && series.rate().is_none();
         let names: Vec<&str> =

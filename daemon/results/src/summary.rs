@@ -14,7 +14,8 @@ use peernet_analysis::table::{Table, csv_text, decimals_of};
 use peernet_analysis::trust::Starts;
 use peernet_statistics::number::{self, NONE as UNKNOWN, bound_ms, column_decimals, count, fixed, join_ends};
 
-/// Columns of the *Tabulated Metrics* in the paper's appendix, with their names in the paper. The two totals follow.
+/// Columns of the *Tabulated Metrics* in the paper's appendix, with their names in the paper, and as
+/// the last two entries the totals.
 const PAPER_METRICS: [(&str, &str); 10] = [
     ("sensing", "Sensing Time"),
     ("upload-bytes", "Upload Size"),

@@ -176,7 +176,7 @@ fn durations_are_formatted_in_two_units() {
 }
 
 #[test]
-fn nan_is_shown_as_dash() {
+fn numbers_that_are_not_finite_are_shown_as_dash() {
     assert_eq!(fixed(f64::NAN, 2), NONE);
     assert_eq!(DurationFormat::default().duration(f64::INFINITY), NONE);
 }

@@ -21,7 +21,7 @@ const EXPERIMENT_WITH_MISTAKE: &str = "[experiment]\nname = 'slip'\niterations =
                     [[axis.value]]\nlabel = 'echo'\nset = { 'pipeline.placement.modle' = 'echo' }\n";
 
 #[test]
-fn readme_commands_without_aggregator_work() {
+fn documented_commands_without_aggregator_work() {
     let machines = DocumentedCommands::new(&COMMANDS);
     let execute = |command: &str, changes: &[(&str, &str)]| {
         let end = machines.on_edge(command, changes).wait_for_end();

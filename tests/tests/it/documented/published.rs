@@ -32,7 +32,7 @@ fn published_commands_run_objects_programs_and_results() {
     let machines = DocumentedCommands::new(&COMMANDS);
     machines.write("net_config.yaml", &DEVICES.replace("CLUSTER", DocumentedCommands::CLOUD_ADDRESS));
     machines.write("local.yaml", &DEVICES.replace("CLUSTER", "127.0.0.1"));
-    run_readme_commands(&machines);
+    run_with_model_and_picture(&machines);
     run_agent_with_programs(&machines);
     run_custom_objects(&machines);
     compare_and_plot_results(&machines);
@@ -43,8 +43,8 @@ fn published_commands_run_objects_programs_and_results() {
 const TALKER: &str = "class Talker:\n    def infer(self, distances):\n        \
                       return 'word ' * (1 + int(1e4 * distances[0]) % 40)\n";
 
-/// Executes the README's command with a model of the bank and a picture.
-fn run_readme_commands(machines: &DocumentedCommands) {
+/// Executes the commands of docs/quick-start.md, with a model of the bank and a picture.
+fn run_with_model_and_picture(machines: &DocumentedCommands) {
     add_small_model(machines, "efficientnet_v2_s");
     let picture = machines.folder().join("models/quality-control/pictures/part-0001.jpg");
     std::fs::copy(picture, machines.folder().join("sample-image.JPEG")).expect("writable");

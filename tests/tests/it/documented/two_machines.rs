@@ -78,7 +78,7 @@ fn json(end: ProcessEnd) -> Value {
 }
 
 #[test]
-fn readme_commands_work_on_two_machines() {
+fn documented_commands_work_on_two_machines() {
     let machines = DocumentedCommands::new(&COMMANDS);
     install(&machines);
     let (edge, cloud) = (machines.edge(), machines.cloud());
@@ -96,7 +96,8 @@ fn readme_commands_work_on_two_machines() {
 
     let run =
         |host: &Host, name: &str| machines.execute_on(host, "peernetd run FILE", &[("FILE", &config(name))]);
-    let (robot, agent, aggregator) = (run(edge, "agent"), run(cloud, "agent"), run(cloud, "aggregator"));
+    let (edge_agent, cloud_agent, aggregator) =
+        (run(edge, "agent"), run(cloud, "agent"), run(cloud, "aggregator"));
     aggregator.wait_for("ready");
     wait_until("the robot's pipeline on the dashboard", || {
         let status = machines.on_cloud("peernet status", &[]).wait_for_end();
@@ -109,7 +110,7 @@ fn readme_commands_work_on_two_machines() {
     assert_success(
         machines.on_cloud("peernetd doctor --config /etc/peernet/aggregator.toml", &[]).wait_for_end(),
     );
-    assert_eq!(robot.stop().code(), 0);
+    assert_eq!(edge_agent.stop().code(), 0);
     let spool = assert_success(
         machines.on_edge("peernetd doctor --config /etc/peernet/agent.toml", &[]).wait_for_end(),
     );
@@ -118,11 +119,11 @@ fn readme_commands_work_on_two_machines() {
     let recomputed = assert_success(machines.on_cloud("peernet recompute 12", &[("12", "1")]).wait_for_end());
     assert!(recomputed.contains("upload") && recomputed.contains("download"), "{recomputed}");
     back_up_and_rebuild(&machines, || assert_eq!(aggregator.stop().code(), 0));
-    assert_eq!(agent.stop().code(), 0);
+    assert_eq!(cloud_agent.stop().code(), 0);
     machines.finish();
 }
 
-/// Executes the README's section "Ask it".
+/// Executes the queries of the README's section "Use it".
 fn request_documented_paths(machines: &DocumentedCommands) {
     let get = |path: &str| {
         json(machines.on_cloud(&format!("curl http://127.0.0.1:8040/api/{path}"), &[]).wait_for_end())

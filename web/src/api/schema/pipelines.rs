@@ -146,7 +146,7 @@ pub(crate) struct Transfers {
 pub(crate) struct Transfer {
     /// Bytes of all messages, payload and metadata.
     pub bytes: f64,
-    /// Bytes of the messages whose delay is known.
+    /// Estimated bytes of the messages whose delay is known: these messages are assumed to have the average size.
     pub timed_bytes: f64,
     /// Sum of these delays, seconds.
     pub seconds: f64,

@@ -70,7 +70,7 @@ fn clock_bounds_are_drawn_at_boundary_to_other_host() {
     };
     let parts = [bounded("upload", 15.0, 3.0), part("inference", 6.0), bounded("download", 3.0, 6.0)];
     let bar = StageBar::new(&parts, Scale::up_to(30.0, 6));
-    // The bound of the download is longer than the delay, so its whisker is shortened to the delay on each side.
+    // The bound of the download is longer than the delay. Its whisker is cut off on each side at a delay of zero.
     assert!(
         are_close(&horizontal_lines(&bar, "whisk2"), &[[0.4, 0.6], [0.6, 0.8]]),
         "{:?}",

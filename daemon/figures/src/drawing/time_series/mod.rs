@@ -22,8 +22,8 @@ const CROSS_HALF_WIDTH: f64 = 1.7;
 const RADIUS: f64 = 1.7;
 /// Maximum number of marks on a line.
 const MAX_MARKS: usize = 7;
-/// Number of different positions of a mark among the bins that share the mark. Each line has a different position, so
-/// that the marks of different lines do not overlap.
+/// Number of places at which a mark can be within the group of bins that share the mark. The marks of one line are
+/// always at the same place, and the marks of another line at another place, so that they do not overlap.
 const MARK_POSITIONS: usize = 4;
 /// A line is interrupted between two values only if the distance of the values is more than this number of bins.
 const MIN_GAP_BINS: f64 = 12.0;

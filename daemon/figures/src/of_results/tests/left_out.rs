@@ -111,7 +111,7 @@ fn different_counts_of_bars_are_noted_as_range() {
 }
 
 #[test]
-fn undetermined_rate_is_noted_instead_of_shown() {
+fn throughput_of_noisy_delays_is_noted_not_drawn() {
     let noisy = run(300, |number| {
         let size_index = number as usize % 4;
         // The delays grow less with the size than they vary.
