@@ -87,7 +87,7 @@ pub(super) async fn deliver(plan: &Plan, signals: &mut Signals, quiet: bool) -> 
 /// Starts an agent of this host that only delivers, and stops it once its spool is empty or the aggregator stores
 /// nothing more.
 async fn deliver_events_of(host: &StreamingHost) -> Result<(), Failure> {
-    // Another process that uses the host delivers its events itself.
+    // If another process uses the host, that process delivers the events of the host.
     let Ok(_lock) = AgentStateDirs::lock(&BTreeSet::from([host.state_dir.folder().to_owned()])) else {
         return Ok(());
     };
