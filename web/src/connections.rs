@@ -1,9 +1,9 @@
 //! The loop that accepts connections, the limits of connections and live streams, and the shutdown of all connections.
 //!
-//! At most [`Limits::connections`] connections are open at a time, and client addresses share them
-//! ([`FairSlots`]). When all of them are open, a new connection replaces the oldest connection of the address with the most
-//! connections, but only if that address has at least two more connections than the address of the new connection.
-//! Otherwise the new connection is closed.
+//! At most [`Limits::connections`] connections are open at a time, and client addresses share them ([`FairSlots`]).
+//! When all of them are open, a new connection replaces the oldest connection of the address with the most connections,
+//! but only if that address has at least two more connections than the address of the new connection. Otherwise the new
+//! connection is closed.
 //!
 //! Live streams never end. At most [`Limits::streams`] live streams are open, so that connections and processor time remain
 //! for all other requests. Client addresses share the live streams as they share the connections, and one address has at

@@ -13,7 +13,8 @@ use serde::Serialize;
 pub struct Transfer {
     /// Bytes of all messages, payload and metadata.
     pub bytes: f64,
-    /// Estimated bytes of the messages whose one-way delay is known: these messages are assumed to have the average size.
+    /// Estimated bytes of the messages whose one-way delay is known: these messages are assumed to have the average
+    /// size.
     pub timed_bytes: f64,
     /// Sum of the known one-way delays, seconds.
     pub seconds: f64,

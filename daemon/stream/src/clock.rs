@@ -29,8 +29,8 @@ pub struct ClockSample {
     pub peer_name: Slug,
     /// End of the second on the edge's wall clock.
     pub at: WallTime,
-    /// Random number of the relation period, in which one clock relation holds. It changes when either clock is stepped.
-    /// Exchanges of different relation periods cannot be combined.
+    /// Random number of the relation period, in which one clock relation holds. It changes when either clock is
+    /// stepped. Exchanges of different relation periods cannot be combined.
     #[serde(rename = "window")]
     pub relation_period: u64,
     /// Limit of drift with which the bounds are computed, parts per million.

@@ -2,9 +2,9 @@
 //!
 //! The writer compares the file at the path with the open file before and after each commit and once a second while it
 //! is idle. This comparison assumes nothing about the file's content. It therefore also detects files that were moved,
-//! replaced or unmounted. A file that can no longer be written is detected by a failed commit. An empty or missing file is never opened: an operator
-//! who moves the database away would otherwise get a new, empty database. Batches that were queued before the database
-//! was closed are dropped, and the agents send them again.
+//! replaced or unmounted. A file that can no longer be written is detected by a failed commit. An empty or missing file
+//! is never opened: an operator who moves the database away would otherwise get a new, empty database. Batches that
+//! were queued before the database was closed are dropped, and the agents send them again.
 
 use std::path::PathBuf;
 use std::time::Duration;

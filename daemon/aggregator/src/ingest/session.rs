@@ -42,8 +42,8 @@ pub(crate) struct IngestSession {
 }
 
 impl IngestSession {
-    /// Creates the state without sessions. `hosts` and `streams` come from the database; `runs_without_start` are runs of
-    /// which the database has iterations only.
+    /// Creates the state without sessions. `hosts` and `streams` come from the database; `runs_without_start` are runs
+    /// of which the database has iterations only.
     pub(crate) fn new(
         receiving: Receiving,
         challenges: Challenges<ConnectionId>,

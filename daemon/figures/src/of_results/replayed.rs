@@ -30,8 +30,8 @@ pub(super) fn title_with_marked_name(title: &str, record: &RunRecord) -> String 
     title_with_name(title, &marked(&record.title, is_replayed(record)))
 }
 
-/// Returns the title of a figure of one column, followed by the name of the run. The name is marked if the column contains
-/// replayed latencies.
+/// Returns the title of a figure of one column, followed by the name of the run. The name is marked if the column
+/// contains replayed latencies.
 pub(super) fn title_of_column(title: &str, column: &str, record: &RunRecord) -> String {
     if contains_model_latency(column) {
         title_with_marked_name(title, record)

@@ -15,8 +15,8 @@ pub(crate) struct QualityPlot {
     pub plot: Picture,
     /// Titles of the columns of the table.
     pub columns: Vec<String>,
-    /// Rows of the table: the name of a configuration with the texts of its columns. Each point of the plot has a number;
-    /// row `n` explains the point with the number `n`.
+    /// Rows of the table: the name of a configuration with the texts of its columns. Each point of the plot has a
+    /// number; row `n` explains the point with the number `n`.
     pub rows: Vec<(String, Vec<String>)>,
     /// Number of all configurations with the quality; `None` if all of them are drawn.
     pub all: Option<usize>,

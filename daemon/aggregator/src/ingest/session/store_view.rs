@@ -50,7 +50,8 @@ impl StoreView {
         self.runs_without_start.remove(&(host, run));
     }
 
-    /// Adds runs that have iterations in the database but no start event. Runs beyond `MAX_RUNS_WITHOUT_START` are ignored.
+    /// Adds runs that have iterations in the database but no start event. Runs beyond `MAX_RUNS_WITHOUT_START` are
+    /// ignored.
     pub(super) fn add_runs_without_start(&mut self, runs: impl IntoIterator<Item = (HostId, RunId)>) {
         let remaining_capacity = MAX_RUNS_WITHOUT_START.saturating_sub(self.runs_without_start.len());
         self.runs_without_start.extend(runs.into_iter().take(remaining_capacity));
