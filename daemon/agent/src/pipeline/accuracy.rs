@@ -4,9 +4,7 @@
 use std::path::Path;
 
 use peernet_analysis::accuracy::detection::{DETECTION_SCORES, DetectionScores, PictureObjects};
-use peernet_analysis::accuracy::segmentation::{
-    ClassMap, IGNORED_CLASS, SEGMENTATION_SCORE, SegmentedPixels,
-};
+use peernet_analysis::accuracy::segmentation::{ClassMap, SEGMENTATION_SCORE, SegmentedPixels};
 use peernet_logger::stage::{TOP_1, TOP_5, UNKNOWN_LABEL};
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::{MaskLabel, MediaType, ObjectsLabel, Sample, normalized_label};
@@ -33,12 +31,6 @@ struct Classification {
 #[derive(Debug, Deserialize)]
 struct Class {
     label: String,
-}
-
-/// The field of a segmentation's answer that is read.
-#[derive(Debug, Deserialize)]
-struct Segmentation {
-    class_count: Option<usize>,
 }
 
 /// Records the accuracy of an answer to a sample with the label `label`. The label determines what the answer should
@@ -97,28 +89,17 @@ fn record_segmentation(log: &mut Recorder, label: &MaskLabel, sample: &Sample) {
             return;
         }
     };
-    let has_unknown_class = |count: usize| {
-        mask.pixels().iter().any(|class| *class != IGNORED_CLASS && usize::from(*class) >= count)
-    };
+    let Some(mask) = ClassMap::new(mask.width(), mask.height(), mask.pixels()) else { return };
     // The model does not receive the mask, so the model cannot mark a class as unknown itself.
-    if class_count(sample).is_some_and(has_unknown_class) {
+    if mask.has_unknown_class(sample) {
         log.record_value(UNKNOWN_LABEL, 1.0, Unit::NONE);
         return;
     }
     let mut pixels = SegmentedPixels::default();
-    if let Some(mask) = ClassMap::new(mask.width(), mask.height(), mask.pixels()) {
-        pixels.add(mask, answer);
-    }
+    pixels.add(mask, answer);
     if let Some(iou) = pixels.mean_iou() {
         log.record_value(SEGMENTED_IOU, iou, Unit::NONE);
     }
-}
-
-/// Returns the number of classes of the model that answered; `None` if the answer does not contain it, for example the
-/// answer of a Python object.
-fn class_count(answer: &Sample) -> Option<usize> {
-    let Segmentation { class_count } = serde_json::from_slice(json_part(answer)?).ok()?;
-    class_count
 }
 
 /// Returns the first part of an answer if it is JSON.

@@ -3,12 +3,13 @@
 //! M. Everingham et al., *The PASCAL Visual Object Classes Challenge: A Retrospective*, IJCV 111, 2015, section 2.3.3.
 
 use peernet_sample::{MediaType, PixelFormat, Sample};
+use serde::Deserialize;
 
 /// Name of the score of an iteration with a labelled mask: the mean over the classes that the mask or the answer has.
 pub const SEGMENTATION_SCORE: &str = "mean-iou";
 
 /// Value of the pixels of a mask that are not scored, such as the border of an object (`void` of PASCAL VOC).
-pub const IGNORED_CLASS: u8 = 255;
+const IGNORED_CLASS: u8 = 255;
 
 /// Number of different classes in one byte.
 const CLASSES: usize = 256;
@@ -40,6 +41,20 @@ impl<'a> ClassMap<'a> {
         let [height, width, 1] = pixels.description.shape[..] else { return None };
         is_segmentation.then(|| Self::new(width, height, &pixels.bytes))?
     }
+
+    /// Returns whether this mask has a class that the model does not have. The answer contains the number of the
+    /// model's classes. `false` if it does not, like the answer of a Python object.
+    pub fn has_unknown_class(&self, answer: &Sample) -> bool {
+        let summary = answer.parts.first().map(|part| serde_json::from_slice(&part.bytes));
+        let Some(Ok(AnswerSummary { class_count: Some(count) })) = summary else { return false };
+        self.classes.iter().any(|class| *class != IGNORED_CLASS && usize::from(*class) >= count)
+    }
+}
+
+/// Key that is read from the first part of a segmentation's answer.
+#[derive(Deserialize)]
+struct AnswerSummary {
+    class_count: Option<usize>,
 }
 
 /// Numbers of pixels of a class: in the mask, in the answer, and in both.

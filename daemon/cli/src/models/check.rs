@@ -32,8 +32,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     {
         print_to_stderr(text);
     }
-    let classes = model.card.as_ref().map(|card| card.labels.as_slice()).unwrap_or_default();
-    let mut tally = Tally::new(classes);
+    let mut tally = Tally::default();
     let loaded_model = LoadedModel::load(&model, &arguments.options)?;
     let pool = loaded_model.pool();
     print_to_stdout(format_args!(
@@ -52,14 +51,17 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut failed = 0;
     for sample in input.samples {
         let (source, label) = (sample.source.clone(), sample.label.clone());
-        match loaded_model.infer(sample).0 {
+        let (answer, measurements) = loaded_model.infer(sample);
+        match answer {
             Err(error) => {
                 print_to_stderr(error);
                 failed += 1;
             }
             Ok(answer) => {
                 if let Some(label) = label {
-                    tally.add(&label, &answer).map_err(|error| Failure::new(Exit::NoInput, error))?;
+                    tally
+                        .add(&label, &answer, &measurements)
+                        .map_err(|error| Failure::new(Exit::NoInput, error))?;
                 }
                 if is_single {
                     print_to_stdout(format_args!("{source}: {}", describe(&answer)));

@@ -1,10 +1,11 @@
 //! Comparison of a model's answers with the labels of its test pictures.
 
-use std::collections::HashSet;
 use std::path::Path;
 
 use peernet_analysis::accuracy::detection::{DetectionScores, PictureObjects};
 use peernet_analysis::accuracy::segmentation::{ClassMap, SegmentedPixels};
+use peernet_logger::Tree;
+use peernet_logger::stage::UNKNOWN_LABEL;
 use peernet_sample::{Description, MaskLabel, MediaType, ObjectsLabel, Sample, normalized_label};
 use peernet_sensors::{SensorError, read_mask};
 use peernet_statistics::number::{count, counted, fixed, share};
@@ -21,14 +22,13 @@ struct Classification {
 }
 
 /// Comparison of all answers so far with their labels.
+#[derive(Default)]
 pub(super) struct Tally {
-    /// The model's classes in the form in which they are compared.
-    classes: HashSet<String>,
     /// Number of classifications that agree with their label.
     right: u64,
     /// Number of classifications whose label is a class of the model.
     labelled: u64,
-    /// Number of labels that are not classes of the model.
+    /// Number of labels that are not classes of the model, and of masks with a class that the model does not have.
     unknown_labels: u64,
     /// Labelled and found objects of each picture that has boxes.
     pictures: Vec<PictureObjects>,
@@ -37,56 +37,47 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    pub(super) fn new(classes: &[String]) -> Self {
-        let classes = classes.iter().map(|class| normalized_label(class)).collect();
-        Self {
-            classes,
-            right: 0,
-            labelled: 0,
-            unknown_labels: 0,
-            pictures: Vec::new(),
-            pixels: SegmentedPixels::default(),
-        }
-    }
-
-    /// Compares an answer with the label of its picture. An answer that is no classification, detection or segmentation
-    /// is not counted.
+    /// Compares an answer with the label of its picture. `measurements` are those of the answer; in them the model marks
+    /// a label that is not one of its classes. An answer that is no classification, detection or segmentation is not
+    /// counted.
     ///
     /// # Errors
     /// If the label names a mask that cannot be read.
-    pub(super) fn add(&mut self, label: &str, answer: &Sample) -> Result<(), SensorError> {
-        if let Some(label) = MaskLabel::parse(label) {
-            let Some(answer) = ClassMap::from_answer(answer) else { return Ok(()) };
-            let mask = read_mask(Path::new(&label.mask))?;
-            if let Some(mask) = ClassMap::new(mask.width(), mask.height(), mask.pixels()) {
-                self.pixels.add(mask, answer);
-            }
-            return Ok(());
-        }
-        if let Some(json) = json(answer) {
+    pub(super) fn add(
+        &mut self,
+        label: &str,
+        answer: &Sample,
+        measurements: &Tree,
+    ) -> Result<(), SensorError> {
+        if measurements.find(&[UNKNOWN_LABEL.as_str()]).is_some() {
+            // No answer to such a picture can be right, so the picture would be scored too low.
+            self.unknown_labels += 1;
+        } else if let Some(label) = MaskLabel::parse(label) {
+            self.add_segmentation(&label, answer)?;
+        } else if let Some(json) = json(answer) {
             self.add_json(label, json);
         }
         Ok(())
     }
 
-    fn add_json(&mut self, label: &str, json: &[u8]) {
-        if let Some(expected) = ObjectsLabel::parse(label) {
-            let mut objects = expected.objects.iter();
-            if objects.any(|object| !self.classes.contains(&normalized_label(&object.label))) {
-                // The model cannot find an object of an unknown class, so the picture would be scored too low.
-                self.unknown_labels += 1;
-            } else {
-                self.pictures.extend(PictureObjects::read(label, json));
-            }
-            return;
-        }
-        let Ok(answer) = serde_json::from_slice::<Classification>(json) else { return };
-        let label = normalized_label(label);
-        if self.classes.contains(&label) {
-            self.labelled += 1;
-            self.right += u64::from(label == normalized_label(&answer.label));
-        } else {
+    fn add_segmentation(&mut self, label: &MaskLabel, sample: &Sample) -> Result<(), SensorError> {
+        let Some(answer) = ClassMap::from_answer(sample) else { return Ok(()) };
+        let mask = read_mask(Path::new(&label.mask))?;
+        let Some(mask) = ClassMap::new(mask.width(), mask.height(), mask.pixels()) else { return Ok(()) };
+        if mask.has_unknown_class(sample) {
             self.unknown_labels += 1;
+        } else {
+            self.pixels.add(mask, answer);
+        }
+        Ok(())
+    }
+
+    fn add_json(&mut self, label: &str, json: &[u8]) {
+        if ObjectsLabel::parse(label).is_some() {
+            self.pictures.extend(PictureObjects::read(label, json));
+        } else if let Ok(answer) = serde_json::from_slice::<Classification>(json) {
+            self.labelled += 1;
+            self.right += u64::from(normalized_label(label) == normalized_label(&answer.label));
         }
     }
 
@@ -148,9 +139,23 @@ fn json(answer: &Sample) -> Option<&[u8]> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{ClockIdentity, ManualClock, WallTime};
+    use peernet_logger::{HostId, Recorder, Unit};
     use peernet_sample::{ElementType, PixelFormat};
 
     use super::*;
+
+    /// Returns the measurements of an answer, in which the model marks the label if it `is_unknown`.
+    fn measurements(is_unknown: bool) -> Tree {
+        let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
+        let mut recorder = Recorder::new(Arc::new(clock), HostId::random());
+        if is_unknown {
+            recorder.record_value(UNKNOWN_LABEL, 1.0, Unit::NONE);
+        }
+        recorder.finish()
+    }
 
     fn answer(json: &'static str) -> Sample {
         Sample::from_part(Description::unshaped(MediaType::Json), json.into())
@@ -158,10 +163,11 @@ mod tests {
 
     #[test]
     fn classifications_are_compared_with_labels() {
-        let mut tally = Tally::new(&["good".to_owned(), "hole missing".to_owned()]);
+        let mut tally = Tally::default();
         assert_eq!(tally.text(), "");
-        for label in ["good", "Hole_Missing", "bent"] {
-            tally.add(label, &answer(r#"{"label": "good", "score": 0.75}"#)).expect("no file is read");
+        let good = answer(r#"{"label": "good", "score": 0.75}"#);
+        for (label, is_unknown) in [("Good", false), ("hole missing", false), ("bent", true)] {
+            tally.add(label, &good, &measurements(is_unknown)).expect("no file is read");
         }
         assert_eq!(tally.text(), "; 1 of 2 labels right; 1 label is not a class of the model");
         assert_eq!(describe(&answer(r#"{"label": "good", "score": 0.75}"#)), "good (0.750)");
@@ -169,7 +175,7 @@ mod tests {
 
     #[test]
     fn boxes_of_all_pictures_are_scored_together() {
-        let mut tally = Tally::new(&["dent".to_owned()]);
+        let mut tally = Tally::default();
         let label = |class: &str| {
             format!(
                 r#"{{"objects": [{{"label": "{class}", "box": [0, 0, 10, 10]}}], "width": 20, "height": 20}}"#
@@ -178,7 +184,9 @@ mod tests {
         let found = r#"{"detections": [{"label": "dent", "score": 0.9, "box": [0, 0, 10, 8]}], "width": 20, "height": 20}"#;
         let none = r#"{"detections": [], "width": 20, "height": 20}"#;
         for (class, found) in [("dent", found), ("dent", none), ("hole", found)] {
-            tally.add(&label(class), &answer(found)).expect("no file is read");
+            tally
+                .add(&label(class), &answer(found), &measurements(class == "hole"))
+                .expect("no file is read");
         }
         assert_eq!(
             tally.text(),
@@ -195,20 +203,22 @@ mod tests {
         };
         let segmentation = |class: u8| {
             let pixels = Description::pixels(PixelFormat::Grey8, 1, 1);
-            let mut whole = answer("{}");
+            let mut whole = answer(r#"{"class_count": 2}"#);
             whole.parts.extend(Sample::from_part(pixels, vec![class].into()).parts);
             whole
         };
-        let mut tally = Tally::new(&["road".to_owned(), "lane".to_owned()]);
-        for (name, mask, answered) in [("a.png", 0, 0), ("b.png", 0, 1)] {
+        let mut tally = Tally::default();
+        // The model has the classes 0 (road) and 1 (lane).
+        for (name, mask, answered) in [("a.png", 0, 0), ("b.png", 0, 1), ("c.png", 5, 0)] {
             let file = folder.path().join(name);
             image::GrayImage::from_raw(1, 1, vec![mask]).expect("fits").save(&file).expect("written");
-            tally.add(&label(name), &segmentation(answered)).expect("is read");
+            tally.add(&label(name), &segmentation(answered), &measurements(false)).expect("is read");
         }
         // Road: 1 of 2 pixels; lane: none of 1.
-        assert_eq!(tally.text(), "; mean IoU 25.0 % over 2 classes");
-        let error = tally.add(&label("c.png"), &segmentation(0)).expect_err("is gone").to_string();
-        assert!(error.contains("c.png"), "{error}");
+        assert_eq!(tally.text(), "; mean IoU 25.0 % over 2 classes; 1 label is not a class of the model");
+        let missing = tally.add(&label("d.png"), &segmentation(0), &measurements(false));
+        let error = missing.expect_err("is gone").to_string();
+        assert!(error.contains("d.png"), "{error}");
     }
 
     #[test]

@@ -2,10 +2,31 @@
 
 use std::process::{Command, Output};
 
-use peernet_tests::{onnxruntime, program, root};
+use image::{GrayImage, Luma, Rgb, RgbImage};
+use peernet_statistics::number::share;
+use peernet_tests::{LoopbackDeployment, Process, onnxruntime, program, root};
 use serde_json::Value;
 
 use super::{NAME, exported_model};
+use crate::experiments::{Results, column};
+
+/// Experiment that scores two pictures.
+const MASKS: &str = "
+[experiment]
+name = 'masks'
+iterations = 2
+warm_up = { iterations = 0 }
+plots = false
+
+[pipeline]
+sensor = { kind = 'images', path = '{folder}/pictures' }
+placement = { kind = 'local', model = 'segmentation' }
+
+[[model]]
+name = 'segmentation'
+kind = 'onnx'
+path = '{folder}/models/segmentation'
+";
 
 /// Runs `peernet models` in the root of the checkout, where `models/` is.
 fn run_models_command(arguments: &[&str]) -> Output {
@@ -59,6 +80,47 @@ fn check_uses_pictures_of_model_or_zeros() {
     assert!(output.contains("objects found, mAP@0.5 ") && output.contains(" %, mean IoU "), "{output}");
     let output = stdout_of_success(&run_models_command(&["check", NAME]));
     assert!(output.contains("no test pictures"), "{output}");
+}
+
+#[test]
+fn check_and_run_agree_on_unknown_mask_class() {
+    let deployment = LoopbackDeployment::new();
+    let [models, pictures] = ["models", "pictures"].map(|name| deployment.folder().join(name));
+    let script = root().join("daemon/inference/tests/it/graphs.py");
+    let output = Command::new(super::python()).arg(script).arg(&models).output().expect("starts");
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "deploy/install-tools.sh installs what is missing: {error}");
+    std::fs::create_dir_all(pictures.join("masks")).expect("made");
+    // Both pictures are red, which is class 0. The model has three classes, so it lacks class 5.
+    for (name, class) in [("a.png", 0), ("b.png", 5)] {
+        RgbImage::from_pixel(120, 80, Rgb([200, 0, 0])).save(pictures.join(name)).expect("written");
+        let mask = GrayImage::from_pixel(120, 80, Luma([class]));
+        mask.save(pictures.join("masks").join(name)).expect("written");
+    }
+    deployment.write("pictures/labels.csv", "file,mask\na.png,masks/a.png\nb.png,masks/b.png\n");
+
+    let [models, pictures] = [models, pictures].map(|folder| folder.display().to_string());
+    let check =
+        run_models_command(&["check", "segmentation", "--models-dir", &models, "--pictures", &pictures]);
+    let check = stdout_of_success(&check);
+
+    deployment.write("masks.toml", MASKS);
+    let library = onnxruntime().display().to_string();
+    let arguments = ["run", "masks.toml", "--result-loc", "results"];
+    let environment = [("ORT_DYLIB_PATH", &*library)];
+    let run = Process::start(&program("peernet"), &arguments, deployment.folder(), &environment);
+    let run = run.wait_for_end();
+    assert_eq!(run.code(), 0, "{}", run.log);
+    let results = Results::of(deployment.folder().join("results"));
+    let rows = results.file(&results.folders()[0], "data.csv");
+    let scores: Vec<f64> = column(&rows, "mean-iou").iter().filter_map(|iou| iou.parse().ok()).collect();
+    let unknown = column(&rows, "unknown-label").iter().filter(|value| *value == "1").count();
+    assert_eq!((scores.len(), unknown), (1, 1));
+    let same = format!(
+        "; mean IoU {} % over 1 class; {unknown} label is not a class of the model",
+        share(scores[0])
+    );
+    assert!(check.contains(&same), "the run has{same}, and the check has: {check}");
 }
 
 #[test]
