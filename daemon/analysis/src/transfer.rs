@@ -4,7 +4,7 @@
 //! single iteration is a node. The mean of these throughputs is not a speed, because small messages would count as much
 //! as large messages.
 
-use peernet_clock::Direction;
+use peernet_clock::{Direction, Verdict};
 use peernet_logger::{Name, stage};
 use serde::Serialize;
 
@@ -47,10 +47,30 @@ impl Transfer {
         (self.seconds > 0.0 && self.timed_bytes > 0.0).then(|| 8.0 * self.timed_bytes / self.seconds)
     }
 
+    /// Returns the speed while sending if the clocks determine it; `verdict` is the verdict on the delays, `None` if no
+    /// delay was judged. `None` while no delay is known, or if the verdict is neither `ok` nor `limited`.
+    pub fn known_speed(&self, verdict: Option<Verdict>) -> Option<KnownSpeed> {
+        let is_limited = match verdict {
+            None | Some(Verdict::Ok) => false,
+            Some(Verdict::Limited) => true,
+            Some(_) => return None,
+        };
+        Some(KnownSpeed { bits_per_second: self.speed()?, is_limited })
+    }
+
     /// Returns the traffic in bits per second: bytes divided by `wall_s` seconds of wall time. `None` if `wall_s` is 0.
     pub fn traffic(&self, wall_s: f64) -> Option<f64> {
         (wall_s > 0.0).then(|| 8.0 * self.bytes / wall_s)
     }
+}
+
+/// Speed while sending that the clocks determine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KnownSpeed {
+    /// The speed, from the estimated delays.
+    pub bits_per_second: f64,
+    /// `true` if the verdict on the delays is `limited`: the speed is to be shown as an interval, not as a number.
+    pub is_limited: bool,
 }
 
 /// Sums of both directions.
@@ -99,6 +119,19 @@ mod tests {
         );
         assert!((up.traffic(10.0).expect("ten seconds") / 8e6 - 0.0124).abs() < 1e-9);
         assert_eq!((down, up.traffic(0.0)), (None, None));
+    }
+
+    #[test]
+    fn verdict_decides_whether_speed_is_known() {
+        let up = Transfer { bytes: 2e6, timed_bytes: 1e6, seconds: 0.5 };
+        let known = |is_limited| Some(KnownSpeed { bits_per_second: 16e6, is_limited });
+        assert_eq!([None, Some(Verdict::Ok)].map(|verdict| up.known_speed(verdict)), [known(false); 2]);
+        assert_eq!(up.known_speed(Some(Verdict::Limited)), known(true));
+        for verdict in [Verdict::Stale, Verdict::Unsynchronised, Verdict::Stepped, Verdict::Inconsistent] {
+            assert_eq!(up.known_speed(Some(verdict)), None, "{verdict:?}");
+        }
+        let without_delays = Transfer { timed_bytes: 0.0, seconds: 0.0, ..up };
+        assert_eq!(without_delays.known_speed(Some(Verdict::Ok)), None);
     }
 
     #[test]

@@ -119,7 +119,7 @@ pub(super) fn write_stages(scrape: &Scrape, sink: &mut Sink<'_>) {
 /// Writes the speeds while sending.
 pub(super) fn write_speed(scrape: &Scrape, sink: &mut Sink<'_>) {
     write_directions(scrape, sink, |window, direction| {
-        speed::determined_speed(&window.transfers, &window.bounds, direction)
+        Some(speed::known_speed(&window.transfers, &window.bounds, direction)?.bits_per_second)
     });
 }
 

@@ -5,9 +5,8 @@ use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_VALUES, SUPERSE
 use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::rows::{Outcome, SKIPPED_STARTS};
 use peernet_analysis::summary::Scale;
-use peernet_analysis::transfer::Transfer;
 use peernet_analysis::trust::Starts;
-use peernet_clock::{Verdict, WallTime};
+use peernet_clock::WallTime;
 use peernet_figures::drawing::StageBar;
 use peernet_figures::scale::Scale as AxisScale;
 use peernet_logger::stage;
@@ -17,7 +16,6 @@ use peernet_statistics::number::{
 use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
 use serde::Serialize;
 
-use super::clocks;
 use super::data::{JsonBlock, RoundedNumber};
 use super::episodes;
 use super::speed::{self, NetworkDirection};
@@ -188,6 +186,7 @@ impl StoredRun<'_> {
 
     /// Returns two rows for each direction in which messages were sent: the speed while sending, and the traffic.
     fn transfer_rows(&self) -> Vec<OtherStatistics> {
+        let RunStatistics { stages, bounds, .. } = self.statistics;
         let transfers = self.statistics.transfers();
         let row = |name, value: Option<String>| OtherStatistics {
             name,
@@ -202,28 +201,15 @@ impl StoredRun<'_> {
             .filter_map(|(direction, name)| Some((direction, name, direction.transfer(&transfers)?)));
         sent.flat_map(|(direction, name, transfer)| {
             let traffic = self.measured_seconds().and_then(|seconds| transfer.traffic(seconds));
+            let delay = stages.iter().find(|stage| stage.stage == *direction.delay_name());
+            let delay = delay.map(|stage| &stage.statistics);
+            let speed = speed::text(&transfers, bounds, direction, delay);
             [
-                row(format!("{name}: speed while sending"), self.speed(direction, transfer)),
+                row(format!("{name}: speed while sending"), speed),
                 row(format!("{name}: traffic"), traffic.map(throughput)),
             ]
         })
         .collect()
-    }
-
-    /// Returns the speed while sending: a number, or an interval if the verdict on the delays is `limited`. `None` if
-    /// the verdict is worse than `limited`, or no delay is known.
-    fn speed(&self, direction: NetworkDirection, transfer: Transfer) -> Option<String> {
-        let speed = transfer.speed()?;
-        let bound = self.statistics.bounds.iter().find(|bound| bound.stage == *direction.delay_name());
-        match bound.and_then(clocks::verdict) {
-            None | Some(Verdict::Ok) => Some(throughput(speed)),
-            Some(Verdict::Limited) => {
-                let delay =
-                    self.statistics.stages.iter().find(|stage| stage.stage == *direction.delay_name());
-                speed::interval(speed, &delay?.statistics, bound?)
-            }
-            Some(_) => None,
-        }
     }
 
     /// Returns the number of iterations after the warm-up divided by the rate of the run, seconds; `None` if the rate

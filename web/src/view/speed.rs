@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
 use peernet_analysis::delays::ClockInterval;
-use peernet_analysis::transfer::{Transfer, Transfers};
+use peernet_analysis::transfer::{KnownSpeed, Transfer, Transfers};
 use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, throughput, throughput_between};
 use peernet_store::{DelayAccuracy, QuantityStatistics};
@@ -43,23 +43,18 @@ impl NetworkDirection {
     }
 }
 
-/// Returns the speed while sending in a direction, bits per second. `None` if no delay is known, or the clocks do not
-/// determine the delays: the verdict on the delays is neither `ok` nor `limited`.
-pub(crate) fn determined_speed(
+/// Returns the accuracy of the delays of a direction; `None` without delays.
+fn bound_of(bounds: &[DelayAccuracy], direction: NetworkDirection) -> Option<&DelayAccuracy> {
+    bounds.iter().find(|bound| bound.stage == *direction.delay_name())
+}
+
+/// Returns the speed while sending in a direction if the clocks determine it ([`Transfer::known_speed`]).
+pub(crate) fn known_speed(
     transfers: &Transfers,
     bounds: &[DelayAccuracy],
     direction: NetworkDirection,
-) -> Option<f64> {
-    let bound = bounds.iter().find(|bound| bound.stage == *direction.delay_name());
-    let is_determined =
-        matches!(bound.and_then(clocks::verdict), None | Some(Verdict::Ok | Verdict::Limited));
-    direction.transfer(transfers)?.speed().filter(|_| is_determined)
-}
-
-/// Returns the reason why the speed of a direction is not a single number; `None` if the speed is a single number.
-pub(crate) fn obstacle(window: &Window, direction: NetworkDirection) -> Option<&'static str> {
-    let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay_name());
-    find_obstacle(bound.and_then(clocks::verdict), window.counts.ok)
+) -> Option<KnownSpeed> {
+    direction.transfer(transfers)?.known_speed(bound_of(bounds, direction).and_then(clocks::verdict))
 }
 
 /// Returns the reason why a chart of `series` has no line for a direction; `None` if the chart has such a line. The
@@ -93,25 +88,31 @@ fn find_obstacle(verdict: Option<Verdict>, successful_iterations: u64) -> Option
     }
 }
 
-/// Returns the speed while sending in a direction in MB/s. If the verdict of the delay is `limited`, returns the
-/// interval of the speed.
+/// Returns the speed while sending in a direction in MB/s as text: a number, or an interval if the verdict on the
+/// delays is `limited`. `None` if the speed or its interval is not known. `delay` has the statistics of the delays.
+pub(crate) fn text(
+    transfers: &Transfers,
+    bounds: &[DelayAccuracy],
+    direction: NetworkDirection,
+    delay: Option<&QuantityStatistics>,
+) -> Option<String> {
+    let KnownSpeed { bits_per_second, is_limited } = known_speed(transfers, bounds, direction)?;
+    if !is_limited {
+        return Some(throughput(bits_per_second));
+    }
+    interval(bits_per_second, delay?, bound_of(bounds, direction)?)
+}
+
+/// Returns the cell of the speed while sending in a direction, with its [`text`].
 pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: NetworkDirection) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
     }
-    let speed = direction.transfer(&window.transfers).and_then(|transfer| transfer.speed());
-    match (obstacle(window, direction), speed) {
-        (None, Some(speed)) => Cell::new(throughput(speed)),
-        (None, None) => Cell::none("the sizes or the delays are not known"),
-        (Some(why), speed) => {
-            let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay_name());
-            let limited = bound.and_then(clocks::verdict) == Some(Verdict::Limited);
-            let delay = window.value(direction.delay_name());
-            match speed.filter(|_| limited).and_then(|speed| interval(speed, delay?, bound?)) {
-                Some(text) => Cell { text, title: Some(why.to_owned()) },
-                None => Cell::none(why),
-            }
-        }
+    let verdict = bound_of(&window.bounds, direction).and_then(clocks::verdict);
+    let why = find_obstacle(verdict, window.counts.ok);
+    match text(&window.transfers, &window.bounds, direction, window.value(direction.delay_name())) {
+        Some(text) => Cell { text, title: verdict.and(why).map(str::to_owned) },
+        None => Cell::none(why.unwrap_or("the sizes or the delays are not known")),
     }
 }
 
@@ -134,9 +135,8 @@ pub(crate) fn direction_traffic(window: &Window, direction: NetworkDirection) ->
     direction.transfer(&window.transfers)?.traffic(window.covered_s)
 }
 
-/// Returns the interval of a speed while sending in MB/s, from the statistics of the delays. `None` if a delay has no
-/// interval.
-pub(crate) fn interval(speed: f64, delay: &QuantityStatistics, accuracy: &DelayAccuracy) -> Option<String> {
+/// Returns the interval of a speed while sending in MB/s, from the statistics of the delays. `None` if a delay has no interval.
+fn interval(speed: f64, delay: &QuantityStatistics, accuracy: &DelayAccuracy) -> Option<String> {
     let interval = accuracy.interval_of_mean(delay)?;
     let ClockInterval { lo, hi, method } = interval.of_speed(speed, delay.mean);
     let text = throughput_between((lo, Some(hi)));

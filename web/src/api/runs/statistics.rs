@@ -132,7 +132,10 @@ pub(crate) struct SpeedWhileSending {
 impl SpeedWhileSending {
     fn new(statistics: &RunStatistics) -> Self {
         let transfers = statistics.transfers();
-        let speed = |direction| speed::determined_speed(&transfers, &statistics.bounds, direction);
+        let speed = |direction| {
+            let speed = speed::known_speed(&transfers, &statistics.bounds, direction)?;
+            Some(speed.bits_per_second)
+        };
         Self {
             upload_bits_per_second: speed(NetworkDirection::Up),
             download_bits_per_second: speed(NetworkDirection::Down),

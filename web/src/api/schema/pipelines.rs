@@ -122,8 +122,9 @@ impl TransferRates {
     fn new(window: &peernet_aggregator::Window) -> Self {
         let rate = |direction: NetworkDirection| {
             direction.transfer(&window.transfers)?;
+            let speed = speed::known_speed(&window.transfers, &window.bounds, direction);
             Some(TransferRate {
-                speed_bits_per_second: speed::determined_speed(&window.transfers, &window.bounds, direction),
+                speed_bits_per_second: speed.map(|speed| speed.bits_per_second),
                 traffic_bits_per_second: speed::direction_traffic(window, direction),
             })
         };
