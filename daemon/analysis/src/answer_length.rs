@@ -14,6 +14,8 @@ const ANSWER_CHUNKS: &str = "output-chunks";
 pub const NO_USAGE: &str = "the server sent no `usage`; use --x output-chunks";
 /// Suffix of the names of quantities that count tokens.
 const TOKENS_SUFFIX: &str = "tokens";
+/// Suffix of the names of quantities that count bytes.
+const BYTES_SUFFIX: &str = "bytes";
 /// Words in the names of quantities that count the tokens of the question.
 const QUESTION_WORDS: [&str; 2] = ["prompt", "input"];
 /// Minimum ratio of the longest to the shortest answer. Below this ratio the lengths differ too little to explain the
@@ -60,6 +62,18 @@ pub fn tokens_of_column(column: &str) -> Option<&str> {
 /// Returns whether the lengths of the answers differ enough for a figure of latency against length.
 pub fn varies(shortest: f64, longest: f64) -> bool {
     longest > shortest && longest >= MIN_LENGTH_RATIO * shortest
+}
+
+/// Returns the unit in which a slope is given, and the measured length that corresponds to one unit, such as 1,000
+/// (bytes) for "kB".
+fn slope_unit(length_name: &str) -> (String, f64) {
+    if is_tokens(length_name) {
+        ("token".to_owned(), 1.0)
+    } else if length_name.ends_with(BYTES_SUFFIX) {
+        ("kB".to_owned(), 1e3)
+    } else {
+        (format!("unit of {}", length_name.replace(['-', '_'], " ")), 1.0)
+    }
 }
 
 /// Minimum number of iterations for a line of latency over length.
@@ -122,10 +136,11 @@ impl Growth {
         self.interval.1 - self.interval.0 > MAX_RELATIVE_WIDTH * self.fit.slope.value.abs()
     }
 
-    /// Describes the slope and its interval in a sentence. `unit` is the unit of length in the sentence, such as "kB".
-    /// `unit_length` is the measured length that corresponds to one `unit`, such as 1,000 (bytes) for "kB".
-    pub fn describe_slope(&self, unit: &str, unit_length: f64) -> String {
+    /// Describes the slope and its interval in a sentence. `length_name` is the name of the quantity that is the
+    /// length.
+    pub fn describe_slope(&self, length_name: &str) -> String {
         let Self { fit, interval } = self;
+        let (unit, unit_length) = slope_unit(length_name);
         let (value, lo, hi) =
             (fit.slope.value * unit_length, interval.0 * unit_length, interval.1 * unit_length);
         let (magnitude, near, far) = (value.abs(), lo.abs().min(hi.abs()), lo.abs().max(hi.abs()));
@@ -183,9 +198,9 @@ mod tests {
                 && !growing.is_imprecise()
                 && (growing.fit.slope.value - 0.5).abs() < 0.02
         );
-        let slope = growing.describe_slope("token", 1e-3);
+        let slope = growing.describe_slope("output-tokens");
         assert!(
-            slope.starts_with("Each further token takes 0.") && slope.ends_with("200 iterations."),
+            slope.starts_with("Each further token takes ") && slope.ends_with("200 iterations."),
             "{slope}"
         );
         let intercept = growing.describe_intercept().expect("an intercept above 0");
@@ -197,6 +212,13 @@ mod tests {
         assert_eq!(line(&one_length), Err(NoLine::EqualLengths(200)));
         let text = NoLine::TooFewAnswers(59).to_string();
         assert_eq!(text, "a line needs 60 answers, and there are 59");
+    }
+
+    #[test]
+    fn slope_unit_follows_from_name_of_length() {
+        assert_eq!(slope_unit("inference_output-tokens"), ("token".to_owned(), 1.0));
+        assert_eq!(slope_unit("download-bytes"), ("kB".to_owned(), 1e3));
+        assert_eq!(slope_unit("inference_output-chunks").0, "unit of inference output chunks");
     }
 
     #[test]

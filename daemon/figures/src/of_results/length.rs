@@ -14,8 +14,6 @@ use peernet_analysis::rows::{RowRef, Rows};
 
 /// Symbol of the unit in which latencies are shown.
 const MILLISECONDS: &str = "ms";
-/// Suffix of the names of columns that count bytes.
-const BYTES_SUFFIX: &str = "bytes";
 
 /// Returns whether the lengths of the answers of a run are counted in tokens, like those of a language model.
 pub(super) fn has_tokens(rows: &Rows) -> bool {
@@ -73,11 +71,6 @@ pub(super) fn drawings(
     let y_unit = unit(&record.units, &y, &heading(&y));
     // The sentences on the growth say "takes … ms", so they are left out if the vertical axis does not show a latency.
     let described_growth = growth.ok().filter(|_| y_unit.symbol == MILLISECONDS && line.is_ok());
-    let (length_unit, values_per_unit) = match (tokens_of_column(&x), x.ends_with(BYTES_SUFFIX)) {
-        (Some(_), _) => ("token".to_owned(), 1.0),
-        (None, true) => ("kB".to_owned(), 1e3),
-        (None, false) => (format!("unit of {}", x_name.replace(['-', '_'], " ")), 1.0),
-    };
     let title = format!("{} against {}", heading(&y), x_name.replace(['-', '_'], " "));
     let lengths = Lengths {
         title: title_of_column(&title, &y, record),
@@ -87,7 +80,7 @@ pub(super) fn drawings(
         notes: std::iter::once(count_note(&rows.iter(), points.len()))
             .chain(too_large_note(rows.iter(), &[x.as_str(), y.as_str()]))
             .chain(line.err().map(|no_line| format!("no line: {no_line}")))
-            .chain(described_growth.map(|growth| growth.describe_slope(&length_unit, values_per_unit)))
+            .chain(described_growth.map(|growth| growth.describe_slope(&x)))
             .chain(described_growth.and_then(|growth| growth.describe_intercept()))
             .chain(lacks_usage.then(|| NO_USAGE.to_owned()))
             .collect(),

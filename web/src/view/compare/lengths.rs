@@ -53,15 +53,14 @@ impl<'a> VaryingLengths<'a> {
         comparison.configurations.iter().filter_map(Self::of).collect()
     }
 
-    /// Returns the unit of lengths: its name, and the factor from the measured value to this unit. Also returns the
-    /// unit of the slope: its name, and the measured length for which the slope is given.
-    fn unit(&self, longest: f64) -> (String, f64, &'static str, f64) {
+    /// Returns the unit of lengths: its name, and the factor from the measured value to this unit.
+    fn unit(&self, longest: f64) -> (String, f64) {
         if is_tokens(self.length_name) {
-            (self.length_name.replace(['-', '_'], " "), 1.0, "token", 1.0)
+            (self.length_name.replace(['-', '_'], " "), 1.0)
         } else if longest >= KILOBYTES {
-            ("kB of answer".to_owned(), 1e-3, "kB", 1e3)
+            ("kB of answer".to_owned(), 1e-3)
         } else {
-            ("bytes of answer".to_owned(), 1.0, "kB", 1e3)
+            ("bytes of answer".to_owned(), 1.0)
         }
     }
 
@@ -190,13 +189,13 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
                 .map(|other| other.lengths)
         };
         let longest = same_unit().map(|lengths| lengths.moments.max).fold(0.0, f64::max);
-        let (unit, per_si, what, each) = varying_configuration.unit(longest);
+        let (unit, per_si) = varying_configuration.unit(longest);
         let horizontal = BinnedAxis::from_zero(same_unit(), Unit::symbol(&unit, per_si))?;
         let sample = answers.iter().find(|sample| sample.name == varying_configuration.configuration.name);
         let sample = sample.cloned().unwrap_or_default();
         let growth = Growth::from_iterations(&sample.points);
         let slope = match &growth {
-            Ok(growth) => growth.describe_slope(what, each),
+            Ok(growth) => growth.describe_slope(varying_configuration.length_name),
             Err(no_line) => format!("No line: {no_line}."),
         };
         let medians = medians_sentence(varying_configuration);

@@ -120,7 +120,7 @@ fn sentence_has_numbers_of_drawn_and_all_iterations() {
 #[test]
 fn too_few_or_flat_points_give_no_line() {
     let sentence = |points: &[(f64, f64)]| {
-        Growth::from_iterations(points).map(|growth| growth.describe_slope("kB", 1e3))
+        Growth::from_iterations(points).map(|growth| growth.describe_slope("download-bytes"))
     };
     assert_eq!(sentence(&sample_answers(59)), Err(NoLine::TooFewAnswers(59)));
     let equal_lengths: Vec<(f64, f64)> =
@@ -219,7 +219,7 @@ fn slope_of_nanoseconds_has_significant_digits() {
     let points: Vec<(f64, f64)> = sample_answers(200).iter().map(|(x, _)| (*x, 1e-3 + x * 2.0e-9)).collect();
     let noisy: Vec<(f64, f64)> =
         points.iter().enumerate().map(|(n, (x, y))| (*x, y + 2e-9 * (n as f64 * 1.7).sin())).collect();
-    let text = Growth::from_iterations(&noisy).expect("enough").describe_slope("token", 1.0);
+    let text = Growth::from_iterations(&noisy).expect("enough").describe_slope("tokens");
     let start = "Each further token takes 0.0000020";
     assert!(
         text.starts_with(start) && !text.contains("0.000 ") && text.contains("(95\u{202f}%: 0.00000"),
