@@ -116,8 +116,7 @@ impl Quality {
         rows: impl Fn() -> I,
     ) -> Option<QualityEstimate> {
         self.from_statistics(|name| {
-            let mut moments = Moments::default();
-            rows().filter_map(|row| value(row, name)).for_each(|value| moments.record(value));
+            let moments: Moments = rows().filter_map(|row| value(row, name)).collect();
             (moments.count > 0).then(|| (moments.count, moments.mean, moments.std()))
         })
     }

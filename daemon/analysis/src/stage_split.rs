@@ -1,7 +1,7 @@
 //! Split of the mean total latency into the means of its stages.
 
 use peernet_logger::{Name, stage};
-use peernet_statistics::{Moments, Summary};
+use peernet_statistics::Moments;
 
 use crate::rows::{LATENESS, Rows};
 use crate::slowness::{self, BOTH_DIRECTIONS};
@@ -117,9 +117,7 @@ impl StageSplit {
                 .for_each(|(sent, has_message)| *sent += u64::from(has_message));
         }
         let mean_of = |name: &str| {
-            let mut moments = Moments::default();
-            let values = rows.values_in_statistics(name).filter(|value| Summary::accepts(*value));
-            values.for_each(|value| moments.record(value));
+            let moments: Moments = rows.values_in_statistics(name).collect();
             (moments.count > 0).then_some((moments.count, moments.mean))
         };
         Self::new(sent, mean_of)

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::Merge;
+use crate::{Merge, Summary};
 
 /// Count, mean, sum of squared deviations from the mean, and extremes.
 ///
@@ -25,7 +25,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Adds a number. The caller must leave out numbers that [`Summary::accepts`](crate::Summary::accepts) rejects.
+    /// Adds a number. The caller must leave out numbers that [`Summary::accepts`] rejects.
     #[inline]
     pub fn record(&mut self, value: f64) {
         if self.count == 0 {
@@ -103,6 +103,16 @@ impl TryFrom<UncheckedMoments> for Moments {
     }
 }
 
+impl FromIterator<f64> for Moments {
+    /// Collects numbers. Numbers that [`Summary::accepts`] rejects are left out.
+    fn from_iter<I: IntoIterator<Item = f64>>(values: I) -> Self {
+        let mut moments = Self::default();
+        let accepted = values.into_iter().filter(|value| Summary::accepts(*value));
+        accepted.for_each(|value| moments.record(value));
+        moments
+    }
+}
+
 impl Merge for Moments {
     fn merge(&mut self, other: &Self) {
         // The inherent method has the same name. It can be called without the trait in scope.
@@ -117,9 +127,7 @@ mod tests {
     use super::*;
 
     fn moments_of(values: &[f64]) -> Moments {
-        let mut moments = Moments::default();
-        values.iter().for_each(|value| moments.record(*value));
-        moments
+        values.iter().copied().collect()
     }
 
     /// Computes mean and sample variance in two passes.
@@ -173,6 +181,12 @@ mod tests {
         assert_eq!(rmp_serde::from_slice::<Moments>(&encode(good)).expect("reads back"), good);
         assert!(rmp_serde::from_slice::<Moments>(&encode(nan)).is_err());
         assert!(rmp_serde::from_slice::<Moments>(&encode(min_above_max)).is_err());
+    }
+
+    #[test]
+    fn collecting_leaves_out_numbers_out_of_range() {
+        let with_invalid = [1.0, f64::NAN, f64::INFINITY, f64::MAX, 2.0];
+        assert_eq!(moments_of(&with_invalid), moments_of(&[1.0, 2.0]));
     }
 
     #[test]

@@ -263,9 +263,8 @@ impl Line {
         self.scores = SCORES.map(|score| score.from_rows(rows));
         self.unknown_labels = unknown_labels(runs_of_line());
         let latency = |name: &str| {
-            let mut moments = Moments::default();
-            let numbers = runs_of_line().flat_map(|run| run.rows.values_in_statistics(name));
-            numbers.filter(|number| Summary::accepts(*number)).for_each(|number| moments.record(number));
+            let moments: Moments =
+                runs_of_line().flat_map(|run| run.rows.values_in_statistics(name)).collect();
             let Moments { mean, count, .. } = moments;
             (count > 0).then(|| Latency { mean, std: moments.std(), count })
         };

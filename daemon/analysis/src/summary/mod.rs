@@ -155,9 +155,10 @@ impl Quantity {
     /// Returns the summary of these numbers; `None` if there are none. Numbers that are not finite, or too large for statistics, are left
     /// out.
     pub fn from_values(column: Column, values: impl IntoIterator<Item = f64>) -> Option<Self> {
-        let mut moments = Moments::default();
         let values = values.into_iter().filter(|value| statistics::Summary::accepts(*value));
-        let ordered: SortedValues = values.inspect(|value| moments.record(*value)).collect();
+        let values: Vec<f64> = values.collect();
+        let moments: Moments = values.iter().copied().collect();
+        let ordered: SortedValues = values.into_iter().collect();
         Some(Self {
             column,
             count: moments.count,
