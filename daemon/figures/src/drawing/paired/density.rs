@@ -1,6 +1,7 @@
 //! Kernel density estimate of the distribution of values.
 
 use peernet_analysis::order::SortedValues;
+use peernet_statistics::Moments;
 
 /// Number of evaluation points for each width of the kernel. With this number, no peak is missed between two points.
 const POINTS_PER_WIDTH: f64 = 4.0;
@@ -17,8 +18,8 @@ const CELLS: usize = MAX_POINTS;
 ///
 /// The kernel is Gaussian with Silverman's width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986,
 /// equation 3.31). Here s is the standard deviation and IQR the interquartile range of all values, and n is the number
-/// of finite values in the range. The result is empty if the range is empty, if there are fewer than two values, if all
-/// values are equal, or if a value is infinite.
+/// of finite values in the range. The result is empty if the range is empty, if there are fewer than two values, or if
+/// all values are equal.
 pub(super) fn density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
     let values_in_range =
         || values.values().iter().filter(|value| value.is_finite() && (lo..=hi).contains(value));
@@ -44,11 +45,10 @@ pub(super) fn density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, 
     heights.into_iter().enumerate().map(|(step, height)| (evaluation_point(step), height / highest)).collect()
 }
 
-/// Returns the width of the kernel; `None` if the values have no spread.
+/// Returns the width of the kernel for `n` values in the range; `None` if the values have no spread.
 fn kernel_width(values: &SortedValues, n: f64) -> Option<f64> {
     let scaled_iqr = (values.quantile(0.75)? - values.quantile(0.25)?) / 1.34;
-    let mean = values.values().iter().sum::<f64>() / n;
-    let s = (values.values().iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
+    let s = values.values().iter().copied().collect::<Moments>().std()?;
     // If half of the values are equal, the interquartile range can be 0, although the values are not all equal.
     let spread = if scaled_iqr > 0.0 { scaled_iqr.min(s) } else { s };
     let width = 0.9 * spread * n.powf(-0.2);
@@ -78,6 +78,14 @@ mod tests {
         let density = density(&peak.chain([30.0, 41.0]).collect(), (2.0, 41.0));
         let in_peak = density.iter().filter(|(x, density)| (2.0..=2.4).contains(x) && *density > 0.5);
         assert!(in_peak.count() >= 6, "{density:?}");
+    }
+
+    #[test]
+    fn kernel_width_has_deviation_of_all_values() {
+        // The standard deviation is 2 and the interquartile range is 0. The largest value is not in the range.
+        let values = [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0 + 32.0_f64.sqrt()];
+        let width = kernel_width(&values.into_iter().collect(), 7.0).expect("has a spread");
+        assert!((width - 0.9 * 2.0 * 7.0_f64.powf(-0.2)).abs() < 1e-9, "{width}");
     }
 
     #[test]
