@@ -65,7 +65,7 @@ fn write_files(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<Pat
     let json = folder.join(RECORD);
     let text = serde_json::to_vec_pretty(record).map_err(WriteError::at(&json))?;
     write_private(&json, &text).map_err(WriteError::at(&json))?;
-    let summary = Summary::from_rows(rows).with_record(record);
+    let summary = Summary::from_run(record, rows);
     let mut files = vec![data, json];
     for (name, text) in SUMMARIES.into_iter().zip([markdown(&summary), csv(&summary), latex(&summary)]) {
         let path = folder.join(name);

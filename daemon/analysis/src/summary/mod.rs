@@ -13,7 +13,7 @@ use crate::delays::median_bounds;
 use crate::order::SortedValues;
 use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Outcome, Rows, Units};
-use crate::trust::{DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, ReplayedLatencies, Starts};
+use crate::trust::{ReplayedLatencies, Starts};
 
 /// Summary of the columns of a run. Warm-up and failed iterations are left out.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,7 +70,7 @@ pub struct Quantity {
 }
 
 impl Summary {
-    /// Returns the summary of these rows.
+    /// Returns the summary of these rows, without the facts of their run.
     pub fn from_rows(rows: &Rows) -> Self {
         // The bounds of delays have another kind. The bounds of throughputs have the kind `Node`, so their names
         // exclude them.
@@ -113,21 +113,19 @@ impl Summary {
         }
     }
 
-    /// Adds facts from the record of the run: the title, the deadline, the units of further columns, the number of iterations that have no
-    /// row, replayed latencies, and examples of labels and classes.
-    #[must_use]
-    pub fn with_record(mut self, record: &RunRecord) -> Self {
-        self.title.clone_from(&record.title);
-        self.units.clone_from(&record.units);
-        self.counts.unseen = record.counts.unseen;
-        self.deadline_s = record.deadline_s;
-        let mean = |column: &str| self.quantity(column).map(|quantity| quantity.mean);
-        let (drawn, overrun) = (mean(DRAWN_LATENCY_COLUMN), mean(OVERRUN_COLUMN));
-        let replayed = ReplayedLatencies::from_facts(&record.facts);
-        self.replayed = replayed.map(|replayed| ReplayedLatencies { drawn, overrun, ..replayed }.describe());
-        self.unknown_labels =
-            self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, &record.facts));
-        self
+    /// Returns the summary of a run. Its record has the title, the deadline, the units of further columns, the number
+    /// of iterations that have no row, replayed latencies, and examples of labels and classes.
+    pub fn from_run(record: &RunRecord, rows: &Rows) -> Self {
+        let summary = Self::from_rows(rows);
+        Self {
+            title: record.title.clone(),
+            units: record.units.clone(),
+            counts: Counts { unseen: record.counts.unseen, ..summary.counts },
+            deadline_s: record.deadline_s,
+            replayed: ReplayedLatencies::from_run(&record.facts, rows).map(|replayed| replayed.describe()),
+            unknown_labels: UnknownLabels::from_rows(rows, &record.facts),
+            ..summary
+        }
     }
 
     /// Returns the summary of one column; `None` if no row in the statistics has a number in the column.

@@ -1,5 +1,6 @@
 //! Latencies that were not measured but drawn from a distribution, and the time by which the host exceeded them.
 
+use peernet_statistics::Moments;
 use peernet_statistics::number::milliseconds;
 
 use crate::order::mean;
@@ -44,9 +45,8 @@ impl ReplayedLatencies {
     /// Returns the replayed latencies, with the distribution from the facts of a run and the means from its rows.
     /// `None` if the latencies are measured.
     pub fn from_run(facts: &[(String, String)], rows: &Rows) -> Option<Self> {
-        let mean = |column: &str| mean(rows.values_in_statistics(column));
-        let replayed = Self::from_facts(facts)?;
-        Some(Self { drawn: mean(DRAWN_LATENCY_COLUMN), overrun: mean(OVERRUN_COLUMN), ..replayed })
+        let [drawn, overrun] = mean_drawn_and_overrun(rows);
+        Some(Self { drawn, overrun, ..Self::from_facts(facts)? })
     }
 
     /// Describes the distribution, and the mean overrun if it is large.
@@ -84,6 +84,15 @@ impl ReplayedLatencies {
         let mean = |value: fn(&Self) -> Option<f64>| mean(runs.iter().filter_map(value));
         Some(Self { distribution, drawn: mean(|run| run.drawn), overrun: mean(|run| run.overrun) }.describe())
     }
+}
+
+/// Returns the mean drawn latency and the mean overrun of the rows in the statistics, seconds. A mean is `None` without
+/// values.
+pub(super) fn mean_drawn_and_overrun(rows: &Rows) -> [Option<f64>; 2] {
+    [DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN].map(|column| {
+        let moments: Moments = rows.values_in_statistics(column).collect();
+        (moments.count > 0).then_some(moments.mean)
+    })
 }
 
 #[cfg(test)]

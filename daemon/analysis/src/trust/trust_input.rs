@@ -7,14 +7,13 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::{Summary, TwoModes};
 use peernet_stream::{Condition, EndReason, FaultyHost};
 
-use super::{
-    DRAWN_LATENCY_COLUMN, EndedEarly, OVERRUN_COLUMN, ReplayedLatencies, Restarts, Starts, TimeSeries,
-};
+use super::replayed::mean_drawn_and_overrun;
+use super::{EndedEarly, ReplayedLatencies, Restarts, Starts, TimeSeries};
 use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::actuator_results::ActuatorResults;
 use crate::answer_length::{answer_tokens, tokens_of_column};
 use crate::delays::ClockInterval;
-use crate::order::{SortedValues, mean};
+use crate::order::SortedValues;
 use crate::outcomes::Counts;
 use crate::rows::{RowRef, Rows};
 use crate::stage_split::StageSplit;
@@ -95,7 +94,7 @@ impl TrustInput {
         let in_statistics = || rows.iter().filter(|row| row.is_in_statistics());
         let time_series =
             |column: &str| TimeSeries::from_values(&rows.values_in_statistics(column).collect::<Vec<f64>>());
-        let mean = |column: &str| mean(rows.values_in_statistics(column));
+        let [drawn, overrun] = mean_drawn_and_overrun(rows);
         let stages =
             stage::ORDER.into_iter().filter_map(|name| Some((name.to_string(), time_series(&name)?)));
         let directions: [(Name, DelayReader); 2] =
@@ -107,8 +106,8 @@ impl TrustInput {
             total: time_series(&stage::TOTAL).or_else(|| time_series(&stage::SENSING)),
             stages: stages.collect(),
             split: StageSplit::from_rows(rows),
-            drawn: mean(DRAWN_LATENCY_COLUMN),
-            overrun: mean(OVERRUN_COLUMN),
+            drawn,
+            overrun,
             superseded: ActuatorResults::from_rows(rows).superseded,
             two_modes: two_modes(rows),
             restarts: Restarts::from_rows(rows),

@@ -103,7 +103,7 @@ fn run_request(arguments: &Arguments, devices: &Devices) -> Result<RunRequest, F
 
 /// Prints the results, their folder and their files.
 fn print_results(measured: &MeasuredRun) {
-    print_to_stdout(summary::text(&Summary::from_rows(&measured.rows).with_record(&measured.record)));
+    print_to_stdout(summary::text(&Summary::from_run(&measured.record, &measured.rows)));
     if let Some(trust) = &measured.record.trust {
         print_to_stdout(format_args!("\n{}", trust.text()));
     }

@@ -14,8 +14,7 @@ fn labels_outside_model_classes_are_reported() {
     let mut rows = rows(20);
     rows.iter_mut().for_each(|row| row.values.push(("unknown-label".into(), 1.0)));
     let facts = vec![("Classes".to_owned(), "4: good, dented".to_owned())];
-    let summary =
-        Summary::from_rows(&to_rows(&rows)).with_record(&RunRecord { facts, ..RunRecord::default() });
+    let summary = Summary::from_run(&RunRecord { facts, ..RunRecord::default() }, &to_rows(&rows));
     let (text, ok) = (text(&summary), summary.counts.ok);
     let sentence = format!(
         "Not scored: {ok} of {}, because the label is not a class of the model (classes: good, dented).",
@@ -52,7 +51,7 @@ fn missed_deadlines_are_share_of_all_iterations() {
     let measured: Vec<_> = rows.iter().filter(|row| !row.warm_up).collect();
     let missed = measured.iter().filter(|row| row.outcome != Outcome::Ok || row.iteration % 4 == 0).count();
     let record = RunRecord { deadline_s: Some(0.1), ..RunRecord::default() };
-    let summary = Summary::from_rows(&to_rows(&rows)).with_record(&record);
+    let summary = Summary::from_run(&record, &to_rows(&rows));
     let text = text(&summary);
     let sentence =
         format!("Deadline of 100\u{202f}ms: missed by {missed} of {} iterations (", measured.len());
@@ -132,7 +131,7 @@ Clock bounds contain the median of the true values.";
 #[test]
 fn summary_has_metrics_of_the_paper() {
     let record = RunRecord { title: "robot_1".to_owned(), ..RunRecord::default() };
-    let summary = Summary::from_rows(&to_rows(&rows(10))).with_record(&record);
+    let summary = Summary::from_run(&record, &to_rows(&rows(10)));
     assert_eq!(text(&summary), TEXT);
     let markdown = markdown(&summary);
     assert!(markdown.starts_with("# robot_1\n\n| metric | unit | count | mean ± std |"), "{markdown}");
@@ -195,7 +194,7 @@ fn custom_nodes_keep_their_unit() {
     let record = RunRecord { units, ..RunRecord::default() };
     let json = serde_json::to_value(&record).expect("JSON");
     assert_eq!((&json["units"]["grip_val"], &json["units"]["force"]), (&"s".into(), &"N".into()));
-    let text = text(&Summary::from_rows(&to_rows(&rows)).with_record(&record));
+    let text = text(&Summary::from_run(&record, &to_rows(&rows)));
     let line = |metric: &str| {
         let line =
             text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
@@ -217,8 +216,8 @@ fn replayed_latencies_are_named_below_every_table() {
     let facts = vec![("Replayed".to_owned(), "inference is drawn from x".to_owned())];
     let record = RunRecord { facts, ..RunRecord::default() };
     let note = "Replayed latencies, not measured: inference is drawn from x.";
-    let replayed = Summary::from_rows(&rows).with_record(&record);
-    let measured = Summary::from_rows(&rows).with_record(&RunRecord::default());
+    let replayed = Summary::from_run(&record, &rows);
+    let measured = Summary::from_run(&RunRecord::default(), &rows);
     for form in [text, markdown, latex] {
         assert!(form(&replayed).contains(note), "{}", form(&replayed));
         assert!(!form(&measured).contains("eplayed"), "{}", form(&measured));
