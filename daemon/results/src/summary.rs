@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL};
+use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_SUCCESS, SUPERSEDED};
 use peernet_analysis::compare::replayed_configurations;
 use peernet_analysis::deadline::DEADLINE_MISSED;
@@ -214,8 +214,8 @@ fn deadline(summary: &Summary) -> String {
 /// Returns the sentences about the accuracies of the model; empty if the right answers are not known.
 fn accuracies(summary: &Summary) -> String {
     let sentence = |(column, name): (&str, &str)| {
-        let Quantity { mean, count, .. } = summary.quantity(column)?;
-        Some(format!("{name}: {}.", Accuracy::from_mean(*mean, *count, *count)?))
+        let accuracy = summary.accuracy.get(column)?;
+        Some(format!("{name}: {accuracy}."))
     };
     ACCURACIES.into_iter().zip(["Top-1", "Top-5"]).filter_map(sentence).collect::<Vec<_>>().join("\n")
 }

@@ -4,9 +4,11 @@ mod scale;
 
 pub use scale::Scale;
 
+use std::collections::BTreeMap;
+
 use peernet_statistics::{self as statistics, Moments};
 
-use crate::accuracy::UnknownLabels;
+use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::actuator_results::{ActuatorResults, EPISODE_VALUES};
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::delays::median_bounds;
@@ -39,6 +41,8 @@ pub struct Summary {
     pub replayed: Option<String>,
     /// Quality of the delays: their verdicts, sources and bounds.
     pub clocks: Clocks,
+    /// Accuracy of the model, by column; empty if the right answers are not known.
+    pub accuracy: BTreeMap<String, Accuracy>,
     /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
     pub unknown_labels: Option<UnknownLabels>,
     /// Units of the columns that the run logged in addition to the standard columns.
@@ -108,6 +112,7 @@ impl Summary {
             starts: Starts::from_rows(rows),
             replayed: None,
             clocks: Clocks::from_rows(rows),
+            accuracy: Accuracy::by_column(rows),
             unknown_labels: UnknownLabels::from_rows(rows, &[]),
             units: Units::default(),
         }

@@ -1,5 +1,6 @@
 //! Tests of the text forms of summaries.
 
+use peernet_analysis::accuracy::Accuracy;
 use peernet_analysis::rows::Units;
 use peernet_logger::{Measure, Unit};
 use peernet_statistics::number::counted;
@@ -27,17 +28,21 @@ fn labels_outside_model_classes_are_reported() {
 fn sentences_have_skipped_starts_and_accuracy() {
     let mut rows = rows(20);
     for row in &mut rows {
-        let is_correct = f64::from(u8::from(row.iteration % 4 != 0));
-        row.values.extend([("top-1".into(), is_correct), ("skipped-starts".into(), 2.0)]);
+        // One score is not valid.
+        let score = if row.iteration == 10 { 0.5 } else { f64::from(u8::from(row.iteration % 4 != 0)) };
+        row.values.extend([("top-1".into(), score), ("skipped-starts".into(), 2.0)]);
     }
-    let summary = Summary::from_rows(&to_rows(&rows));
+    let rows = to_rows(&rows);
+    let summary = Summary::from_rows(&rows);
     let text = text(&summary);
     let starts = summary.starts;
     assert!(starts.started > summary.counts.ok && starts.skipped == 2 * starts.started, "{starts:?}");
     let sentence = format!("Skipped: {} of {} starts (67\u{202f}%).", starts.skipped, starts.total());
     assert!(text.contains(&sentence) && !text.contains("skipped-starts"), "{text}");
     let line = text.lines().find(|line| line.starts_with("Top-1: ")).expect("a sentence");
-    assert!(line.contains(" % of ") && !text.contains("top-1"), "{text}");
+    let accuracy = Accuracy::from_rows(&rows, "top-1").expect("has scores");
+    assert_eq!(line, format!("Top-1: {accuracy}."), "as in run.json");
+    assert!(accuracy.unscored == 1 && !text.contains("top-1"), "{text}");
     assert!(csv(&summary).contains("\nskipped-starts,"), "summary.csv has all columns");
 }
 
