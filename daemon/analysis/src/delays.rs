@@ -1,6 +1,7 @@
 //! Summaries over several seconds: verdict and median of one-way delays, minimum and median of round trips.
 
 mod median_interval;
+mod verdict_counts;
 
 use peernet_clock::{Interval, Span, Verdict};
 use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
@@ -8,6 +9,7 @@ use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 pub use self::median_interval::{
     ClockInterval, ClockedSummaries, CountedAverage, DelayAverages, IntervalMethod, median_bounds,
 };
+pub use self::verdict_counts::VerdictCounts;
 use crate::order::SortedValues;
 
 /// Summary of the one-way delays of one direction over several seconds.
@@ -18,7 +20,7 @@ pub struct DelaySummary {
     /// Median of each second, with the weight of the second.
     medians: Vec<(DelayPoint, u64)>,
     /// Sum of the weights of the seconds with each verdict.
-    verdicts: Vec<(Verdict, u64)>,
+    verdicts: VerdictCounts,
 }
 
 impl DelaySummary {
@@ -30,10 +32,7 @@ impl DelaySummary {
         // A negative median is impossible, so it is left out.
         self.medians
             .extend(second.median.filter(|point| !point.value.is_negative()).map(|point| (point, weight)));
-        match self.verdicts.iter_mut().find(|(verdict, _)| *verdict == second.verdict) {
-            Some((_, weights)) => *weights += weight,
-            None => self.verdicts.push((second.verdict, weight)),
-        }
+        self.verdicts.add(second.verdict, weight);
     }
 
     /// Returns the number of judged delays.
@@ -67,7 +66,7 @@ impl DelaySummary {
     /// Returns the [summary verdict](Verdict::summarise) of all delays; `None` if no delay was judged. A delay counts
     /// with the verdict of its second, which may be worse than its own.
     pub fn verdict(&self) -> Option<Verdict> {
-        Verdict::summarise(self.verdicts.iter().copied())
+        Verdict::summarise(self.verdicts.counts())
     }
 
     /// Returns all seconds as if they were one; `None` if no delay was judged.

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::passage::Passage;
 use super::sample::Sample;
+use crate::delays::VerdictCounts;
 use crate::fit::{Estimate, Fit, Point, SlopeRate, WeightedPoint, least_squares, rate_range, theil_sen};
 use crate::message_sizes::{Message, SizeSummary, line_through_medians};
 use crate::order::Z95;
@@ -86,10 +87,8 @@ impl DirectionStudy {
     /// Returns the statistics of one direction from the samples in the statistics.
     pub(super) fn new(direction: Direction, samples: &[Sample]) -> Self {
         let passages = passages_in_statistics(direction, samples);
-        let mut verdicts = BTreeMap::new();
-        for (_, passage) in &passages {
-            *verdicts.entry(passage.delay.verdict.name()).or_default() += 1;
-        }
+        let mut verdicts = VerdictCounts::default();
+        passages.iter().for_each(|(_, passage)| verdicts.add(passage.delay.verdict, 1));
         let payloads: BTreeSet<u64> = passages.iter().map(|(payload, _)| *payload).collect();
         let sizes: Vec<SizeSummary> =
             payloads.iter().filter_map(|payload| size_summary(*payload, &passages)).collect();
@@ -103,7 +102,7 @@ impl DirectionStudy {
             throughput: main_fit.and_then(|fit| Throughput::with_bounds(fit.slope, &sizes)),
             sizes,
             fits,
-            verdicts,
+            verdicts: verdicts.counts().map(|(verdict, count)| (verdict.name(), count)).collect(),
             same_clock,
         }
     }

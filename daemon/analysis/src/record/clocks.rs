@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use peernet_clock::OneWayDelay;
 use serde::{Deserialize, Serialize};
 
-use crate::delays::median_width;
+use crate::delays::{VerdictCounts, median_width};
 use crate::rows::Rows;
 
 /// Quality of the delays of a run, without warm-up and failed iterations.
@@ -65,7 +65,7 @@ impl Clocks {
 
 impl DelayQuality {
     fn from_delays(delays: impl Iterator<Item = (f64, OneWayDelay)>) -> Self {
-        let (mut verdicts, mut sources) = (BTreeMap::new(), BTreeMap::new());
+        let (mut verdicts, mut sources) = (VerdictCounts::default(), BTreeMap::<&str, u64>::new());
         let mut bounds: Vec<(f64, f64)> = Vec::new();
         let (mut first, mut last) = (None, None);
         for (at, delay) in delays {
@@ -74,16 +74,13 @@ impl DelayQuality {
                 last = Some((at, offset));
             }
             // Delays without a value are counted, too: readers must know how many delays are unknown.
-            *verdicts.entry(delay.verdict.name()).or_default() += 1;
+            verdicts.add(delay.verdict, 1);
             *sources.entry(delay.source.name()).or_default() += 1;
             bounds.extend(delay.known_bounds());
         }
-        let with_owned_names = |counts: BTreeMap<&str, u64>| {
-            counts.into_iter().map(|(name, count)| (name.to_owned(), count)).collect()
-        };
         Self {
-            verdicts: with_owned_names(verdicts),
-            sources: with_owned_names(sources),
+            verdicts: verdicts.counts().map(|(verdict, count)| (verdict.name().to_owned(), count)).collect(),
+            sources: sources.into_iter().map(|(name, count)| (name.to_owned(), count)).collect(),
             median_width: median_width(bounds.into_iter()),
             first_offset: first.map(|(_, offset)| offset),
             last_offset: last.map(|(_, offset)| offset),

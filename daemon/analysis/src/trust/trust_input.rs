@@ -12,7 +12,7 @@ use super::{EndedEarly, ReplayedLatencies, Restarts, Starts, TimeSeries};
 use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::actuator_results::ActuatorResults;
 use crate::answer_length::{answer_tokens, tokens_of_column};
-use crate::delays::ClockInterval;
+use crate::delays::{ClockInterval, VerdictCounts};
 use crate::order::SortedValues;
 use crate::outcomes::Counts;
 use crate::rows::{RowRef, Rows};
@@ -169,23 +169,18 @@ fn two_modes(rows: &Rows) -> Vec<(String, TwoModes)> {
 
 impl DelayQuality {
     fn from_delays(stage: &str, delays: impl Iterator<Item = OneWayDelay>) -> Option<Self> {
-        let mut verdicts = BTreeMap::<usize, (Verdict, u64)>::new();
+        let mut verdicts = VerdictCounts::default();
         let (mut known_delays, mut bounds) = (Vec::new(), Vec::new());
         for delay in delays {
-            let verdict = delay.verdict;
-            // Verdicts are listed in the order in which the store numbers them, so that input from rows equals input from
-            // the store.
-            let order = Verdict::ALL.iter().position(|other| *other == verdict).unwrap_or(usize::MAX);
-            verdicts.entry(order).or_insert((verdict, 0)).1 += 1;
+            verdicts.add(delay.verdict, 1);
             if let Some(seconds) = delay.known_seconds() {
                 known_delays.push(seconds);
                 bounds.push(delay.known_bounds());
             }
         }
-        let verdicts: Vec<(Verdict, u64)> = verdicts.into_values().collect();
         (!verdicts.is_empty()).then(|| Self {
             stage: stage.to_owned(),
-            verdicts,
+            verdicts: verdicts.counts().collect(),
             delay: known_delays.into_iter().collect::<SortedValues>().median(),
             interval: ClockInterval::of_median(bounds.into_iter()),
         })

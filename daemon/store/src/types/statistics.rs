@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use peernet_analysis::delays::VerdictCounts;
 use peernet_analysis::stage_split::share_of_total;
 use peernet_analysis::transfer::Transfers;
 use peernet_clock::Verdict;
@@ -78,7 +79,7 @@ pub struct MergeableStatistics {
     half_widths: HashMap<Name, Summary>,
     /// Lower ends and upper ends of the intervals.
     ends: HashMap<Name, [Summary; 2]>,
-    verdicts: HashMap<Name, Vec<(Verdict, u64)>>,
+    verdicts: HashMap<Name, VerdictCounts>,
 }
 
 /// Values of one node name.
@@ -136,11 +137,7 @@ impl MergeableStatistics {
 
     /// Adds `count` delays of one direction with this verdict.
     pub fn add_verdicts(&mut self, stage: Name, verdict: Verdict, count: u64) {
-        let counts = self.verdicts.entry(stage).or_default();
-        match counts.iter_mut().find(|(other, _)| *other == verdict) {
-            Some((_, sum)) => *sum += count,
-            None => counts.push((verdict, count)),
-        }
+        self.verdicts.entry(stage).or_default().add(verdict, count);
     }
 
     /// Adds all values of other statistics.
@@ -155,7 +152,7 @@ impl MergeableStatistics {
             self.add_ends(name.clone(), [lower, upper]);
         }
         for (stage, verdicts) in &other.verdicts {
-            verdicts.iter().for_each(|(verdict, count)| self.add_verdicts(stage.clone(), *verdict, *count));
+            verdicts.counts().for_each(|(verdict, count)| self.add_verdicts(stage.clone(), verdict, count));
         }
     }
 
@@ -191,15 +188,11 @@ impl MergeableStatistics {
     /// Returns the accuracy of a one-way delay, or `None` for other names.
     pub fn bound(&self, stage: &Name) -> Option<DelayAccuracy> {
         let (half_width, verdicts) = (self.half_widths.get(stage), self.verdicts.get(stage));
-        (half_width.is_some() || verdicts.is_some()).then(|| {
-            let mut verdicts = verdicts.cloned().unwrap_or_default();
-            verdicts.sort_by_key(|(verdict, _)| Verdict::ALL.iter().position(|other| other == verdict));
-            DelayAccuracy {
-                stage: stage.clone(),
-                half_width: half_width.and_then(QuantityStatistics::from_summary),
-                ends: self.ends.get(stage).and_then(QuantityStatistics::from_ends),
-                verdicts,
-            }
+        (half_width.is_some() || verdicts.is_some()).then(|| DelayAccuracy {
+            stage: stage.clone(),
+            half_width: half_width.and_then(QuantityStatistics::from_summary),
+            ends: self.ends.get(stage).and_then(QuantityStatistics::from_ends),
+            verdicts: verdicts.copied().unwrap_or_default().counts().collect(),
         })
     }
 }

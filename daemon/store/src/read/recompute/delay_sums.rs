@@ -1,6 +1,7 @@
 //! Statistics of judged delays and of their accuracy.
 
-use peernet_clock::{OneWayDelay, Verdict};
+use peernet_analysis::delays::VerdictCounts;
+use peernet_clock::OneWayDelay;
 use peernet_statistics::Summary;
 
 use crate::quantity_statistics::QuantityStatistics;
@@ -11,7 +12,7 @@ use crate::types::Judgement;
 pub(super) struct DelaySums {
     delay: Summary,
     half_width: Summary,
-    verdicts: [u64; Verdict::ALL.len()],
+    verdicts: VerdictCounts,
 }
 
 impl DelaySums {
@@ -24,20 +25,18 @@ impl DelaySums {
         if let Some(half_width) = delay.half_width() {
             self.half_width.record(half_width);
         }
-        let verdicts = Verdict::ALL.iter().zip(&mut self.verdicts);
-        verdicts.filter(|(verdict, _)| **verdict == delay.verdict).for_each(|(_, count)| *count += 1);
+        self.verdicts.add(delay.verdict, 1);
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.verdicts == [0; Verdict::ALL.len()]
+        self.verdicts.is_empty()
     }
 
     pub(super) fn judgement(&self) -> Judgement {
-        let verdicts = Verdict::ALL.iter().copied().zip(self.verdicts);
         Judgement {
             delay: QuantityStatistics::from_summary(&self.delay),
             half_width: QuantityStatistics::from_summary(&self.half_width),
-            verdicts: verdicts.filter(|(_, count)| *count > 0).collect(),
+            verdicts: self.verdicts.counts().collect(),
         }
     }
 }
