@@ -120,12 +120,6 @@ impl Quality {
             (moments.count > 0).then(|| (moments.count, moments.mean, moments.std()))
         })
     }
-
-    /// Returns whether an iteration has a value of this quality.
-    pub fn is_scored(self, row: RowRef<'_>) -> bool {
-        let is_detection = self == Self::MeanIou && value(row, Self::Map50.name()).is_some();
-        value(row, self.name()).is_some() && !is_detection
-    }
 }
 
 /// Returns the value of a node in an iteration; `None` if the value is missing or invalid. Of an iteration that is not in

@@ -11,7 +11,6 @@ use crate::drawing::{MAX_QUALITY_POINTS, QualityAgainstLatency, QualityPoint, Un
 use peernet_analysis::loaded::{Loaded, unknown_labels};
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::quality::Quality;
-use peernet_analysis::rows::RowRef;
 use peernet_analysis::total_column::TotalColumn;
 
 /// Returns the figures for which the runs have data: `accuracy`, `map-50` and `mean-iou` if the right answers are
@@ -44,11 +43,13 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
         let estimate = quality.from_rows(|| runs.iter().flat_map(|run| &run.rows))?;
         let times = rows_in_statistics(runs).filter_map(|row| row.value(total.name()));
         let times: SortedValues = times.filter(|time| is_drawable(*time)).collect();
-        Some(QualityPoint { label: label.clone(), estimate, median: times.median()?, p95: times.p95() })
+        let point = QualityPoint { label: label.clone(), estimate, median: times.median()?, p95: times.p95() };
+        Some((point, unscored_count(runs, estimate.count)))
     };
-    let mut points: Vec<QualityPoint> = groups.iter().filter_map(point).collect();
-    let (point_count, omitted_groups) = (points.len(), groups.len() - points.len());
-    points.truncate(MAX_QUALITY_POINTS);
+    let scored: Vec<(QualityPoint, u64)> = groups.iter().filter_map(point).collect();
+    let (point_count, omitted_groups) = (scored.len(), groups.len() - scored.len());
+    let (points, unscored_counts): (Vec<QualityPoint>, Vec<u64>) =
+        scored.into_iter().take(MAX_QUALITY_POINTS).unzip();
     let n = number::range_of_counts(points.iter().map(|point| point.estimate.count))?;
     let count_name = if quality.is_of_episodes() { "episodes:" } else { "n =" };
     let mut notes = vec![format!("configurations: {} · {count_name} {n} each", axes.join(", "))];
@@ -71,25 +72,24 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     notes.extend(left_out.iter().cloned());
     notes.extend(too_large_note(runs.iter().flat_map(|run| &run.rows), &[total.name()]));
     if !quality.is_of_episodes() {
-        notes.extend(unscored_notes(runs, &groups, quality));
+        notes.extend(unscored_notes(runs, unscored_counts.iter().sum()));
     }
     let figure =
         QualityAgainstLatency { quality, latency_unit: Unit::milliseconds(total.title()), points, notes };
     Some(Drawing::new(stem(quality), AnyFigure::QualityAgainstLatency(figure)).with_left_out(left_out))
 }
 
-/// Returns notes on the iterations without a score. Iterations of configurations that are not in the figure are not
-/// counted.
-fn unscored_notes(runs: &[Loaded], groups: &[(String, Vec<&Loaded>)], quality: Quality) -> Vec<String> {
-    let is_scored = |row: &RowRef<'_>| quality.is_scored(*row);
-    // Iterations whose label the model does not know are not counted here, because they have their own note.
-    let unscored_iterations = |(_, runs): &(String, Vec<&Loaded>)| {
-        let scored_count = rows_in_statistics(runs).filter(is_scored).count();
-        let unknown_label_count = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
-        let unscored_count = (rows_in_statistics(runs).count() - scored_count) as u64;
-        if scored_count > 0 { unscored_count.saturating_sub(unknown_label_count) } else { 0 }
-    };
-    let unscored: u64 = groups.iter().map(unscored_iterations).sum();
+/// Returns the number of iterations in the statistics without a valid score, from the number of scored iterations.
+/// Iterations whose label the model does not know are not counted, because they have their own note.
+fn unscored_count(runs: &[&Loaded], scored_count: u64) -> u64 {
+    let unknown_label_count = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
+    let answer_count = rows_in_statistics(runs).count() as u64;
+    answer_count.saturating_sub(scored_count).saturating_sub(unknown_label_count)
+}
+
+/// Returns notes on the iterations without a score. `unscored` is the sum of [`unscored_count`] over the configurations
+/// in the figure.
+fn unscored_notes(runs: &[Loaded], unscored: u64) -> Vec<String> {
     let unscored = (unscored > 0)
         .then(|| format!("not scored: {} without a valid score", number::counted(unscored, "iteration")));
     let unknown = unknown_labels(runs).map(|unknown| {
