@@ -5,7 +5,9 @@ use std::path::PathBuf;
 use peernet_statistics::number::counted;
 
 use super::columns::{self, ChosenColumns, Column};
-use super::labels::{EMPTY_CELL, RunFacts, differ, distinguishing_pairs, experiment_columns, tabulate};
+use super::labels::{
+    EMPTY_CELL, RunFacts, differ, distinguishing_pairs, experiment_columns, readable_names, tabulate,
+};
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
@@ -44,6 +46,14 @@ impl Configurations {
     /// always have the same labels.
     pub fn from_runs(runs: &[Loaded]) -> Self {
         Self::with_other_differences(runs).0
+    }
+
+    /// Returns the [readable name](readable_names) of each configuration, with the indexes of its runs. The order of
+    /// the configurations is that of their first runs.
+    pub fn named_groups(&self) -> Vec<(String, Vec<usize>)> {
+        let groups = group_by_labels(&self.labels);
+        let names = readable_names(&self.axes, groups.iter().map(|group| self.labels[group[0]].as_slice()));
+        names.into_iter().zip(groups).collect()
     }
 
     /// Returns the configurations, and sentences about the other differences between the runs.

@@ -178,14 +178,13 @@ impl Comparison {
             Repeats::Separate => configurations.add_repeats(runs),
             Repeats::PooledExcept(chosen) => configurations.separate_runs(runs, chosen),
         }
+        let groups = configurations.named_groups();
         let Configurations { axes, labels } = configurations;
         // All lines have the same column: a measured total is longer than the sum of its stages, so a total cannot be
         // ranked against a sum.
         let total_column = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));
-        let groups = group_by_labels(&labels);
-        let names = readable_names(&axes, groups.iter().map(|group| labels[group[0]].as_slice()));
-        let line = |(group, name): (Vec<usize>, String)| Line::new(name, labels[group[0]].clone(), group);
-        let mut lines: Vec<Line> = groups.into_iter().zip(names).map(line).collect();
+        let line = |(name, group): (String, Vec<usize>)| Line::new(name, labels[group[0]].clone(), group);
+        let mut lines: Vec<Line> = groups.into_iter().map(line).collect();
         lines.iter_mut().for_each(|line| line.fill(runs, total_column.name()));
         let (ties, untested, unranked) = (Vec::new(), Vec::new(), Vec::new());
         let caveats = caveats::sentences(runs, &lines);

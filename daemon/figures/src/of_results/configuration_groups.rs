@@ -1,6 +1,6 @@
 //! Groups of runs with the same configuration.
 
-use peernet_analysis::compare::{Configurations, group_by_labels, readable_names};
+use peernet_analysis::compare::Configurations;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::RowRef;
 
@@ -16,16 +16,14 @@ pub(super) struct ConfigurationGroups<'a> {
 
 impl<'a> ConfigurationGroups<'a> {
     pub(super) fn from_runs(runs: &'a [Loaded]) -> Self {
-        let Configurations { axes, labels } = Configurations::from_runs(runs);
-        let groups = group_by_labels(&labels);
-        let names = readable_names(&axes, groups.iter().map(|group| labels[group[0]].as_slice()));
-        let group = |(indexes, name): (Vec<usize>, String)| {
+        let configurations = Configurations::from_runs(runs);
+        let group = |(name, indexes): (String, Vec<usize>)| {
             // Repeats are pooled, so a single repeat with replayed latencies is enough for the mark.
             let is_replayed = indexes.iter().any(|index| is_replayed(&runs[*index].record));
             (marked(&name, is_replayed), indexes.into_iter().map(|index| &runs[index]).collect())
         };
-        let groups = groups.into_iter().zip(names).map(group).collect();
-        Self { axes, groups }
+        let groups = configurations.named_groups().into_iter().map(group).collect();
+        Self { axes: configurations.axes, groups }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Marks of runs whose latencies were drawn from a distribution and not measured.
 
-use peernet_analysis::compare::{Configurations, readable_names, replayed_configurations};
+use peernet_analysis::compare::{Configurations, replayed_configurations};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
@@ -49,19 +49,13 @@ pub(super) fn contains_model_latency(column: &str) -> bool {
 /// Returns the note on the configurations whose latencies are replayed, each with its distribution; `None` if the
 /// latencies of all configurations are measured.
 pub(super) fn note(runs: &[Loaded]) -> Option<String> {
-    let Configurations { axes, labels } = Configurations::from_runs(runs);
-    let mut configurations: Vec<(String, Vec<ReplayedLatencies>)> = Vec::new();
-    for (run, name) in runs.iter().zip(readable_names(&axes, labels.iter().map(Vec::as_slice))) {
-        let Some(replayed) = ReplayedLatencies::from_run(&run.record.facts, &run.rows) else { continue };
-        match configurations.iter_mut().find(|(other, _)| *other == name) {
-            Some((_, latencies)) => latencies.push(replayed),
-            None => configurations.push((name, vec![replayed])),
-        }
-    }
-    let described = configurations
-        .into_iter()
-        .map(|(name, latencies)| (name, ReplayedLatencies::describe_all(latencies)));
-    let described: Vec<(String, Option<String>)> = described.collect();
+    let describe = |(name, indexes): (String, Vec<usize>)| {
+        let runs = indexes.into_iter().map(|index| &runs[index]);
+        let replayed = runs.filter_map(|run| ReplayedLatencies::from_run(&run.record.facts, &run.rows));
+        (name, ReplayedLatencies::describe_all(replayed))
+    };
+    let groups = Configurations::from_runs(runs).named_groups();
+    let described: Vec<(String, Option<String>)> = groups.into_iter().map(describe).collect();
     replayed_configurations(described.iter().map(|(name, text)| (name.clone(), text.as_deref())))
 }
 
