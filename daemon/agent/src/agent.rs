@@ -3,6 +3,7 @@
 //! Start order: lock of the state directory, files in it, spool, event queue, threads, ports, then the tasks. Every
 //! step that can fail precedes the first task. Stop order: pipelines, then serving, then the outbox.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -92,12 +93,13 @@ impl Agent {
         clock: SharedClock,
         stop: CancellationToken,
     ) -> Result<RunningAgent, StartError> {
-        start(config, version, clock, stop, None).await
+        start(config, version, clock, stop, None, None).await
     }
 
     /// Starts the agent as [`start`](Self::start) does, for a program that runs it in the foreground. Each event also
     /// goes to `tap`, with or without an aggregator. Measuring does not wait for the program: events that do not fit
-    /// into `tap` are dropped and counted ([`RunningAgent::events_missed_by_tap`]).
+    /// into `tap` are dropped and counted ([`RunningAgent::events_missed_by_tap`]). `results` is the folder to which
+    /// the program writes results, if any; its free space is one of the conditions of a run.
     ///
     /// # Errors
     /// Those of [`start`](Self::start).
@@ -107,18 +109,21 @@ impl Agent {
         clock: SharedClock,
         stop: CancellationToken,
         tap: mpsc::Sender<Event>,
+        results: Option<PathBuf>,
     ) -> Result<RunningAgent, StartError> {
-        start(config, version, clock, stop, Some(EventTap::new(tap))).await
+        start(config, version, clock, stop, Some(EventTap::new(tap)), results).await
     }
 }
 
-/// Starts an agent; events also go to `tap`, if there is one.
+/// Starts an agent; events also go to `tap`, if there is one. `results` is the folder to which the program writes
+/// results, if any.
 async fn start(
     config: AgentConfig,
     version: &'static str,
     clock: SharedClock,
     stop: CancellationToken,
     tap: Option<EventTap>,
+    results: Option<PathBuf>,
 ) -> Result<RunningAgent, StartError> {
     let name = config.agent.host_name()?;
     // The directory is locked before anything is read: two agents with one state directory would have the same host id.
@@ -145,7 +150,7 @@ async fn start(
         incidents: incidents.clone(),
     };
     let links = Links::new(link_context, &config.clock, probes.clone());
-    let inspection = Arc::new(InspectionSettings::from_config(&config));
+    let inspection = Arc::new(InspectionSettings::from_config(&config, results));
     let host = Host { id, name, version, clock };
     let events = EventSinks { event_queue, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;

@@ -17,7 +17,7 @@ pub(super) fn free_space(settings: &InspectionSettings) -> Vec<Finding> {
 }
 
 /// Grades the free space at a path, or at its nearest existing parent.
-pub(super) fn free_space_of(purpose: &str, written_path: &Path) -> Finding {
+fn free_space_of(purpose: &str, written_path: &Path) -> Finding {
     const ABOUT: &str = "free disk";
     let paths =
         written_path.ancestors().map(|path| if path.as_os_str().is_empty() { Path::new(".") } else { path });

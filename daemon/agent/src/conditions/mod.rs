@@ -15,7 +15,7 @@ mod memory;
 mod tests;
 mod wireless;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use peernet_stream::{Condition, Grade};
@@ -63,17 +63,14 @@ impl InspectionSettings {
     /// Path at which Linux mounts sysfs.
     pub(crate) const SYSFS: &str = "/sys";
 
-    /// Returns the settings for this host, with the paths to which an agent with this configuration writes.
-    pub(crate) fn from_config(config: &AgentConfig) -> Self {
+    /// Returns the settings for this host, with the paths to which an agent with this configuration writes. `results` is
+    /// the folder to which the program of the agent writes results, if any.
+    pub(crate) fn from_config(config: &AgentConfig, results: Option<PathBuf>) -> Self {
         let spool = config.agent.aggregator.as_ref().map(|_| config.spool.path(&config.agent.state_dir));
-        let written_paths = spool.into_iter().map(|file| ("spool".to_owned(), file)).collect();
-        Self { written_paths, ..Self::default() }
+        let paths = [("spool", spool), ("results", results)].into_iter();
+        let paths = paths.filter_map(|(purpose, path)| Some((purpose.to_owned(), path?)));
+        Self { written_paths: paths.collect(), ..Self::default() }
     }
-}
-
-/// Grades the free space for the data that `purpose` names, at a path or at its nearest existing parent.
-pub fn free_space(purpose: &str, path: &Path, host: &str) -> Condition {
-    disk::free_space_of(purpose, path).with_host(host)
 }
 
 /// Inspects this host, whose name is `host`. Blocks, for less than 50 ms on most hosts.

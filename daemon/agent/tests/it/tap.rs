@@ -23,7 +23,7 @@ async fn unreadable_host_secret_is_refused_before_anything_starts() {
     config.agent.aggregator = Some("tcp://127.0.0.1:9".parse().expect("an address"));
     let (tap, mut events) = mpsc::channel(1000);
     let started =
-        Agent::start_with_tap(config, VERSION, clock("system"), CancellationToken::new(), tap).await;
+        Agent::start_with_tap(config, VERSION, clock("system"), CancellationToken::new(), tap, None).await;
     let error = started.expect_err("the file contains no secret");
     assert!(matches!(error, StartError::Identity(_)) && error.to_string().contains("host-secret"), "{error}");
     assert_eq!(events.recv().await, None, "no pipeline ran");
@@ -39,8 +39,9 @@ async fn program_receives_events_and_missed_events_are_counted() {
         config.pipelines[0].limit.iterations = NonZeroU64::new(100);
         let stop = CancellationToken::new();
         let (tap, mut events) = mpsc::channel(capacity);
-        let running =
-            Agent::start_with_tap(config, VERSION, clock("system"), stop.clone(), tap).await.expect("starts");
+        let running = Agent::start_with_tap(config, VERSION, clock("system"), stop.clone(), tap, None)
+            .await
+            .expect("starts");
         while running.live_update().pipelines[0].state != PipelineState::Finished {
             tokio::time::sleep(std::time::Duration::from_millis(5)).await;
         }

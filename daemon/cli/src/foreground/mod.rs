@@ -29,6 +29,7 @@ pub(crate) use peer_wait::{PeerWait, PipelineActivity};
 pub(crate) use progress::Progress;
 pub(crate) use tables::read_agent_tables;
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -76,6 +77,8 @@ pub(crate) struct ReadyAgent {
     pub(crate) system_clock: SharedClock,
     /// The clock that the agent reads: `system_clock` with the errors of `[clock_fault]`.
     pub(crate) clock: SharedClock,
+    /// Folder to which the command writes results, if any.
+    pub(crate) results_dir: Option<PathBuf>,
 }
 
 /// Result of an agent that has ended.
@@ -109,7 +112,7 @@ impl ReadyAgent {
                 "CLOCK FAULT INJECTION: this host's clocks are made wrong on purpose ({faults})"
             ));
         }
-        Ok(Self { config, system_clock, clock })
+        Ok(Self { config, system_clock, clock, results_dir: None })
     }
 
     /// Runs the agent until its observer ends it or a signal arrives, then waits for its end. A second signal ends
@@ -125,7 +128,7 @@ impl ReadyAgent {
         let runtime = runtime
             .context("cannot start the threads of the runtime")
             .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-        let result = runtime.block_on(watch(self.config, &self.clock, observer));
+        let result = runtime.block_on(watch(self.config, &self.clock, self.results_dir, observer));
         // The threads that end the programs of sensors and actuators are waited for, but not a thread that computes for
         // minutes.
         runtime.shutdown_timeout(BLOCKING_THREADS_TIMEOUT);
@@ -147,11 +150,13 @@ fn describe_start_error(error: StartError) -> anyhow::Error {
 async fn watch<O: RunObserver>(
     config: AgentConfig,
     clock: &SharedClock,
+    results_dir: Option<PathBuf>,
     observer: &mut O,
 ) -> Result<AgentResult<O::OwnReason>, Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let (stop, (tap, mut events)) = (CancellationToken::new(), mpsc::channel(EVENT_CAPACITY));
-    let running = Agent::start_with_tap(config, VERSION, Arc::clone(clock), stop.clone(), tap).await;
+    let running =
+        Agent::start_with_tap(config, VERSION, Arc::clone(clock), stop.clone(), tap, results_dir).await;
     let running = running.map_err(|error| Failure::new(Exit::Unavailable, describe_start_error(error)))?;
     let name = running.name().to_string();
     let mut served_counts = running.served_counts();

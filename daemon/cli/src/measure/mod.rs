@@ -32,14 +32,12 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_actuators::ActuatorKind;
-use peernet_agent::conditions;
 use peernet_analysis::WriteError;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 use peernet_analysis::sensor_study::SensorStudy;
 use peernet_analysis::trust::{Report, TrustInput};
 use peernet_figures as figures;
-use peernet_stream::Condition;
 
 use crate::foreground::{AgentEnd, AgentResult, ReadyAgent};
 use recorder::RunRecorder;
@@ -86,15 +84,14 @@ pub(crate) fn measure(
     let state_dir = AgentStateDir::for_agent(&request.agent.agent)?;
     let mut config = request.agent.clone();
     state_dir.configure(&mut config)?;
-    let ready = ReadyAgent::new(config)?;
+    let mut ready = ReadyAgent::new(config)?;
     if let Some(actuator) = &request.tried_actuator {
         actuator.try_build(&ready.clock).map_err(|error| {
             Failure::new(Exit::Unavailable, anyhow!("the actuator cannot be created: {error}"))
         })?;
     }
     let mut results = Results::prepare(request)?;
-    // The free space is read before the run, whose results take up a part of it.
-    let free_space = conditions::free_space("results", results.path(), "");
+    ready.results_dir = Some(results.path().to_owned());
     let mut recorder = RunRecorder::new(
         pipeline,
         request.peer_timeout(),
@@ -122,7 +119,6 @@ pub(crate) fn measure(
         return Err(end.failure_without_rows());
     }
     let mut record = record::run_record(request, &recorded, &end, name, missed_events);
-    record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..free_space });
     record.trust = Some(Report::new(&TrustInput::from_run(&record, &recorded.rows)));
     let WrittenFiles { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);
     let is_written = !files.is_empty();

@@ -1,6 +1,7 @@
 //! Tests of runs that are also streamed to aggregators: to several in turn, and to one that is absent.
 
 use peernet_tests::LoopbackDeployment;
+use serde_json::Value;
 
 use super::Lab;
 
@@ -73,6 +74,24 @@ fn export_of_aggregator_equals_file_of_run() {
     let comparison = lab.start_client("PEERNet compare results export.csv").wait_for_end();
     assert_eq!(comparison.code(), 0, "{}", comparison.log);
     assert!(comparison.log.contains("export"), "{}", comparison.log);
+}
+
+#[test]
+fn dashboard_and_record_show_same_conditions() {
+    let (lab, deployment) = (Lab::on_one_machine(), LoopbackDeployment::new());
+    let (_aggregator, api) = deployment.start_aggregator();
+    measure_and_stream(&lab, &deployment);
+    let stored = api.json(&format!("/api/v1/runs/{}", api.wait_for_finished_run()));
+    let record = lab.record("results");
+    let conditions = |conditions: &Value| conditions.as_array().expect("a list").clone();
+    let recorded = [&record["edge"], &record["cloud"]].map(|host| conditions(&host["conditions"])).concat();
+    assert_eq!(conditions(&stored["conditions"]), recorded);
+    for purpose in ["GiB for the spool", "GiB for the results"] {
+        let names_purpose = |found: &str| found.ends_with(purpose);
+        let has_disk =
+            recorded.iter().any(|condition| condition["found"].as_str().is_some_and(names_purpose));
+        assert!(has_disk, "{purpose}: {recorded:#?}");
+    }
 }
 
 #[test]
