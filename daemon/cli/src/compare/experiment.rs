@@ -10,7 +10,9 @@ use peernet_sample::printable_line;
 use peernet_statistics::number::counted;
 use serde::Deserialize;
 
-use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, RunStatus};
+use crate::experiment::{
+    FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, RunStatus, load_finished_results, result_dirs,
+};
 
 /// Number of parent folders of results that are searched for the record of their experiment. Between the results and
 /// the experiment's folder are `runs`, the run's folder if several edges send at the same time, and possibly a folder
@@ -60,11 +62,16 @@ pub(super) struct Plan {
 #[derive(Deserialize)]
 pub(super) struct Configuration {
     pub(super) labels: Vec<(String, String)>,
+    /// Number of edges that send at the same time; `None` stands for 1.
+    users: Option<u32>,
 }
 
 #[derive(Deserialize)]
 struct Run {
     folder: String,
+    /// Index of the run's configuration in the plan.
+    #[serde(default)]
+    configuration: usize,
 }
 
 #[derive(Deserialize)]
@@ -89,7 +96,7 @@ impl Experiments {
     pub(super) fn find<'a>(results: impl Iterator<Item = &'a Path>) -> Self {
         let mut records = BTreeMap::new();
         for folder in results.flat_map(ancestor_folders) {
-            records.entry(folder).or_insert_with_key(|folder| self::read(&folder.join(RECORD)));
+            records.entry(folder).or_insert_with_key(|folder| self::read(folder));
         }
         Self(records.into_iter().filter_map(|(folder, record)| Some((folder, record.transpose()?))).collect())
     }
@@ -137,6 +144,21 @@ impl Experiments {
 }
 
 impl Experiment {
+    /// Marks each run in progress as finished if its results show that the run was measured to its end. The results
+    /// decide, as they do for the aggregator: the program may have been killed before it recorded the end of the run.
+    fn mark_measured_runs(&mut self, experiment_dir: &Path) {
+        let Plan { configurations, runs } = &self.plan;
+        let in_progress = |(_, state): &(&Run, &mut RecordedState)| state.status == RunStatus::Running;
+        for (run, state) in runs.iter().zip(&mut self.states).filter(in_progress) {
+            let configuration = configurations.get(run.configuration);
+            let users = configuration.and_then(|configuration| configuration.users).unwrap_or(1);
+            let run_dir = experiment_dir.join(RUNS).join(&run.folder);
+            if result_dirs(&run_dir, users).all(|folder| load_finished_results(&folder).is_ok()) {
+                state.status = RunStatus::Finished;
+            }
+        }
+    }
+
     /// Returns the folders of the runs and their status.
     pub(super) fn runs(&self) -> impl Iterator<Item = (&str, RunStatus)> {
         self.plan.runs.iter().zip(&self.states).map(|(run, state)| (&*run.folder, state.status))
@@ -167,18 +189,18 @@ fn ancestor_folders(results: &Path) -> Vec<PathBuf> {
     folder.ancestors().skip(1).take(MAX_ANCESTORS).map(Path::to_owned).collect()
 }
 
-/// Reads a record; `None` if it does not exist.
+/// Reads the record of the experiment in a folder; `None` if it does not exist.
 ///
 /// # Errors
 /// When the file cannot be read or is not a record.
-fn read(record: &Path) -> Result<Option<Experiment>, RecordError> {
-    let text = match small_file::read_regular_file(record, MAX_RECORD_BYTES) {
+fn read(experiment_dir: &Path) -> Result<Option<Experiment>, RecordError> {
+    let text = match small_file::read_regular_file(&experiment_dir.join(RECORD), MAX_RECORD_BYTES) {
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
         }
         result => result?,
     };
-    let experiment: Experiment = serde_json::from_str(&text)?;
+    let mut experiment: Experiment = serde_json::from_str(&text)?;
     if experiment.format != FORMAT {
         return Err(RecordError::Format(experiment.format));
     }
@@ -186,5 +208,6 @@ fn read(record: &Path) -> Result<Option<Experiment>, RecordError> {
     if runs != states {
         return Err(RecordError::Lengths { runs, states });
     }
+    experiment.mark_measured_runs(experiment_dir);
     Ok(Some(experiment))
 }

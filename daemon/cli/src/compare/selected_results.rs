@@ -90,6 +90,8 @@ fn shorten_experiment_dir(named_path: &Path, experiment_dir: &Path) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
+    use peernet_analysis::run_selection::RunState;
+    use peernet_results::ResultFolder;
     use rustix::fs::{CWD, FileType, Mode, mknodat};
     use serde_json::json;
 
@@ -158,6 +160,39 @@ mod tests {
         std::fs::remove_dir_all(experiment_dir.join("runs/001-a")).expect("removed");
         let nothing = collect(&[experiment_dir], None, &|_| true).err().expect("nothing is left");
         assert!(nothing.to_string().contains("can be compared"), "{nothing}");
+    }
+
+    #[test]
+    fn runs_of_killed_experiment_count_as_on_dashboard() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let experiment_dir = folder.path().join("rates");
+        experiment(&experiment_dir);
+        let run_dir = experiment_dir.join(RUNS).join("003-b");
+        let is_compared = || {
+            let found = collect(std::slice::from_ref(&experiment_dir), None, &|_| true).expect("one is done");
+            assert_ne!(names(&found).contains(&"003-b".to_owned()), found.notes.concat().contains("003-b"));
+            names(&found).contains(&"003-b".to_owned())
+        };
+        let write_record = |reason: &str, ok: u32| {
+            let record = json!({ "format": 1, "reason": reason, "counts": { "ok": ok } });
+            std::fs::write(run_dir.join("run.json"), record.to_string()).expect("written");
+        };
+        for reason in ["finished", "stopped", "the peer went away"] {
+            write_record(reason, 1);
+            // The aggregator receives the same reason.
+            let results = ResultFolder::open(&run_dir).expect("readable");
+            let state = RunState::from_end_reason(Some(&results.record.reason));
+            assert_eq!(is_compared(), state.is_finished(), "{reason}");
+        }
+        write_record("finished", 2);
+        assert!(!is_compared(), "data.csv lacks an iteration");
+
+        write_record("finished", 1);
+        let record = experiment_dir.join(RECORD);
+        let text = std::fs::read_to_string(&record).expect("written");
+        let two_users = r#""configurations":[{"labels":[],"users":2}]"#;
+        std::fs::write(&record, text.replace(r#""configurations":[]"#, two_users)).expect("written");
+        assert!(!is_compared(), "both users have no results");
     }
 
     #[test]

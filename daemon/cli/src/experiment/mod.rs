@@ -1,7 +1,9 @@
-//! File names and states of an experiment's folder, for the commands that write it and that read it.
+//! File names, states and results in an experiment's folder, for the commands that write it and that read it.
 
+mod finished_results;
 mod unfinished_runs;
 
+pub(crate) use finished_results::{Mismatch, UnusableResults, load_finished_results, result_dirs};
 pub(crate) use unfinished_runs::unfinished_runs_note;
 
 use peernet_analysis::run_selection::RunState;

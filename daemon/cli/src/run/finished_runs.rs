@@ -4,17 +4,15 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use crate::output::print_to_stderr;
-use peernet_analysis::loaded::RowsDamage;
-use peernet_analysis::record::{Counts, RunRecord};
-use peernet_results::{FolderError, ResultFolder};
+use peernet_analysis::record::RunRecord;
 use peernet_sample::printable_line;
-use peernet_stream::{EndReason, ExperimentPosition};
+use peernet_stream::ExperimentPosition;
 
 use super::ExternalFiles;
 use super::folder::Folder;
 use super::plan::Run;
 use super::state::Record;
-use crate::experiment::RunStatus;
+use crate::experiment::{Mismatch, RunStatus, UnusableResults, load_finished_results};
 
 /// Marks finished runs without usable results as not done. Reports external files that changed after a finished run
 /// was measured.
@@ -47,30 +45,6 @@ pub(super) fn version_change_note(record: &Record, to_do: &[Run], version: &str)
     })
 }
 
-/// The reason why the results of a finished run cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub(super) enum UnusableResults {
-    #[error("its results are missing")]
-    Missing,
-    #[error(transparent)]
-    Folder(#[from] FolderError),
-    #[error("{}: {damage}", .folder.display())]
-    Damaged { folder: PathBuf, damage: RowsDamage },
-    #[error("{}: {mismatch}", .folder.display())]
-    Mismatched { folder: PathBuf, mismatch: Mismatch },
-}
-
-/// Reason why `run.json` does not belong to this finished run.
-#[derive(Clone, Copy, Debug, thiserror::Error)]
-pub(super) enum Mismatch {
-    #[error("run.json does not say that the run was finished")]
-    Unfinished,
-    #[error("run.json has no iteration counts")]
-    NoIterations,
-    #[error("run.json belongs to another run")]
-    OtherRun,
-}
-
 /// Returns the records of a run's results, one for each user.
 ///
 /// # Errors
@@ -80,33 +54,17 @@ pub(super) fn load_results(
     record: &Record,
     run: &Run,
 ) -> Result<Vec<RunRecord>, UnusableResults> {
-    let load_user = |path: &PathBuf| {
-        if !path.join("run.json").is_file() {
-            return Err(UnusableResults::Missing);
-        }
-        let loaded = ResultFolder::open(path)?;
-        if let Some(damage) = loaded.damage() {
-            return Err(UnusableResults::Damaged { folder: path.clone(), damage });
-        }
-        match mismatch(&loaded.record, record, run) {
-            Some(mismatch) => Err(UnusableResults::Mismatched { folder: path.clone(), mismatch }),
-            None => Ok(loaded.record),
-        }
-    };
-    folder.results(&record.plan, run).iter().map(load_user).collect()
-}
-
-fn mismatch(run_record: &RunRecord, record: &Record, run: &Run) -> Option<Mismatch> {
-    if run_record.reason != EndReason::Finished {
-        return Some(Mismatch::Unfinished);
-    }
-    if run_record.counts == Counts::default() {
-        return Some(Mismatch::NoIterations);
-    }
     let planned = record.plan.experiment_position(run, &record.id);
-    // An earlier version recorded no index, and the labels identify the configuration.
-    let configuration_index = planned.configuration_index;
-    let recorded = run_record.experiment.clone();
-    let recorded = recorded.map(|position| ExperimentPosition { configuration_index, ..position });
-    (recorded != Some(planned)).then_some(Mismatch::OtherRun)
+    let load_user = |path: PathBuf| {
+        let run_record = load_finished_results(&path)?;
+        // An earlier version recorded no index, and the labels identify the configuration.
+        let configuration_index = planned.configuration_index;
+        let recorded = run_record.experiment.clone();
+        let recorded = recorded.map(|position| ExperimentPosition { configuration_index, ..position });
+        if recorded.as_ref() != Some(&planned) {
+            return Err(UnusableResults::Mismatched { folder: path, mismatch: Mismatch::OtherRun });
+        }
+        Ok(run_record)
+    };
+    folder.results(&record.plan, run).into_iter().map(load_user).collect()
 }

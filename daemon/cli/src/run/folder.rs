@@ -17,7 +17,7 @@ use peernet_external::exec::with_arguments;
 use super::plan::{Plan, Run};
 use super::plan_differences::differences;
 use super::state::Record;
-use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS};
+use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, result_dirs};
 
 /// Names of the tables over all runs.
 const TABLES: [&str; 3] = ["compare", "users", "sensors"];
@@ -81,11 +81,7 @@ impl Folder {
     /// Returns the folder of a run's results. If the run has several users (edges at the same time), returns the folder
     /// of each user's results.
     pub(super) fn results(&self, plan: &Plan, run: &Run) -> Vec<PathBuf> {
-        let folder = self.run_dir(run);
-        match plan.configuration(run).users {
-            1 => vec![folder],
-            users => (1..=users).map(|user| folder.join(format!("user-{user}"))).collect(),
-        }
+        result_dirs(&self.run_dir(run), plan.configuration(run).users).collect()
     }
 
     /// Reads the record of the experiment; `None` if there is no record.
