@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 use std::fmt;
 
-use peernet_clock::WallTime;
+use peernet_clock::{Span, WallTime};
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{EndReason, ExperimentPosition};
 
@@ -146,6 +146,13 @@ impl Candidate {
         let position = record.experiment.as_ref();
         let started = record.started.and_then(|at| at.timestamp_nanos_opt());
         let ended = record.ended.and_then(|at| at.timestamp_nanos_opt());
+        // The end is not recorded if the agent failed. The start of the last iteration is the last known time then, as
+        // in the store.
+        let last_start = || {
+            let last_start = run.rows.iter().map(|row| row.at()).reduce(f64::max);
+            last_start.filter(|at| *at > 0.0).map(|at| Span::from_seconds_f64(at).nanos())
+        };
+        let ended = ended.or_else(last_start);
         let times = started.map(|started| (started, ended.unwrap_or(started)));
         Self {
             id: record.run,

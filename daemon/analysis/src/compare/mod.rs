@@ -300,7 +300,8 @@ pub fn needs_column(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let columns = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
     let columns = columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, FIRST_TOKEN]);
-    let columns = columns.chain(&[DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN]);
+    // Starts of iterations: the last one stands for the end of a run whose end is not recorded.
+    let columns = columns.chain(&[DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, "at"]);
     columns.chain(&EPISODE_VALUES).chain(&SCORES.map(Quality::name)).any(|name| *name == column)
 }
 

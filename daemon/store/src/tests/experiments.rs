@@ -1,9 +1,10 @@
 //! Runs of an experiment, and the conditions of their hosts.
 
+use peernet_analysis::compare::needs_column;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::{HostRecord, RunRecord, to_utc};
-use peernet_analysis::rows::Rows;
-use peernet_analysis::run_selection::{Candidate, exclusions};
+use peernet_analysis::rows::{Rows, Units};
+use peernet_analysis::run_selection::{Candidate, Exclusion, RunState, exclusions};
 use peernet_clock::Span;
 use peernet_logger::stage;
 use peernet_logger::{Name, RunId};
@@ -87,6 +88,26 @@ async fn experiments_are_listed_with_their_runs() {
     assert!(test_store.store.runs_of_experiment("' OR 1", 10).await.expect("answers").is_empty());
 }
 
+/// Returns the results of a stored run as they are read from files.
+fn results_in_files(run: &RunSummary, rows: Rows) -> Loaded {
+    Loaded {
+        folder: format!("runs/{}", run.number).into(),
+        record: RunRecord {
+            run: Some(run.id),
+            name: run.pipeline.to_string(),
+            // Some runs of the tests start at one time. Runs of files are ordered by their starts, runs of the store by
+            // their numbers.
+            started: Some(to_utc(run.started + Span::from_nanos(run.number))),
+            ended: run.ended.map(to_utc),
+            reason: run.reason.clone().unwrap_or_default(),
+            edge: HostRecord { id: Some(run.host), ..HostRecord::default() },
+            experiment: run.experiment.clone(),
+            ..RunRecord::default()
+        },
+        rows,
+    }
+}
+
 #[tokio::test]
 async fn same_runs_are_excluded_in_store_and_in_files() {
     let mut test_store = TestStore::new().await;
@@ -108,23 +129,8 @@ async fn same_runs_are_excluded_in_store_and_in_files() {
         test_store.commit(&[work]).await;
     }
     let stored = test_store.store.runs_of_experiment("a", 10).await.expect("answers");
-    let results_in_files = |run: &RunSummary| Loaded {
-        folder: format!("runs/{}", run.number).into(),
-        record: RunRecord {
-            run: Some(run.id),
-            name: run.pipeline.to_string(),
-            // The runs start at one time in this test. Runs of files are ordered by their starts, runs of the store by
-            // their numbers.
-            started: Some(to_utc(run.started + Span::from_nanos(run.number))),
-            reason: run.reason.clone().unwrap_or_default(),
-            edge: HostRecord { id: Some(run.host), ..HostRecord::default() },
-            experiment: run.experiment.clone(),
-            ..RunRecord::default()
-        },
-        rows: Rows::default(),
-    };
     let exclusions_in_store = exclusions(&stored.iter().map(Candidate::from).collect::<Vec<_>>());
-    let files: Vec<Loaded> = stored.iter().map(results_in_files).collect();
+    let files: Vec<Loaded> = stored.iter().map(|run| results_in_files(run, Rows::default())).collect();
     let exclusions_in_files = exclusions(&files.iter().map(Candidate::from_results).collect::<Vec<_>>());
     assert_eq!(exclusions_in_store, exclusions_in_files);
     let name = |index: usize| format!("#{}", stored[index].number);
@@ -139,6 +145,32 @@ async fn same_runs_are_excluded_in_store_and_in_files() {
         Some("in progress or killed"),
     ];
     assert_eq!(descriptions.iter().map(Option::as_deref).collect::<Vec<_>>(), expected);
+}
+
+#[tokio::test]
+async fn run_without_end_overlaps_until_last_iteration() {
+    let mut test_store = TestStore::new().await;
+    // Two pipelines measure one repeat. The first breaks off after 30 s, and its end is not recorded.
+    let [first, second] = [("first", 0.0), ("second", 1.0)].map(|(pipeline, started)| {
+        let event = generate::run_started(RunId::random(), pipeline, generate::at(started));
+        let Event::RunStarted(run) = event else { panic!("a run begins") };
+        RunDescription { experiment: Some(Box::new(experiment_position("a", "1 kB", 0))), ..run }
+    });
+    let (hosts, mut numbers) = (test_store.hosts(), generate::Numbers::new(7));
+    let last = generate::iteration_at(first.run, 150, hosts, generate::at(30.0), &mut numbers);
+    let rows: Rows = [Units::default().row(&last)].into_iter().collect();
+    let end = RunEnded { run: second.run, ended: generate::at(60.0), reason: "finished".into() };
+    let events = [Event::RunStarted(first), Event::RunStarted(second), Event::Iteration(last)];
+    let work = test_store.batch(events.into_iter().chain([Event::RunEnded(end)]).collect());
+    test_store.commit(&[work]).await;
+    let stored = test_store.store.runs_of_experiment("a", 10).await.expect("answers");
+    let exclusions_in_store = exclusions(&stored.iter().map(Candidate::from).collect::<Vec<_>>());
+    let files = [results_in_files(&stored[0], rows), results_in_files(&stored[1], Rows::default())];
+    let exclusions_in_files = exclusions(&files.iter().map(Candidate::from_results).collect::<Vec<_>>());
+    assert_eq!(exclusions_in_store, exclusions_in_files);
+    let expected = [Exclusion::Unfinished(RunState::Open), Exclusion::OtherEdgeUnfinished(0)];
+    assert_eq!(exclusions_in_store, expected.map(Some));
+    assert!(needs_column("at"), "a comparison reads only the columns that it needs");
 }
 
 #[tokio::test]
