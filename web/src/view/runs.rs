@@ -1,6 +1,7 @@
 //! Runs in a list.
 
 use peernet_aggregator::LiveState;
+use peernet_analysis::compare::describe_labels;
 use peernet_analysis::outcomes::failed_share;
 use peernet_analysis::trust::MissingCount;
 use peernet_clock::WallTime;
@@ -56,9 +57,8 @@ pub(crate) struct ExperimentLabels {
 
 impl ExperimentLabels {
     fn of(position: &ExperimentPosition) -> Self {
-        let labels = position.configuration.iter().map(|(axis, value)| format!("{axis} = {value}"));
-        let labels: Vec<String> = labels.chain([format!("repeat {}", position.repeat + 1)]).collect();
-        Self { name: position.name.clone(), id: position.id.clone(), text: labels.join(", ") }
+        let text = describe_labels(&position.configuration, Some(position.repeat));
+        Self { name: position.name.clone(), id: position.id.clone(), text }
     }
 }
 

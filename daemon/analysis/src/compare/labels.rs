@@ -115,6 +115,14 @@ fn declared_labels(position: Option<&ExperimentPosition>) -> Vec<(String, String
     position.map(|position| position.configuration.clone()).unwrap_or_default()
 }
 
+/// Describes the labels of a run on its axes: `Where = cloud, Model = S, repeat 2`. `repeat` counts from 0; `None` leaves
+/// out the repeat.
+pub fn describe_labels(labels: &[(String, String)], repeat: Option<u32>) -> String {
+    let pairs = labels.iter().map(|(axis, label)| format!("{axis} = {label}"));
+    let repeat = repeat.map(|repeat| format!("repeat {}", u64::from(repeat) + 1));
+    pairs.chain(repeat).collect::<Vec<_>>().join(", ")
+}
+
 /// Returns whether at least two labels differ.
 pub(super) fn differ(labels: &[String]) -> bool {
     labels.windows(2).any(|pair| pair[0] != pair[1])

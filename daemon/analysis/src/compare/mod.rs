@@ -32,7 +32,9 @@ pub use columns::{ChosenColumns, Column, choose_columns, choose_further_columns}
 pub use configuration::{Configurations, group_by_labels};
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
-pub use labels::{RunFacts, distinguishing_pairs, experiment_columns, readable_names, tabulate};
+pub use labels::{
+    RunFacts, describe_labels, distinguishing_pairs, experiment_columns, readable_names, tabulate,
+};
 pub use latency_bar::{LatencyBar, part_order};
 pub use order::{compare_label, compare_positions};
 pub use pairwise::PairwiseDifference;

@@ -7,10 +7,10 @@ use crate::exit::{Exit, Failure};
 use crate::short::shorten_label;
 use anyhow::anyhow;
 use peernet_agent::{Agent, AgentConfig};
+use peernet_analysis::compare::describe_labels;
 use peernet_clock::SharedClock;
 
 use super::file::Configuration;
-use super::plan::describe_labels;
 
 /// Keys that concern this machine and not the file: pictures, models, programs.
 const MACHINE_KEYS: [&str; 4] =
@@ -75,7 +75,7 @@ pub(super) fn configurations(
                 None => problems.push(Problem {
                     text,
                     concerns_machine,
-                    first_labels: shorten_label(&describe_labels(&configuration.labels)),
+                    first_labels: shorten_label(&describe_labels(&configuration.labels, None)),
                     configurations: 1,
                 }),
             }

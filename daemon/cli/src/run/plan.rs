@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use peernet_actuators::ActuatorKind;
 use peernet_agent::AgentConfig;
+use peernet_analysis::compare::describe_labels;
 use peernet_external::exec::with_arguments;
 use peernet_external::{REPEAT_VARIABLE, SEED_VARIABLE, USER_VARIABLE};
 use peernet_logger::Slug;
@@ -171,11 +172,8 @@ impl Plan {
 
     /// Describes the run: `Where = cloud, Model = S, repeat 2`.
     pub(super) fn describe(&self, run: &Run) -> String {
-        let mut description = describe_labels(&self.configuration(run).labels);
-        if self.repeats > 1 {
-            let comma = if description.is_empty() { "" } else { ", " };
-            description = format!("{description}{comma}repeat {}", run.repeat + 1);
-        }
+        let repeat = (self.repeats > 1).then_some(run.repeat);
+        let description = describe_labels(&self.configuration(run).labels, repeat);
         if description.is_empty() { self.name.to_string() } else { description }
     }
 
@@ -185,12 +183,6 @@ impl Plan {
         // A run without axes and repeats already has the experiment's name.
         if description == name { description } else { format!("{name}: {description}") }
     }
-}
-
-/// Describes labels: `Where = cloud, Model = S`.
-pub(super) fn describe_labels(labels: &[(String, String)]) -> String {
-    let pairs = labels.iter().map(|(axis, label)| format!("{axis} = {label}"));
-    pairs.collect::<Vec<_>>().join(", ")
 }
 
 /// Returns the labels as a part of a folder's name, each after a hyphen.

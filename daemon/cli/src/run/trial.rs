@@ -8,6 +8,7 @@ use crate::exit::{Exit, Failure};
 use anyhow::{Context, anyhow};
 use peernet_actuators::ActuatorKind;
 use peernet_agent::config::{Limit, LoadConfig, PlacementConfig, WarmUp};
+use peernet_analysis::compare::describe_labels;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
@@ -20,7 +21,7 @@ use peernet_stream::{Condition, Grade};
 use super::children::{self, ChildEvent, ProcessResult};
 use super::estimate::Pace;
 use super::file::Configuration;
-use super::plan::{Plan, describe_labels};
+use super::plan::Plan;
 use crate::foreground::{Progress, Signals, long_duration};
 use crate::measure::RunRequest;
 use crate::short::shorten_label;
@@ -163,7 +164,7 @@ fn describe_configuration(plan: &Plan, index: usize) -> String {
     let description = plan
         .configurations
         .get(index)
-        .map(|configuration| shorten_label(&describe_labels(&configuration.labels)));
+        .map(|configuration| shorten_label(&describe_labels(&configuration.labels, None)));
     description.filter(|text| !text.is_empty()).unwrap_or_else(|| plan.name.to_string())
 }
 
@@ -216,7 +217,7 @@ fn trial_request(plan: &Plan, configuration: &Configuration) -> RunRequest {
     }
     RunRequest {
         agent,
-        title: describe_labels(&configuration.labels),
+        title: describe_labels(&configuration.labels, None),
         folder: std::path::PathBuf::new(),
         overwrite: Overwrite::Refuse,
         plots: false,

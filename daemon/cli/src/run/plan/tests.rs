@@ -183,7 +183,7 @@ fn run_is_labelled_with_experiment_configuration_and_repeat() {
     let run = plan.runs.iter().find(|run| run.configuration == 3 && run.repeat == 1).expect("there is one");
     let experiment = plan.agent(run, 1, "abc").pipelines.remove(0).experiment.expect("it has one");
     assert_eq!((experiment.name.as_str(), experiment.id.as_str(), experiment.repeat), ("e", "abc", 1));
-    assert_eq!(describe_labels(&experiment.configuration), "Time = 2, Users = 2");
+    assert_eq!(describe_labels(&experiment.configuration, None), "Time = 2, Users = 2");
     assert_eq!(plan.describe(run), "Time = 2, Users = 2, repeat 2");
     let names = [0, 1].map(|user| plan.agent_name(run, user).map(|name| name.to_string()));
     assert_eq!(names, [Some("robot-1".to_owned()), Some("robot-2".to_owned())]);
