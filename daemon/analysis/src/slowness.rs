@@ -11,6 +11,9 @@ use crate::rows::LATENESS;
 /// are not related.
 pub const BOTH_DIRECTIONS: &str = "upload + download";
 
+/// Name of the unattributed time without the late start, where the late start is a separate part.
+pub const REST_OF_UNATTRIBUTED: &str = "rest of unattributed";
+
 /// Range of the ratio of an iteration's total to the median total of its run that counts as the usual variation.
 pub const USUAL_RATIOS: Range<f64> = 0.95..1.05;
 /// Causes are listed until they explain this share of the time by which an iteration took longer than the median.
@@ -19,7 +22,7 @@ const MIN_EXPLAINED_SHARE: f64 = 0.8;
 /// Part of an iteration that took longer than its median over the run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Cause {
-    /// Name of a stage, `lateness`, `unattributed` or [`BOTH_DIRECTIONS`].
+    /// Name of a stage, `lateness`, `unattributed`, [`REST_OF_UNATTRIBUTED`] or [`BOTH_DIRECTIONS`].
     pub name: Name,
     /// Duration of the part in this iteration, seconds.
     pub value: f64,
@@ -103,8 +106,9 @@ impl Medians {
         Some(total? / median)
     }
 
-    /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage. If the lateness is known, it is a separate
-    /// candidate, and the unattributed time does not include it. If only the sum of upload and download is known, the sum replaces both stages.
+    /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage. If starts are late, the lateness is a
+    /// separate candidate, and [`REST_OF_UNATTRIBUTED`] replaces the unattributed time. If only the sum of upload and download is known, the
+    /// sum replaces both stages.
     pub fn causes(&self, times: &IterationTimes<'_>) -> Vec<Cause> {
         let Some((total, median)) = times.total.zip(self.median(&stage::TOTAL)) else { return Vec::new() };
         let lateness = Name::from_static(LATENESS);
@@ -119,10 +123,14 @@ impl Medians {
         let late_start = times.lateness.and_then(|value| cause(&lateness, value, Some(median_lateness)));
         let unattributed = times.unattributed.and_then(|value| {
             let median = self.median(&stage::UNATTRIBUTED);
+            let value_lateness = times.lateness.unwrap_or(0.0);
             let without_lateness = |value: f64, lateness: f64| (value - lateness).max(0.0);
+            let has_late_start = value_lateness > 0.0 || median_lateness > 0.0;
+            let name =
+                if has_late_start { Name::from_static(REST_OF_UNATTRIBUTED) } else { stage::UNATTRIBUTED };
             cause(
-                &stage::UNATTRIBUTED,
-                without_lateness(value, times.lateness.unwrap_or(0.0)),
+                &name,
+                without_lateness(value, value_lateness),
                 median.map(|median| without_lateness(median, median_lateness)),
             )
         });

@@ -244,7 +244,8 @@ pub struct IterationRow {
     pub total: Option<f64>,
     /// `total` divided by the run's median of `total`.
     pub factor: Option<f64>,
-    /// Causes of the slow iteration, the largest excess first: stages, `lateness`, `unattributed`, or
+    /// Causes of the slow iteration, the largest excess first: stages, `lateness`, `unattributed`,
+    /// [`REST_OF_UNATTRIBUTED`](peernet_analysis::slowness::REST_OF_UNATTRIBUTED), or
     /// [`BOTH_DIRECTIONS`](peernet_analysis::slowness::BOTH_DIRECTIONS). Empty if the iteration took less than 1.05
     /// times the run's median.
     pub causes: Vec<Cause>,

@@ -2,6 +2,7 @@
 
 mod bars;
 
+use peernet_analysis::slowness::REST_OF_UNATTRIBUTED;
 use peernet_analysis::unaccounted_time::{NETWORK_AND_REST, UnaccountedTime};
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
@@ -103,7 +104,7 @@ pub(crate) fn rows(
         if let Some(rest) = unaccounted.unattributed {
             let median = medians.median(&stage::UNATTRIBUTED);
             let mut row = Row::sum("unattributed", edge.clone(), (rest, median), bars::blank(scale), column);
-            row.is_cause = is_cause("unattributed");
+            row.is_cause = is_cause("unattributed") || is_cause(REST_OF_UNATTRIBUTED);
             rows.push(row);
         }
         rows.extend(lateness);

@@ -4,7 +4,7 @@ use peernet_logger::{Name, stage};
 
 use super::Latency;
 use crate::rows::LATENESS;
-use crate::slowness::BOTH_DIRECTIONS;
+use crate::slowness::{BOTH_DIRECTIONS, REST_OF_UNATTRIBUTED};
 use crate::stage_split::StageSplit;
 use crate::total_column::TotalColumn;
 
@@ -12,8 +12,9 @@ use crate::total_column::TotalColumn;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LatencyBar {
     /// Mean of each part per iteration, in the [order of all parts](part_order). The parts add up to the total, unless
-    /// the clocks show a stage as longer than it was. The late start is a separate part. In [`StageSplit`], the late
-    /// start is a part of the unattributed time instead.
+    /// the clocks show a stage as longer than it was. The late start is a separate part, and the unattributed time
+    /// without it is [`REST_OF_UNATTRIBUTED`]. In [`StageSplit`], the late start is a part of the unattributed time
+    /// instead.
     pub parts: Vec<(Name, f64)>,
     /// Mean of the column by which configurations are compared. If the configuration has no values of this column, the
     /// sum of the parts.
@@ -48,7 +49,12 @@ impl LatencyBar {
             _ => latency_of(name).map(count_and_mean),
         });
         let late_start = (Name::from_static(LATENESS), split.late_start);
-        let unattributed = (stage::UNATTRIBUTED, split.unattributed_without_late_start());
+        let unattributed_name = if split.late_start > 0.0 {
+            Name::from_static(REST_OF_UNATTRIBUTED)
+        } else {
+            stage::UNATTRIBUTED
+        };
+        let unattributed = (unattributed_name, split.unattributed_without_late_start());
         let outside_stages = [late_start, unattributed].into_iter().filter(|(_, seconds)| *seconds > 0.0);
         let outside_stages = outside_stages.filter(|_| column == TotalColumn::Measured && total.is_some());
         let stages = split.parts.into_iter().filter(|(name, _)| *name != stage::UNATTRIBUTED);
@@ -69,7 +75,7 @@ pub fn part_order() -> impl Iterator<Item = Name> {
         |name: &Name| (*name == stage::UPLOAD).then_some(Name::from_static(BOTH_DIRECTIONS));
     let stages =
         stage::ORDER.into_iter().flat_map(move |name| both_directions(&name).into_iter().chain([name]));
-    stages.chain([Name::from_static(LATENESS), stage::UNATTRIBUTED])
+    stages.chain([LATENESS, REST_OF_UNATTRIBUTED].map(Name::from_static)).chain([stage::UNATTRIBUTED])
 }
 
 #[cfg(test)]
@@ -95,8 +101,22 @@ mod tests {
     #[test]
     fn late_start_is_separate_from_unattributed_time() {
         let nodes = [("total", 20.0), ("sensing", 12.0), ("lateness", 5.0)];
-        let parts = [("sensing", 12.0), ("lateness", 5.0), ("unattributed", 3.0)];
+        let parts = [("sensing", 12.0), ("lateness", 5.0), (REST_OF_UNATTRIBUTED, 3.0)];
         assert_eq!(bar(TotalColumn::Measured, 0, &nodes), (owned(&parts), 20.0));
+    }
+
+    #[test]
+    fn bar_and_split_agree_on_parts_of_one_name() {
+        let nodes = [("total", 15.0), ("sensing", 10.0), ("lateness", 4.5)];
+        let mean_of = |name: &str| nodes.iter().find(|(node, _)| *node == name).map(|(_, mean)| (10, *mean));
+        let (parts, _) = bar(TotalColumn::Measured, 0, &nodes);
+        let in_both: Vec<(String, f64)> = StageSplit::new([0; 2], mean_of)
+            .parts
+            .into_iter()
+            .map(|(name, mean)| (name.to_string(), mean))
+            .filter(|(name, _)| parts.iter().any(|(part, _)| part == name))
+            .collect();
+        assert!(in_both.iter().all(|part| parts.contains(part)), "{in_both:?} {parts:?}");
     }
 
     #[test]

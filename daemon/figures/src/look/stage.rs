@@ -1,5 +1,7 @@
 //! Stages: one table of names, classes, colours and hatches for every figure and page.
 
+use peernet_analysis::slowness::REST_OF_UNATTRIBUTED;
+
 use super::colour::{INK, LINE_STRONG, ON_DARK, ON_PALE, Rgb, Token, WHITE};
 use super::hatch::Hatch;
 use super::style::{Fill, Style, TextStyle};
@@ -90,11 +92,12 @@ pub const STAGES: [Stage; 14] = [
 
 /// Looks of quantities that are not stages: parts of stages, both directions together, totals. Each look has the name
 /// that events use for the quantity.
-const NON_STAGES: [Stage; 6] = [
+const NON_STAGES: [Stage; 7] = [
     Stage { name: "capture", class: "capture", ..STAGES[0] },
     Stage { name: "transform", class: "transform", ..STAGES[0] },
     Stage { name: "upload + download", class: NETWORK, ..STAGES[3] },
     Stage { name: "upload + download + unattributed", class: NETWORK, ..STAGES[3] },
+    Stage { name: REST_OF_UNATTRIBUTED, ..STAGES[13] },
     Stage { line: Some(INK.light), ..dark(TOTAL, LINE_STRONG, Hatch::Plain) },
     Stage { class: TOTAL, line: Some(INK.light), ..dark("stages-total", LINE_STRONG, Hatch::Plain) },
 ];
@@ -234,8 +237,9 @@ mod tests {
     #[test]
     fn custom_stage_has_no_colour_of_its_own() {
         assert_eq!((stage("\"><script>").class, stage("upload").class), ("other", "upload"));
-        let classes = ["capture", "upload + download", "total", "stages-total"].map(|name| stage(name).class);
-        assert_eq!(classes, ["capture", "network", "total", "total"]);
+        let names = ["capture", "upload + download", REST_OF_UNATTRIBUTED, "total", "stages-total"];
+        let classes = names.map(|name| stage(name).class);
+        assert_eq!(classes, ["capture", "network", "unattributed", "total", "total"]);
         let has_colour =
             ["lateness", "upload", "total", "a custom stage"].map(|name| stage(name).has_colour());
         assert_eq!(has_colour, [true, true, false, false]);

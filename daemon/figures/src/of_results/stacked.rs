@@ -46,7 +46,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     notes.extend(too_large_note(all_rows(), &columns));
     if bars.iter().any(|(_, bar)| bar.part(LATENESS).is_some()) {
         notes.push(
-            "late start: from the intended start to the actual start · unattributed: the rest of the total, without the late start".to_owned(),
+            "late start: from the intended start to the actual start · rest of unattributed: unattributed without the late start".to_owned(),
         );
     }
     if omitted_groups > 0 {

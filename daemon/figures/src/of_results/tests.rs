@@ -16,6 +16,7 @@ use crate::render::file;
 use peernet_analysis::quality::{Quality, QualityEstimate};
 use peernet_analysis::record::{ModelRecord, Placement};
 use peernet_analysis::rows::{Outcome, Row};
+use peernet_analysis::slowness::REST_OF_UNATTRIBUTED;
 use written_figures::AnyFigure;
 
 /// Rows that a test can change.
@@ -190,7 +191,7 @@ fn lateness_is_separate_part_of_bar() {
     });
     let drawings = stacked::drawings(&[run]).expect("there are bars");
     let AnyFigure::Stacked(figure) = &drawings[0].figure else { panic!("bars") };
-    assert_eq!(figure.stages[2..], ["lateness", UNATTRIBUTED]);
+    assert_eq!(figure.stages[2..], ["lateness", REST_OF_UNATTRIBUTED]);
     let bar = &figure.bars[0];
     assert!((bar.means[2] - 7e-3).abs() < 1e-9 && (bar.means[3] - 2e-3).abs() < 1e-9, "{bar:?}");
     assert!((bar.means.iter().sum::<f64>() - bar.total).abs() < 1e-9, "{bar:?}");

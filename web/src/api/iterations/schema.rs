@@ -1,6 +1,6 @@
 //! Schema of iterations.
 
-use peernet_analysis::slowness::Cause;
+use peernet_analysis::slowness::{Cause, REST_OF_UNATTRIBUTED};
 use peernet_clock::DelaySource;
 use peernet_logger::{Name, stage};
 use peernet_store as store;
@@ -124,7 +124,9 @@ pub(crate) struct SlowPart {
 
 impl From<&Cause> for SlowPart {
     fn from(cause: &Cause) -> Self {
-        Self { name: cause.name.to_string(), seconds: cause.value, median: cause.median }
+        // In the list of causes, the API has always called the rest without the lateness `unattributed`.
+        let name = if cause.name == REST_OF_UNATTRIBUTED { stage::UNATTRIBUTED } else { cause.name.clone() };
+        Self { name: name.to_string(), seconds: cause.value, median: cause.median }
     }
 }
 

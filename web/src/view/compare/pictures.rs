@@ -15,6 +15,7 @@ use peernet_stream::Placement;
 use super::spread::box_plot;
 use super::table::mean_and_std;
 use super::{Comparison, Configuration};
+use crate::look;
 use crate::picture::Picture;
 use crate::view::place;
 
@@ -109,7 +110,8 @@ fn label(configuration: &Configuration, bar: &LatencyBar) -> String {
     if bar.parts.is_empty() {
         return format!("{}: nothing measured", configuration.name);
     }
-    let stages = bar.parts.iter().map(|(name, seconds)| format!("{name} {}", duration(*seconds)));
+    let stages =
+        bar.parts.iter().map(|(name, seconds)| format!("{} {}", look::label(name), duration(*seconds)));
     let stages = stages.collect::<Vec<_>>().join(", ");
     format!(
         "{}: mean {} of {} iterations. {stages}.",

@@ -1,4 +1,4 @@
-use peernet_analysis::slowness::Cause;
+use peernet_analysis::slowness::{Cause, IterationTimes};
 use peernet_clock::{DelaySource, OneWayDelay, Span, WallTime};
 use peernet_logger::{Measure, Name, NodeId, Transit, stage};
 
@@ -66,6 +66,44 @@ fn lateness_row_follows_unattributed_time() {
         rows[rows.len() - 3..].iter().map(|row| (row.name.as_str(), row.depth)).collect();
     assert_eq!(end, [("unattributed", 0), ("lateness", 1), ("total", 0)]);
     assert_eq!(rows.iter().filter(|row| row.name == look::LATENESS).count(), 1);
+}
+
+#[test]
+fn cause_and_row_of_one_name_agree() {
+    let mut detail = samples::iteration();
+    let medians = [
+        (stage::TOTAL, 0.010),
+        (stage::INFERENCE, 0.0099),
+        (stage::UNATTRIBUTED, 0.0002),
+        (stage::LATENESS, 0.0001),
+    ];
+    detail.run_figures = medians.map(|(name, median)| (name, samples::figures(median, 100))).to_vec();
+    let late = Measure::Timer(Some(Span::from_micros(3_100)));
+    detail.tree.add(NodeId::ROOT, stage::LATENESS, Span::ZERO, late);
+    (detail.row.total, detail.row.unattributed) = (Some(0.016), Some(0.0061));
+    detail.row.stages = vec![(stage::INFERENCE, 0.0099)];
+    let times = IterationTimes {
+        total: detail.row.total,
+        stages: &detail.row.stages,
+        lateness: Some(0.0031),
+        unattributed: detail.row.unattributed,
+        both_ways: None,
+    };
+    detail.row.causes = detail.medians().causes(&times);
+    let timeline = Timeline::of(&detail);
+    let format = timeline.duration_format();
+    let rows = rows(&detail, &timeline, &["cam-1".to_owned()], &Scale::up_to(100.0, 6));
+    for cause in &detail.row.causes {
+        for row in rows.iter().filter(|row| row.name == cause.name.as_str()) {
+            assert_eq!(row.difference, format.difference(cause.excess()), "{}", row.name);
+        }
+    }
+    let causes: Vec<(&str, &str)> = rows
+        .iter()
+        .filter(|row| row.is_cause)
+        .map(|row| (row.name.as_str(), row.difference.as_str()))
+        .collect();
+    assert_eq!(causes, [("unattributed", "+5.90"), ("lateness", "+3.00")]);
 }
 
 #[test]
