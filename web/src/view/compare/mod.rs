@@ -169,10 +169,6 @@ impl Configuration {
         let first = deadlines.next()??;
         deadlines.all(|deadline| deadline == Some(first)).then_some(first)
     }
-
-    fn placement(&self) -> Option<&peernet_stream::Placement> {
-        self.runs.first().map(|run| &run.placement)
-    }
 }
 
 impl Comparison {

@@ -9,7 +9,7 @@ use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
 use peernet_statistics::number::{self, NONE, count, duration, mean_std_ms};
-use peernet_store::{DelayAccuracy, QuantityStatistics};
+use peernet_store::{DelayAccuracy, QuantityStatistics, RunSummary};
 use peernet_stream::Placement;
 
 use super::spread::box_plot;
@@ -121,10 +121,10 @@ fn label(configuration: &Configuration, bar: &LatencyBar) -> String {
     )
 }
 
-/// Returns the routes of all runs of some configurations: `user-1, user-2 → rack-a`.
-fn routes(configurations: &[&Configuration]) -> String {
+/// Returns the routes of some runs: `user-1, user-2 → rack-a`.
+fn routes(runs: &[&RunSummary]) -> String {
     let mut routes: Vec<(&Placement, Vec<String>)> = Vec::new();
-    for run in configurations.iter().flat_map(|one| &one.runs) {
+    for run in runs {
         let (placement, host) = (&run.placement, run.host_name.to_string());
         let is_same = |other: &Placement| place::route("", other) == place::route("", placement);
         match routes.iter_mut().find(|(other, _)| is_same(other)) {
@@ -144,12 +144,17 @@ fn routes(configurations: &[&Configuration]) -> String {
 }
 
 /// Returns the models that ran at several places, such as on board and in the cloud. Only the inference is compared, on
-/// one scale. All configurations of a model at one place are combined.
+/// one scale. All runs of a model at one place are combined. Repeats of one configuration may be at several places, such
+/// as on two devices.
 pub(crate) fn place_comparisons(comparison: &Comparison) -> (Vec<PlaceComparison>, Axes) {
-    let measured = comparison.configurations.iter().filter(|one| one.summary(&stage::INFERENCE).is_some());
-    let measured: Vec<(&Configuration, &Placement)> =
-        measured.filter_map(|one| Some((one, one.placement()?))).collect();
-    let placed = measured.iter().map(|(_, placement)| PlacedModel {
+    let runs = comparison.configurations.iter().flat_map(|one| one.runs.iter().map(move |run| (one, run)));
+    let measured: Vec<MeasuredRun<'_>> = runs
+        .filter_map(|(configuration, run)| {
+            let inference = comparison.summary(run.number, &stage::INFERENCE)?;
+            Some(MeasuredRun { configuration: &configuration.name, run, inference })
+        })
+        .collect();
+    let placed = measured.iter().map(|MeasuredRun { run: RunSummary { placement, .. }, .. }| PlacedModel {
         model: placement.model.to_string(),
         kind: placement.kind.name().to_owned(),
         device: placement.device.clone().unwrap_or_default(),
@@ -159,7 +164,7 @@ pub(crate) fn place_comparisons(comparison: &Comparison) -> (Vec<PlaceComparison
     let rows: Vec<(&String, Vec<PlaceValues<'_>>)> = models
         .map(|(model, places)| {
             let values = all.places.iter().zip(places).filter_map(|(place, indexes)| {
-                PlaceValues::of(place, indexes.iter().map(|index| measured[*index].0).collect())
+                PlaceValues::of(place, indexes.iter().map(|index| &measured[*index]))
             });
             (model, values.collect())
         })
@@ -173,31 +178,44 @@ pub(crate) fn place_comparisons(comparison: &Comparison) -> (Vec<PlaceComparison
     (rows.iter().map(place_comparison).collect(), Axes::of(&scale))
 }
 
+/// A run with values of the inference.
+struct MeasuredRun<'a> {
+    /// Name of the configuration.
+    configuration: &'a str,
+    run: &'a RunSummary,
+    inference: &'a Summary,
+}
+
 /// Inference of a model at one place.
 struct PlaceValues<'a> {
     place: &'a str,
-    configurations: Vec<&'a Configuration>,
+    /// Names of the configurations, each once.
+    configurations: Vec<&'a str>,
+    runs: Vec<&'a RunSummary>,
     values: Summary,
     quartiles: Quartiles,
 }
 
 impl<'a> PlaceValues<'a> {
-    /// Combines configurations; `None` without values.
-    fn of(place: &'a str, configurations: Vec<&'a Configuration>) -> Option<Self> {
-        let mut values = Summary::default();
-        let summaries = configurations.iter().filter_map(|one| one.summary(&stage::INFERENCE));
-        summaries.for_each(|summary| values.merge(summary));
+    /// Combines runs, which are in the order of their configurations; `None` without values.
+    fn of(place: &'a str, measured: impl Iterator<Item = &'a MeasuredRun<'a>>) -> Option<Self> {
+        let (mut configurations, mut runs, mut values) = (Vec::new(), Vec::new(), Summary::default());
+        for MeasuredRun { configuration, run, inference } in measured {
+            configurations.push(*configuration);
+            runs.push(*run);
+            values.merge(inference);
+        }
+        configurations.dedup();
         let quartiles = Quartiles::of(&values)?;
-        Some(Self { place, configurations, values, quartiles })
+        Some(Self { place, configurations, runs, values, quartiles })
     }
 
     fn row(&self, scale: &Scale) -> PlaceRow {
-        let names: Vec<&str> = self.configurations.iter().map(|one| one.name.as_str()).collect();
-        let configuration = match names.as_slice() {
+        let configuration = match self.configurations.as_slice() {
             names if names.len() <= MAX_NAMED_CONFIGURATIONS => names.join(" + "),
             names => number::counted(names.len() as u64, "configuration"),
         };
-        let place = format!("{}: {}", self.place, routes(&self.configurations));
+        let place = format!("{}: {}", self.place, routes(&self.runs));
         let label = format!("{configuration}, {place}, inference");
         let moments = self.values.moments;
         PlaceRow {

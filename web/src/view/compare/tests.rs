@@ -1,3 +1,4 @@
+use peernet_analysis::model_places::{ModelPlaces, PlacedModel};
 use peernet_analysis::users::{EdgeMeasurements, Repeat};
 use peernet_clock::{Span, Verdict};
 use peernet_logger::{HostId, Name, RunId, stage};
@@ -370,4 +371,31 @@ fn inference_of_model_is_compared_between_places() {
     let equal_sizes =
         comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
     assert!(place_comparisons(&equal_sizes).0.is_empty());
+}
+
+#[test]
+fn repeats_on_two_devices_are_two_places() {
+    let mut cloud = configuration(1, PlacementKind::Remote, 1.0, 1e3);
+    let first = cloud.runs.remove(0);
+    for (number, device) in [(2, "cuda:0"), (3, "cuda:0"), (4, "cpu")] {
+        let placement = Placement { device: Some(device.to_owned()), ..first.placement.clone() };
+        cloud.runs.push(RunSummary { number, placement, ..first.clone() });
+    }
+    let mut repeats = comparison(vec![configuration(0, PlacementKind::Local, 1.0, 1e3), cloud]);
+    repeats.statistics_by_run.insert(4, mergeable(&stages(4.0, 1e3).0));
+    // The figure `paired` has the places of the runs, too.
+    let placed = repeats.runs().map(|run| PlacedModel {
+        model: run.placement.model.to_string(),
+        kind: run.placement.kind.name().to_owned(),
+        device: run.placement.device.clone().unwrap_or_default(),
+    });
+    let in_figure = ModelPlaces::new(&placed.collect::<Vec<_>>()).places;
+    assert_eq!(in_figure, ["local", "cloud, cuda:0", "cloud, cpu"]);
+    let (models, _) = place_comparisons(&repeats);
+    let places = models[0].places.iter().map(|row| row.place.split(": ").next().unwrap_or_default());
+    assert_eq!(places.collect::<Vec<_>>(), in_figure);
+    let configurations = models[0].places.iter().map(|row| row.configuration.as_str());
+    assert_eq!(configurations.collect::<Vec<_>>(), ["A", "B", "B"]);
+    let means: Vec<&str> = models[0].places.iter().map(|row| row.inference.0.as_str()).collect();
+    assert!(means[0] == means[1] && means[1] != means[2], "{means:?}");
 }
