@@ -2,24 +2,20 @@
 
 use std::sync::LazyLock;
 
+use peernet_analysis::compare::part_order;
 pub(crate) use peernet_analysis::unaccounted_time::is_one_way;
 pub(crate) use peernet_figures::look::{LATENESS, label};
-use peernet_logger::{Name, stage};
+use peernet_logger::Name;
 
-static STAGES: [Name; stage::COUNT] = stage::ORDER;
-
-/// The stages and `unattributed`, in the order of every stack, key and table.
-pub(crate) static STACK: LazyLock<Vec<&'static str>> =
-    LazyLock::new(|| STAGES.iter().map(Name::as_str).chain(["unattributed"]).collect());
+/// Names of all parts that a `total` can have.
+static PARTS: LazyLock<Vec<Name>> = LazyLock::new(|| part_order().collect());
 
 /// Name of both directions of the network together, for delays that the clocks cannot split.
 pub(crate) const NETWORK: &str = peernet_analysis::slowness::BOTH_DIRECTIONS;
 
-/// Returns the names of all parts that a `total` can have, in the order of a stack: the names of [`STACK`], with
-/// [`NETWORK`] directly before `upload`.
+/// Returns the names of all parts that a `total` can have, in the order of every stack, key and table.
 pub(crate) fn parts() -> impl Iterator<Item = &'static str> {
-    let both_directions = |name: &str| (name == stage::UPLOAD.as_str()).then_some(NETWORK);
-    STACK.iter().flat_map(move |name| both_directions(name).into_iter().chain([*name]))
+    PARTS.iter().map(Name::as_str)
 }
 
 /// Returns the names of [`parts`], separated by commas, for the scripts of pages.
@@ -33,7 +29,7 @@ pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", 
 
 /// Returns the entries of the colour key. Stages of the same colour, such as `queue` and `send-queue`, share an entry.
 pub(crate) fn key_entries() -> impl Iterator<Item = &'static str> {
-    STACK.iter().copied().filter(|name| class(name) == *name)
+    parts().filter(|name| class(name) == *name)
 }
 
 /// Returns the label of an entry of the colour key. The label also names the other stages of the same colour.
@@ -53,13 +49,20 @@ pub(crate) fn class(name: &str) -> &'static str {
 
 #[cfg(test)]
 mod tests {
+    use peernet_logger::stage;
+
     use super::*;
+
+    /// Returns the names of the stages and `unattributed`.
+    fn stages() -> Vec<Name> {
+        stage::ORDER.into_iter().chain([stage::UNATTRIBUTED]).collect()
+    }
 
     #[test]
     fn key_names_every_stage() {
-        for name in STACK.iter().copied() {
-            let entry = key_entries().find(|known| *known == class(name)).expect("an entry");
-            assert!(entry_covers(entry, name), "{name} is not in {:?}", key_entry_label(entry));
+        for name in stages() {
+            let entry = key_entries().find(|known| *known == class(&name)).expect("an entry");
+            assert!(entry_covers(entry, &name), "{name} is not in {:?}", key_entry_label(entry));
         }
     }
 
@@ -72,7 +75,7 @@ mod tests {
 
     #[test]
     fn every_stage_has_a_colour_and_a_key_entry() {
-        for name in STACK.iter().copied() {
+        for name in parts() {
             assert_ne!(class(name), "other", "{name}");
         }
         let keys = [

@@ -144,13 +144,10 @@ impl PipelineTable {
                 .map_or(0.0, |total| total.p99.or(total.p95).unwrap_or(total.p50) * 1e3)
         });
         let scale = Scale::up_to(reach.fold(0.0, f64::max).min(MAX_AXIS_RATIO * longest).max(longest), 6);
-        let is_measured = |name: &&str| windows.iter().any(|(_, window)| window.value(name).is_some());
-        let mut columns: Vec<&'static str> =
-            look::STACK.iter().copied().filter(|name| *name != "unattributed").filter(is_measured).collect();
-        if stacks.iter().any(|stack| stack.parts.iter().any(|part| part.name == look::NETWORK)) {
-            let index = columns.iter().position(|name| *name == "actuation").unwrap_or(columns.len());
-            columns.insert(index, look::NETWORK);
-        }
+        let has_part =
+            |name: &&str| stacks.iter().flat_map(|stack| &stack.parts).any(|part| part.name == **name);
+        let columns: Vec<&'static str> =
+            look::parts().filter(|name| *name != "unattributed").filter(has_part).collect();
         let rows = windows
             .iter()
             .zip(stacks)

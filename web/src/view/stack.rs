@@ -14,7 +14,7 @@ use crate::picture::Picture;
 /// The mean stages of a window or run, or the stages of one iteration, and the unattributed time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Stack {
-    /// Parts in the order of [`look::STACK`].
+    /// Parts in the order of [`parts`](crate::look::parts).
     pub parts: Vec<StagePart>,
     /// Statistics of `total`; `None` without a successful iteration.
     pub total: Option<QuantityStatistics>,

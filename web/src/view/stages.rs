@@ -3,6 +3,7 @@
 use peernet_aggregator::Window;
 use peernet_analysis::stage_split::share_of_total;
 use peernet_figures::drawing::{StagePart, share_bar};
+use peernet_logger::stage;
 use peernet_statistics::number::{self, DurationFormat, EXACT, NONE, bound_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics, StageStatistics, table_order};
 
@@ -125,18 +126,21 @@ impl StageRow {
                 Self::new(column, &stage.stage, Some(&stage.statistics), stage.bound.as_ref(), stage.share)
             })
             .collect();
+        let index_of = |rows: &[Self], name: &str| {
+            rows.partition_point(|row| table_order(&row.name) < table_order(name))
+        };
         // A direction without a known delay has no statistics, and therefore no row yet. Its row shows the verdict on
         // the delays.
         for bound in bounds.iter().filter(|bound| stages.iter().all(|stage| stage.stage != bound.stage)) {
-            let index = rows.partition_point(|row| table_order(&row.name) < table_order(&bound.stage));
-            rows.insert(index, Self::new(column, &bound.stage, None, Some(bound), None));
+            let row = Self::new(column, &bound.stage, None, Some(bound), None);
+            rows.insert(index_of(&rows, &bound.stage), row);
         }
-        // If a direction is unknown, the sum of both directions has a row, after all stages of the network.
+        // If no direction is known, the sum of both directions has a row, before `upload` as in the bar.
         if let (Some(network), Some(total)) =
             (stack.parts.iter().find(|part| part.name == look::NETWORK), stack.total)
         {
-            let index = rows.iter().position(|row| row.name == "actuation").unwrap_or(rows.len());
-            rows.insert(index, Self::network(column, network, Some(network.seconds / total.mean)));
+            let row = Self::network(column, network, Some(network.seconds / total.mean));
+            rows.insert(index_of(&rows, &stage::UPLOAD), row);
         }
         let has = |name: &str| stages.iter().any(|stage| stage.stage == *name);
         rows.extend(
@@ -166,16 +170,17 @@ impl StageRow {
         let share = |name: &str| share_of_total(name, DelayAccuracy::sent_messages(&window.bounds), mean_of);
         let mut rows = Vec::new();
         let network = stack.parts.iter().find(|part| part.name == look::NETWORK);
-        let order =
-            ["sensing", "capture", "transform"].into_iter().chain(look::STACK.iter().copied().skip(1));
-        for name in order.chain([look::LATENESS, "total"]) {
+        let order = ["sensing", "capture", "transform"].into_iter().chain(look::parts().skip(1));
+        // Lateness is a part of the unattributed time, so its row follows that row.
+        let order = order.filter(|name| *name != look::LATENESS).chain([look::LATENESS, "total"]);
+        for name in order {
+            if let Some(network) = network.filter(|_| name == look::NETWORK) {
+                rows.push(Self::network(column, network, share(look::NETWORK)));
+            }
             let bound = window.bounds.iter().find(|bound| bound.stage == *name);
             let statistics = window.value(name);
             if statistics.is_some() || bound.is_some_and(|bound| !bound.verdicts.is_empty()) {
                 rows.push(Self::new(column, name, statistics, bound, share(name)));
-            }
-            if let Some(network) = network.filter(|_| name == "download") {
-                rows.push(Self::network(column, network, share(look::NETWORK)));
             }
         }
         Self::with_occurrences(rows, |name| window.value(name).map(|statistics| statistics.count))
@@ -204,4 +209,33 @@ impl BoundCell {
 pub(crate) fn directions(bounds: &[DelayAccuracy]) -> Vec<(String, Chip)> {
     let verdicts = bounds.iter().filter_map(|bound| Some((bound, clocks::verdict(bound)?)));
     verdicts.map(|(bound, verdict)| (bound.stage.to_string(), Chip::verdict(verdict))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::Verdict;
+    use peernet_logger::Name;
+
+    use super::*;
+    use crate::tests::samples;
+
+    #[test]
+    fn tables_and_bar_have_one_order() {
+        let window = samples::window(60, 5.0, 1.0, Verdict::Unsynchronised);
+        let stage = |(name, statistics): &(Name, QuantityStatistics)| StageStatistics {
+            stage: name.clone(),
+            unit: "s".to_owned(),
+            is_stage: stage::ORDER.contains(name),
+            statistics: *statistics,
+            share: None,
+            bound: None,
+        };
+        let stages: Vec<StageStatistics> = window.values.iter().map(stage).collect();
+        let parts: Vec<String> = Stack::of_window(&window).parts.into_iter().map(|part| part.name).collect();
+        assert_eq!(parts[..3], ["sensing", "encode", look::NETWORK]);
+        for rows in [StageRow::of_window(&window), StageRow::of_run(&stages, &window.bounds)] {
+            let names = rows.into_iter().map(|row| row.name).filter(|name| parts.contains(name));
+            assert_eq!(names.collect::<Vec<_>>(), parts);
+        }
+    }
 }
