@@ -3,7 +3,7 @@
 use peernet_logger::{Name, stage};
 use peernet_statistics::Moments;
 
-use crate::rows::{LATENESS, Rows};
+use crate::rows::{LATENESS, RowRef, Rows};
 use crate::slowness::{self, BOTH_DIRECTIONS};
 
 /// If the time that belongs to no stage is at most this share of the total, the time is a rounding error.
@@ -110,12 +110,7 @@ impl StageSplit {
 
     /// Returns the split of the rows of a run that are in the statistics.
     pub fn from_rows(rows: &Rows) -> Self {
-        let mut sent = [0; 2];
-        for row in rows.iter().filter(|row| row.is_in_statistics()) {
-            sent.iter_mut()
-                .zip(row.has_messages())
-                .for_each(|(sent, has_message)| *sent += u64::from(has_message));
-        }
+        let sent = sent_in_rows(rows.iter().filter(RowRef::is_in_statistics));
         let mean_of = |name: &str| {
             let moments: Moments = rows.values_in_statistics(name).collect();
             (moments.count > 0).then_some((moments.count, moments.mean))
@@ -143,6 +138,14 @@ pub fn share_of_total(
     let part = split.parts.into_iter().find(|(part, _)| part == name).map(|(_, seconds)| seconds);
     let seconds = part.or_else(|| Some(mean_per_iteration(mean_of(name)?, iterations)))?;
     Some(seconds / total)
+}
+
+/// Returns the number of rows whose iteration sent a message to the other host, and the number of rows whose iteration received one.
+pub(crate) fn sent_in_rows<'a>(rows: impl Iterator<Item = RowRef<'a>>) -> [u64; 2] {
+    rows.fold([0; 2], |[sent, received], row| {
+        let [has_sent, has_received] = row.has_messages();
+        [sent + u64::from(has_sent), received + u64::from(has_received)]
+    })
 }
 
 /// Returns the numbers of messages that were sent and received in a part of a run with `in_part` iterations. `sent` holds the numbers of the

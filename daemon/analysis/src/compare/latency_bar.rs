@@ -1,11 +1,12 @@
 //! Mean latency of a configuration as a bar of its parts.
 
 use peernet_logger::{Name, stage};
+use peernet_statistics::Moments;
 
 use super::Latency;
-use crate::rows::LATENESS;
+use crate::rows::{LATENESS, RowRef, is_plausible};
 use crate::slowness::{BOTH_DIRECTIONS, REST_OF_UNATTRIBUTED};
-use crate::stage_split::StageSplit;
+use crate::stage_split::{StageSplit, sent_in_rows};
 use crate::total_column::TotalColumn;
 
 /// Mean latency of a configuration and its parts, seconds.
@@ -61,6 +62,22 @@ impl LatencyBar {
         let parts: Vec<(Name, f64)> = stages.chain(outside_stages).collect();
         let mean = total.map_or_else(|| parts.iter().map(|(_, mean)| mean).sum(), |total| total.mean);
         Some(Self { parts, total: mean, std: total.and_then(|total| total.std) })
+    }
+
+    /// Returns the bar of rows that are in the statistics, such as those of all repeats of a configuration. Numbers that
+    /// are not [plausible](is_plausible) are left out. Returns `None` without a row.
+    pub fn from_rows<'a>(
+        column: TotalColumn,
+        rows: impl Iterator<Item = RowRef<'a>> + Clone,
+    ) -> Option<Self> {
+        let latency_of = |name: &str| {
+            let mut moments = Moments::default();
+            let values = rows.clone().filter_map(|row| row.value(name));
+            values.filter(|value| is_plausible(*value)).for_each(|value| moments.record(value));
+            let Moments { count, mean, .. } = moments;
+            (count > 0).then(|| Latency { mean, std: moments.std(), count })
+        };
+        Self::new(column, rows.clone().count() as u64, sent_in_rows(rows.clone()), latency_of)
     }
 
     /// Returns the mean of a part; `None` if the bar does not have it.

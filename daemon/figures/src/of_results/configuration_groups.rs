@@ -28,6 +28,6 @@ impl<'a> ConfigurationGroups<'a> {
 }
 
 /// Returns the rows of these runs that are in the statistics.
-pub(super) fn rows_in_statistics<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
+pub(super) fn rows_in_statistics<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> + Clone {
     runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_in_statistics())
 }

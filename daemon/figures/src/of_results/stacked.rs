@@ -1,14 +1,13 @@
 //! Figure of the stacked stages of each configuration.
 
-use peernet_analysis::compare::{Latency, LatencyBar, part_order};
+use peernet_analysis::compare::{LatencyBar, part_order};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::{LATENESS, RowRef};
 use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::{Name, stage};
-use peernet_statistics::Moments;
 use peernet_statistics::number;
 
-use super::columns::{count_note, is_drawable, too_large_note};
+use super::columns::{count_note, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
@@ -27,8 +26,10 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         return Err(MissingData::Iterations);
     }
     let total = TotalColumn::from_rows(all_rows());
-    let mut bars: Vec<(String, LatencyBar)> =
-        groups.iter().filter_map(|(label, runs)| Some((label.clone(), bar(runs, total)?))).collect();
+    let bar = |(label, runs): &(String, Vec<&Loaded>)| {
+        Some((label.clone(), LatencyBar::from_rows(total, rows_in_statistics(runs))?))
+    };
+    let mut bars: Vec<(String, LatencyBar)> = groups.iter().filter_map(bar).collect();
     let (bar_count, omitted_groups) = (bars.len(), groups.len() - bars.len());
     bars.truncate(MAX_BARS);
     let mut notes = vec![format!(
@@ -90,28 +91,4 @@ fn unknown_delays_note<'a, I: Iterator<Item = RowRef<'a>>>(all_rows: impl Fn() -
         })
         .collect();
     (!counts.is_empty()).then(|| format!("left out of the means: unknown delays, {}", counts.join(", ")))
-}
-
-/// Returns the bar of a configuration; `None` if the configuration has no iteration in the statistics.
-fn bar(runs: &[&Loaded], column: TotalColumn) -> Option<LatencyBar> {
-    let names: Vec<Name> = part_order().chain([Name::from_static(column.name())]).collect();
-    let mut moments = vec![Moments::default(); names.len()];
-    let (mut message_counts, mut iterations) = ([0; 2], 0);
-    for row in rows_in_statistics(runs) {
-        iterations += 1;
-        for (moments, name) in moments.iter_mut().zip(&names) {
-            row.value(name)
-                .filter(|value| is_drawable(*value))
-                .into_iter()
-                .for_each(|value| moments.record(value));
-        }
-        message_counts
-            .iter_mut()
-            .zip(row.has_messages())
-            .for_each(|(count, has_message)| *count += u64::from(has_message));
-    }
-    LatencyBar::new(column, iterations, message_counts, |name| {
-        let (_, moments) = names.iter().zip(&moments).find(|(other, _)| **other == *name)?;
-        (moments.count > 0).then(|| Latency { mean: moments.mean, std: moments.std(), count: moments.count })
-    })
 }
