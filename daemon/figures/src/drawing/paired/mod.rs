@@ -2,7 +2,7 @@
 
 mod density;
 
-use peernet_statistics::number::{counted, fixed, significant};
+use peernet_statistics::number::{counted, fixed, range_of_counts, significant};
 
 use super::histogram::shown_range_of;
 use crate::look::{Fill, INK_2, Style, TextStyle, WHITE, series};
@@ -80,12 +80,8 @@ impl Paired {
         let mut notes = self.notes.clone();
         if !self.has_room_for_counts() {
             // The figure does not show the counts, so the notes give their range.
-            let counts = || self.groups.iter().flat_map(|group| &group.values).map(SortedValues::len);
-            let ends = counts().filter(|count| *count > 0).min().zip(counts().max());
-            notes.extend(ends.map(|(min, max)| {
-                let [min, max] = [min, max].map(|count| fixed(count as f64, 0));
-                if min == max { format!("n = {max} each") } else { format!("n = {min} to {max} each") }
-            }));
+            let counts = self.groups.iter().flat_map(|group| &group.values).map(|values| values.len() as u64);
+            notes.extend(range_of_counts(counts.filter(|n| *n > 0)).map(|n| format!("n = {n} each")));
         }
         let has_points = |values: &SortedValues| !values.is_empty() && self.is_drawn_as_points(values);
         if self.groups.iter().flat_map(|group| &group.values).any(has_points) {
