@@ -19,13 +19,11 @@ pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
 /// Returns `3 iterations failed`, `3 iterations failed, 2 iterations of the warm-up failed`, or
 /// `995 iterations failed, 300 marked` if not all have a mark. `None` if no iteration failed.
 pub(crate) fn failed_count_text(episodes: &Episodes, run: &RunSummary) -> Option<String> {
-    // The counts of a run exclude the warm-up. The stored rows include the warm-up, but not the iterations that
-    // retention deleted. Above the limit of counted rows, the number of failed iterations of the warm-up is not known.
     let failed = run.counts.all_failed();
-    let in_warm_up = match episodes.failed_count {
-        stored if stored > Episodes::MAX_COUNTED => 0,
-        stored => stored.saturating_sub(failed),
-    };
+    // The counts of a run, which retention does not change, exclude the failed iterations of the warm-up. These are
+    // counted among the stored iterations, so their number is not known after retention has deleted iterations.
+    let is_complete = run.last_deleted_iteration == 0;
+    let in_warm_up = episodes.failed_in_warm_up.filter(|_| is_complete).unwrap_or_default();
     let marked = episodes.failed_starts.len() as u64;
     let texts = [
         (failed > 0).then(|| format!("{} failed", number::counted(failed, "iteration"))),
@@ -57,22 +55,35 @@ mod tests {
 
     #[test]
     fn unmarked_failed_iterations_are_counted() {
-        let text_of = |marked: usize, failed_count, lost| {
-            let marks = vec![samples::NOW; marked];
-            let episodes = Episodes { failed_starts: marks, failed_count, ..Episodes::default() };
-            let counts = OutcomeCounts { ok: 9, lost, ..OutcomeCounts::default() };
-            failed_count_text(&episodes, &RunSummary { counts, ..run(1, PlacementKind::Remote) })
-        };
-        assert_eq!(text_of(0, 0, 0), None);
-        assert_eq!(text_of(3, 3, 3).as_deref(), Some("3 iterations failed"));
-        assert_eq!(text_of(2, 2, 0).as_deref(), Some("2 iterations of the warm-up failed"));
+        let text_of = |marks, in_warm_up, lost| failed_text(marks, in_warm_up, lost, 0);
+        assert_eq!(text_of(0, Some(0), 0), None);
+        assert_eq!(text_of(3, Some(0), 3).as_deref(), Some("3 iterations failed"));
+        assert_eq!(text_of(2, Some(2), 0).as_deref(), Some("2 iterations of the warm-up failed"));
         let both = "889 iterations failed, 106 iterations of the warm-up failed, 300 marked";
-        assert_eq!(text_of(300, 995, 889).as_deref(), Some(both));
-        assert_eq!(
-            text_of(290, 290, 5_000).as_deref(),
-            Some("5,000 iterations failed, 290 marked"),
-            "retention deleted the rows of the other failed iterations"
-        );
-        assert_eq!(text_of(300, 10_001, 12_345).as_deref(), Some("12,345 iterations failed, 300 marked"));
+        assert_eq!(text_of(300, Some(106), 889).as_deref(), Some(both));
+        assert_eq!(text_of(300, None, 12_345).as_deref(), Some("12,345 iterations failed, 300 marked"));
+    }
+
+    #[test]
+    fn warm_up_failures_are_unknown_after_retention() {
+        // 40 measured iterations and 100 iterations of the warm-up failed. Retention has deleted half of them.
+        assert_eq!(failed_text(70, Some(50), 40, 900).as_deref(), Some("40 iterations failed"));
+        let few_stored = "5,000 iterations failed, 290 marked";
+        assert_eq!(failed_text(290, Some(0), 5_000, 900).as_deref(), Some(few_stored));
+    }
+
+    /// Returns the text for a run with `lost` failed iterations after the warm-up, of which retention deleted the
+    /// iterations up to `last_deleted_iteration`.
+    fn failed_text(
+        marks: usize,
+        failed_in_warm_up: Option<u64>,
+        lost: u64,
+        last_deleted_iteration: u64,
+    ) -> Option<String> {
+        let failed_starts = vec![samples::NOW; marks];
+        let episodes = Episodes { failed_starts, failed_in_warm_up, ..Episodes::default() };
+        let counts = OutcomeCounts { ok: 9, lost, ..OutcomeCounts::default() };
+        let run = RunSummary { counts, last_deleted_iteration, ..run(1, PlacementKind::Remote) };
+        failed_count_text(&episodes, &run)
     }
 }

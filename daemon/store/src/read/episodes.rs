@@ -8,6 +8,7 @@ use peernet_clock::WallTime;
 
 use super::iterations::Row;
 use super::{corrupt_data, sql, wall};
+use crate::column::count;
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::Episodes;
@@ -39,7 +40,7 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
         }
     }
     let warm_up = read_warm_up_periods(readers, run, &first, &borders, &last).await?;
-    let (failed_starts, failed_count) = failed_iterations(readers, run, last.number).await?;
+    let (failed_starts, failed_in_warm_up) = failed_iterations(readers, run, last.number).await?;
     let start_times = |rows: Vec<Row>| rows.iter().map(|row| wall(row.started_ns)).collect();
     Ok(Episodes {
         first: (first.number == 1).then(|| wall(first.started_ns)),
@@ -48,7 +49,7 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
         borders: start_times(borders),
         warm_up,
         failed_starts: start_times(failed_starts),
-        failed_count,
+        failed_in_warm_up,
     })
 }
 
@@ -182,9 +183,13 @@ async fn first_measured_numbers(
         .map_err(readers.error_for(WHAT))
 }
 
-/// Returns the failed iterations that charts mark, and the number of all failed iterations. One more than `MAX_COUNTED`
-/// means "more than `MAX_COUNTED`".
-async fn failed_iterations(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>, u64), StoreError> {
+/// Returns the failed iterations that charts mark, and the number of all failed iterations of the warm-up. The number is
+/// `None` if more than `MAX_COUNTED` iterations failed.
+async fn failed_iterations(
+    readers: &Readers,
+    run: i64,
+    last: i64,
+) -> Result<(Vec<Row>, Option<u64>), StoreError> {
     let max_marked = Episodes::MAX_FAILED;
     let failed: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)
         .bind(run)
@@ -194,10 +199,10 @@ async fn failed_iterations(readers: &Readers, run: i64, last: i64) -> Result<(Ve
         .await
         .map_err(readers.error_for(WHAT))?;
     let Some(first) = failed.first().filter(|_| failed.len() > max_marked) else {
-        let total = failed.len() as u64;
-        return Ok((failed, total));
+        let in_warm_up = failed.iter().filter(|row| row.warm_up).count() as u64;
+        return Ok((failed, Some(in_warm_up)));
     };
-    let total: i64 = sqlx::query_scalar(sql::COUNT_WITHOUT_ANSWER)
+    let (total, in_warm_up): (i64, i64) = sqlx::query_as(sql::COUNT_WITHOUT_ANSWER)
         .bind(run)
         .bind(i64::try_from(Episodes::MAX_COUNTED).map_or(i64::MAX, |max_counted| max_counted + 1))
         .fetch_one(&readers.pool())
@@ -210,9 +215,7 @@ async fn failed_iterations(readers: &Readers, run: i64, last: i64) -> Result<(Ve
         .await
         .map_err(readers.error_for(WHAT))?;
     let marked = rows_by_number(readers, run, &numbers.into_iter().flatten().collect::<Vec<_>>()).await?;
-    // Rows may have been added or deleted between the queries. The number must not be below the number of marks.
-    let total = u64::try_from(total).unwrap_or_default().max(marked.len() as u64);
-    Ok((marked, total))
+    Ok((marked, (count(total) <= Episodes::MAX_COUNTED).then(|| count(in_warm_up))))
 }
 
 /// Divides the range from `from` to `to` into at most `count` parts. Returns the first and the last number of each

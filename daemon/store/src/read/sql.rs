@@ -169,8 +169,9 @@ statements! {
                           SELECT max(high) FROM search WHERE high - low <= 1";
     /// Totals of the successful iterations after the warm-up: ?1 run, ?2 and ?3 first and last number.
     TOTALS_IN_STATISTICS = "SELECT total FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 AND +warm_up = 0 AND +outcome = 0";
-    /// Number of failed iterations, counted up to a limit: ?1 run, ?2 limit.
-    COUNT_WITHOUT_ANSWER = "SELECT count(*) FROM (SELECT 1 FROM iteration INDEXED BY iteration_without_answer \
+    /// Number of failed iterations, and how many of them are warm-up, both counted up to a limit: ?1 run, ?2 limit.
+    COUNT_WITHOUT_ANSWER = "SELECT count(*), count(*) FILTER (WHERE warm_up <> 0) \
+                            FROM (SELECT warm_up FROM iteration INDEXED BY iteration_without_answer \
                             WHERE run = ?1 AND number > 0 AND outcome <> 0 LIMIT ?2)";
     /// The first number of a failed iteration in each part of a run: ?1 run, ?2 the parts' first and last numbers, a
     /// JSON array of pairs.

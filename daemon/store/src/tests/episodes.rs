@@ -1,5 +1,7 @@
 //! Episodes of a run, its warm-up, and failed iterations.
 
+use peernet_analysis::rows::{Row, Rows};
+use peernet_analysis::summary::Summary;
 use peernet_analysis::warm_up::warm_up_periods;
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
@@ -55,7 +57,7 @@ async fn borders_are_at_starts_of_episodes() {
             (generate::at(91.0 * 0.2), generate::at(92.0 * 0.2)),
         ],
         failed_starts: Vec::new(),
-        failed_count: 0,
+        failed_in_warm_up: Some(0),
     };
     assert_eq!(episodes, expected);
     assert_eq!(
@@ -141,7 +143,7 @@ async fn deleted_iterations_have_no_border() {
     })
     .await;
     let episodes = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!((episodes.failed_starts, episodes.failed_count), (start_times([4, 70]), 2));
+    assert_eq!((episodes.failed_starts, episodes.failed_in_warm_up), (start_times([4, 70]), Some(0)));
     let mut other = test_store.second_connection().await;
     sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 40")
         .execute(&mut other)
@@ -150,8 +152,8 @@ async fn deleted_iterations_have_no_border() {
     let episodes = test_store.store.episodes(1).await.expect("answers");
     assert_eq!((episodes.count, episodes.steps, episodes.first), (4, Some(30), None));
     assert_eq!(
-        (episodes.borders, episodes.failed_starts, episodes.failed_count),
-        (start_times([61, 91]), start_times([70]), 1)
+        (episodes.borders, episodes.failed_starts, episodes.failed_in_warm_up),
+        (start_times([61, 91]), start_times([70]), Some(0))
     );
 }
 
@@ -226,7 +228,7 @@ async fn shown_failed_iterations_cover_whole_run() {
     })
     .await;
     let episodes = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!(episodes.failed_count, 601, "including the warm-up");
+    assert_eq!(episodes.failed_in_warm_up, Some(50));
     let shown = episodes.failed_starts;
     assert!((150..=Episodes::MAX_FAILED).contains(&shown.len()), "{}", shown.len());
     assert_eq!((shown[0], shown[shown.len() - 1]), (generate::at(0.4), generate::at(398.0)));
@@ -234,7 +236,38 @@ async fn shown_failed_iterations_cover_whole_run() {
 }
 
 #[tokio::test]
-async fn failed_iterations_are_counted_up_to_limit() {
+async fn failed_warm_up_is_counted_as_in_summary() {
+    let mut test_store = TestStore::new().await;
+    let rows = std::sync::Mutex::new(Vec::new());
+    // Half of the iterations are warm-up, and half are lost.
+    store_run(&mut test_store, 1_000, |iteration| {
+        set_episode(iteration, 10);
+        iteration.warm_up = iteration.step < 5;
+        if iteration.number.is_multiple_of(2) {
+            iteration.outcome = Outcome::Lost("connection broke".into());
+        }
+        rows.lock().expect("not poisoned").push(Row::from_iteration(iteration));
+        true
+    })
+    .await;
+    let rows = rows.into_inner().expect("not poisoned");
+    let in_summary = |first: u64| {
+        let rows: Rows = rows.iter().filter(|row| row.iteration >= first).cloned().collect();
+        Some(Summary::from_rows(&rows).failed_in_warm_up)
+    };
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!(episodes.failed_in_warm_up, in_summary(1));
+    let mut other = test_store.second_connection().await;
+    sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 700")
+        .execute(&mut other)
+        .await
+        .expect("deletes");
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!(episodes.failed_in_warm_up, in_summary(701), "of the stored iterations");
+}
+
+#[tokio::test]
+async fn too_many_failed_iterations_are_not_counted() {
     let mut test_store = TestStore::new().await;
     store_run(&mut test_store, 1, |_| true).await;
     let mut other = test_store.second_connection().await;
@@ -253,6 +286,6 @@ async fn failed_iterations_are_counted_up_to_limit() {
     );
     sqlx::query(sqlx::AssertSqlSafe(insert_copies)).execute(&mut other).await.expect("inserts");
     let episodes = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!(episodes.failed_count, Episodes::MAX_COUNTED + 1);
+    assert_eq!(episodes.failed_in_warm_up, None);
     assert!(episodes.failed_starts.len() <= Episodes::MAX_FAILED);
 }

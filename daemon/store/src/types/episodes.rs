@@ -24,8 +24,9 @@ pub struct Episodes {
     /// iterations, the run is divided into this number of parts, and the list has the first failed iteration of each
     /// part.
     pub failed_starts: Vec<WallTime>,
-    /// Number of stored failed iterations. One more than [`Episodes::MAX_COUNTED`] means "more than `MAX_COUNTED`".
-    pub failed_count: u64,
+    /// Number of stored failed iterations of the warm-up; `None` if more than [`Episodes::MAX_COUNTED`] failed
+    /// iterations are stored.
+    pub failed_in_warm_up: Option<u64>,
 }
 
 impl Episodes {

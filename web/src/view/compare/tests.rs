@@ -152,7 +152,7 @@ pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
             steps: Some(900),
             borders: [15, 30, 45].map(moment).to_vec(),
             warm_up: vec![(moment(0), moment(15)), (moment(30), moment(31))],
-            failed_count: failed.len() as u64,
+            failed_in_warm_up: Some(0),
             failed_starts: failed.into_iter().map(moment).collect(),
         };
         let series = Series { bucket_s: 1, stages: vec![total], gaps: Vec::new() };
