@@ -6,6 +6,7 @@
 use std::sync::Arc;
 
 use peernet_analysis::transfer::Transfers;
+use peernet_analysis::trust::MissingCount;
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug};
 use peernet_stream::{
@@ -157,10 +158,11 @@ pub struct HostSnapshot {
 impl HostSnapshot {
     /// Returns the number of the host's events that are missing in the database for ever. Events that are in another
     /// database are not counted.
-    pub fn missing_events(&self) -> u64 {
+    pub fn missing_events(&self) -> MissingCount {
+        let stored = self.stored.missing_everywhere();
         // Both numbers count the gaps that the agent reported, so a sum would count these gaps twice. The aggregator
         // also counts batches that it found missing, and the agent also counts events whose gap it has not sent yet.
-        self.accounting.dropped.max(self.stored.missing_everywhere())
+        MissingCount { known: self.accounting.dropped.max(stored.known), ..stored }
     }
 }
 

@@ -6,6 +6,7 @@ use crate::exit::Failure;
 use crate::output::print_to_stdout;
 use chrono::{DateTime, SecondsFormat};
 use peernet_analysis::table::text;
+use peernet_analysis::trust::MissingCount;
 use peernet_statistics::number::{self, DurationFormat};
 use peernet_stream::PlacementKind;
 use serde::Deserialize;
@@ -81,6 +82,9 @@ struct Host {
     now: Option<HostState>,
     /// Number of events that will never be in the database. Absent in answers of earlier releases.
     missing_events: Option<u64>,
+    /// `true` if some missing events could not be counted. Absent in answers of earlier releases.
+    #[serde(default)]
+    missing_events_incomplete: bool,
 }
 
 #[derive(Debug, Deserialize)]
@@ -195,12 +199,15 @@ fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
         (false, None) => "never seen".to_owned(),
     };
     let now = host.now.as_ref();
+    let missing = host
+        .missing_events
+        .map(|known| MissingCount { known, is_incomplete: host.missing_events_incomplete }.number());
     vec![
         host.name.clone(),
         with_clock_fault_mark(&state, faulty.contains_key(&host.name)),
         or_dash(now.and_then(|now| now.cpu).map(number::whole_percent)),
         or_dash(now.map(|now| number::count(now.events.waiting))),
-        or_dash(host.missing_events.map(number::count)),
+        or_dash(missing),
     ]
 }
 
@@ -249,6 +256,15 @@ mod tests {
         }))
         .expect("a host");
         assert_eq!(host_row(&host, &FaultyClocks::default())[2..], ["29", "40,000", "1,050"]);
+        let lost = |missing_events: u64| {
+            let host: Host = serde_json::from_value(json!({
+                "name": "edge", "connected": true, "last_seen": null, "now": null,
+                "missing_events": missing_events, "missing_events_incomplete": true,
+            }))
+            .expect("a host");
+            host_row(&host, &FaultyClocks::default())[4].clone()
+        };
+        assert_eq!([lost(0), lost(849)], ["an unknown number", "at least 849"]);
     }
 
     #[test]

@@ -270,6 +270,14 @@ async fn most_severe_problems_are_listed_first() {
 }
 
 #[tokio::test]
+async fn gap_of_unknown_size_is_noted_on_overview() {
+    let mut host = host("cam-1", "Orin");
+    (host.stored.gaps, host.stored.unknown_gaps) = (1, 1);
+    let html = overview_of(&snapshot(vec![host], Vec::new()), Vec::new()).await;
+    assert!(html.contains("lacks an unknown number of events: "), "{html}");
+}
+
+#[tokio::test]
 async fn host_that_said_goodbye_causes_no_warning() {
     let mut left = host("cam-1", "Orin");
     (left.connected, left.has_left) = (false, true);

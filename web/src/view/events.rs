@@ -182,13 +182,14 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
         });
     }
     let missing = host.missing_events();
-    if missing > 0 {
+    if !missing.is_zero() {
         // If the agent dropped fewer events than are missing, some events were lost in another way, for example because
         // the spool was deleted.
-        let why = loss_reasons(account).filter(|_| account.dropped == missing).unwrap_or("missing");
+        let are_dropped = !missing.is_incomplete && account.dropped == missing.known;
+        let why = loss_reasons(account).filter(|_| are_dropped).unwrap_or("missing");
         let text = format!(
             "{} {why}; the gaps of its runs, or incidents of the kind gap, say why.",
-            counted_events(missing)
+            missing.events()
         );
         remarks.push(Remark::new(Tone::Warn, "gap", "lost", text));
     }
@@ -216,15 +217,10 @@ pub(crate) fn stored_count_pairs(
         0 => String::new(),
         before => format!(", {} of them in another database", count(before)),
     };
-    // A gap of known size lacks at least one event. If no event is missing, the sizes of all gaps are therefore
-    // unknown.
-    let missing = match stored.missing {
-        0 if stored.gaps > 0 => "an unknown number of events missing".to_owned(),
-        missing => format!("{} events missing", count(missing)),
-    };
+    let missing = stored.missing_count().events();
     let mut pairs = vec![
         ("Stored", format!("{} events, {} nodes", count(stored.events), count(stored.nodes))),
-        ("Gaps", format!("{}, {missing}{before}", count(stored.gaps))),
+        ("Gaps", format!("{}, {missing} missing{before}", count(stored.gaps))),
         ("Quarantined", format!("{} batches that could not be stored", count(stored.quarantined))),
     ];
     // These counts begin at the start of the aggregator, so they say nothing about a host that has not reported since
@@ -391,6 +387,22 @@ mod tests {
             most_severe_remark(&host).expect("batches are missing").text,
             "849 events missing; the gaps of its runs, or incidents of the kind gap, say why."
         );
+    }
+
+    #[test]
+    fn gap_of_unknown_size_makes_number_lower_bound() {
+        let texts = |missing: u64| {
+            let mut host = samples::host("cam-1", "Orin");
+            (host.stored.gaps, host.stored.unknown_gaps, host.stored.missing) = (2, 1, missing);
+            let remark = most_severe_remark(&host).expect("events are missing").text;
+            (remark, stored_count_pairs(&host.stored, None, None, Zone::Utc)[1].1.clone())
+        };
+        let expected = |number: &str| {
+            let remark = "the gaps of its runs, or incidents of the kind gap, say why.";
+            (format!("{number} missing; {remark}"), format!("2, {number} missing"))
+        };
+        assert_eq!(texts(0), expected("an unknown number of events"));
+        assert_eq!(texts(849), expected("at least 849 events"));
     }
 
     #[test]

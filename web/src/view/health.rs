@@ -99,10 +99,10 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
         let text = format!("cannot use its spool: {trouble}. Its events wait in memory.");
         notes.push(note(Chip::new(Tone::Bad, "failed", "spool fails"), text));
     }
-    if missing > 0 {
+    if !missing.is_zero() {
         let text = format!(
-            "lacks {} events: the gaps of its runs, or incidents of the kind gap, say why. Pages show nothing for the missing events.",
-            count(missing)
+            "lacks {}: the gaps of its runs, or incidents of the kind gap, say why. Pages show nothing for the missing events.",
+            missing.events()
         );
         notes.push(note(Chip::new(Tone::Warn, "gap", "gap"), text));
     }

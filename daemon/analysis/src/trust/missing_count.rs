@@ -30,13 +30,27 @@ impl MissingCount {
         }
     }
 
-    /// Returns the beginning of a sentence: `1 event`, `At least 849 events`, `An unknown number of events`.
-    pub fn sentence_start(self) -> String {
+    /// Returns whether no event is missing.
+    pub const fn is_zero(self) -> bool {
+        self.known == 0 && !self.is_incomplete
+    }
+
+    /// Returns the number with the noun: `1 event`, `at least 849 events`, `an unknown number of events`.
+    pub fn events(self) -> String {
         match (self.known, self.is_incomplete) {
-            (0, true) => "An unknown number of events".to_owned(),
-            (known, true) => format!("At least {}", counted(known, "event")),
+            (0, true) => "an unknown number of events".to_owned(),
+            (known, true) => format!("at least {}", counted(known, "event")),
             (known, false) => counted(known, "event"),
         }
+    }
+
+    /// Returns the beginning of a sentence: `1 event`, `At least 849 events`, `An unknown number of events`.
+    pub fn sentence_start(self) -> String {
+        let mut text = self.events();
+        if let Some(first) = text.get_mut(..1) {
+            first.make_ascii_uppercase();
+        }
+        text
     }
 }
 
@@ -55,6 +69,9 @@ mod tests {
         assert_eq!(texts(&[1]), text("1", "1 event"));
         assert_eq!(texts(&[849, 40_000]), text("40,849", "40,849 events"));
         assert_eq!(texts(&[849, 0]), text("at least 849", "At least 849 events"));
+        assert_eq!(MissingCount::from_gaps([849, 0].into_iter()).events(), "at least 849 events");
+        assert!(MissingCount::from_gaps([].into_iter()).is_zero());
+        assert!(!MissingCount::from_gaps([0].into_iter()).is_zero());
         assert_eq!(texts(&[0, 0]), text("an unknown number", "An unknown number of events"));
     }
 }

@@ -2,10 +2,10 @@
 
 use sqlx::FromRow;
 
-use super::{corrupt_data, count, parse, sql, wall};
+use super::{corrupt_data, parse, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
-use crate::stored::StoredCounts;
+use crate::stored::{CountColumns, StoredCounts};
 use crate::types::{HostRow, IncidentFilter, IncidentRow};
 use crate::write::UNKNOWN;
 
@@ -30,12 +30,8 @@ struct Host {
     description: String,
     first_seen_ns: i64,
     last_seen_ns: i64,
-    events: i64,
-    nodes: i64,
-    gaps: i64,
-    missing: i64,
-    in_other_database: i64,
-    quarantined: i64,
+    #[sqlx(flatten)]
+    counts: CountColumns,
 }
 
 pub(crate) async fn incidents(
@@ -85,16 +81,7 @@ pub(crate) async fn hosts(readers: &Readers) -> Result<Vec<HostRow>, StoreError>
                     .map_err(|error| corrupt_data(WHAT, error))?,
                 first_seen: wall(row.first_seen_ns),
                 last_seen: wall(row.last_seen_ns),
-                stored: StoredCounts {
-                    events: count(row.events),
-                    nodes: count(row.nodes),
-                    gaps: count(row.gaps),
-                    missing: count(row.missing),
-                    in_other_database: count(row.in_other_database),
-                    // The store does not count duplicates; the live state does.
-                    duplicates: 0,
-                    quarantined: count(row.quarantined),
-                },
+                stored: StoredCounts::from(row.counts),
             })
         })
         .collect()

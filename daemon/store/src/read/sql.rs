@@ -258,7 +258,7 @@ statements! {
                  ORDER BY incident.at_ns DESC, incident.id DESC LIMIT ?1";
     /// All hosts that have introduced themselves. No parameters.
     HOSTS = concat!("SELECT uuid, name, description, first_seen_ns, last_seen_ns, events, nodes, gaps, missing, quarantined, ",
-             crate::stored::in_other_database!(), " FROM host WHERE name IS NOT NULL ORDER BY name");
+             crate::stored::gap_columns!(), " FROM host WHERE name IS NOT NULL ORDER BY name");
     /// All links, with the times of their first and last clock samples. No parameters.
     LINKS = "SELECT edge.uuid AS edge, edge.name AS edge_name, cloud.uuid AS cloud, \
              coalesce(cloud.name, link.cloud_name) AS cloud_name, link.network, \

@@ -1,6 +1,7 @@
 //! Promises of the writer: each batch is stored exactly once, an invalid batch is quarantined, and no batch is stored
 //! in part.
 
+use peernet_analysis::trust::MissingCount;
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
     ChainHash, Event, Gap, Hello, HighWaterMark, Iteration, MissingBatches, MissingPreviousBatches,
@@ -313,6 +314,8 @@ async fn missing_events_of_all_gaps_are_counted() {
         })
     };
     let work = test_store.batch((0..1_500).map(gap).collect());
+    // A new writer has not read the counters of the host before the commit.
+    test_store.writer = open(&test_store.path).await;
     let committed = test_store.commit(&[work]).await;
     let gaps = test_store.store.run(1).await.expect("answers").expect("exists").gaps;
     let missing: u64 = gaps.iter().map(|gap| gap.count).sum();
@@ -322,7 +325,11 @@ async fn missing_events_of_all_gaps_are_counted() {
         "1,000 single gaps, one entry for all further gaps of known size, one for all further gaps of unknown size"
     );
     let (stored, _) = committed.hosts[&test_store.edge];
-    assert_eq!((stored.gaps, stored.missing), (1_500, missing), "equal to the list of gaps");
+    assert_eq!((stored.gaps, stored.unknown_gaps), (1_500, 2));
+    let on_run_page = MissingCount::from_gaps(gaps.iter().map(|gap| gap.count));
+    assert_eq!(stored.missing_everywhere(), on_run_page, "equal to the list of gaps");
+    let hosts = test_store.store.hosts().await.expect("answers");
+    assert!(hosts.iter().any(|host| host.stored == stored), "{hosts:?}");
     assert_eq!(gaps.iter().map(|gap| gap.gaps).sum::<u64>(), 1_500);
     let series = test_store.store.series(1, &[], 240).await.expect("answers");
     assert_eq!(series.gaps.len(), 1_000, "a series does not show entries that combine several gaps");
@@ -356,7 +363,8 @@ async fn replaced_spool_leaves_one_gap() {
     // The introduction is committed twice, as after a commit whose result was lost.
     test_store.commit(std::slice::from_ref(&replaced)).await;
     let committed = test_store.commit(&[replaced]).await;
-    assert_eq!(committed.hosts[&test_store.edge].0.gaps, 1);
+    let stored = committed.hosts[&test_store.edge].0;
+    assert_eq!((stored.gaps, stored.missing_everywhere().number().as_str()), (1, "an unknown number"));
     assert_eq!(
         test_store
             .count("SELECT count(*) FROM gap WHERE count = 0 AND reason LIKE '%was deleted or replaced%'")

@@ -10,10 +10,10 @@ use sqlx::{Arguments, SqliteConnection};
 
 use super::ends::UNREPORTED_END;
 use super::prepared::RunPart;
-use crate::column::{column, count};
+use crate::column::column;
 use crate::extent::Extent;
 use crate::insert::Insert;
-use crate::stored::{StoredCounts, in_other_database};
+use crate::stored::{CountColumns, StoredCounts, gap_columns};
 
 /// Maximum number of hosts whose counters are cached: the largest value of `[aggregator] max_hosts`. When the cache has
 /// more hosts, all counters are discarded. They are read again when they are needed.
@@ -104,14 +104,12 @@ impl Counters {
         host: HostId,
         id: i64,
     ) -> Result<bool, sqlx::Error> {
-        // The counts are kept in `totals`, because a later read would count the gaps of this transaction, too.
+        let added = self.hosts.get(&host).map(|pending| pending.added).unwrap_or_default();
         let mut counts = match self.totals.entry(id) {
             Entry::Occupied(entry) => *entry.get(),
-            Entry::Vacant(entry) => *entry.insert(read_total(connection, id).await?),
+            Entry::Vacant(entry) => *entry.insert(read_total(connection, id, &added).await?),
         };
-        if let Some(pending) = self.hosts.get(&host) {
-            counts.add(&pending.added);
-        }
+        counts.add(&added);
         Ok(counts.events == 0 && counts.quarantined == 0 && counts.missing == counts.in_other_database)
     }
 
@@ -163,14 +161,7 @@ impl Counters {
         for (host, counts) in self.hosts.drain() {
             let total = match self.totals.entry(counts.id) {
                 Entry::Occupied(entry) => entry.into_mut(),
-                Entry::Vacant(entry) => {
-                    let mut stored = read_total(connection, counts.id).await?;
-                    // `in_other_database` is a sum over the table of gaps, which already has the gaps of this
-                    // transaction.
-                    stored.in_other_database =
-                        stored.in_other_database.saturating_sub(counts.added.in_other_database);
-                    entry.insert(stored)
-                }
+                Entry::Vacant(entry) => entry.insert(read_total(connection, counts.id, &counts.added).await?),
             };
             total.add(&counts.added);
             hosts.push((host, counts.id, *total, counts.newest));
@@ -204,36 +195,49 @@ impl HostCounts {
 }
 
 impl StoredCounts {
-    /// Makes the counts from columns of `host` and the number of its missing events that are in another database:
-    /// events, nodes, gaps, missing, quarantined, in another database.
-    pub(super) fn from_columns(
-        (events, nodes, gaps, missing, quarantined, in_other_database): (i64, i64, i64, i64, i64, i64),
-    ) -> Self {
-        let [events, nodes, gaps, missing, quarantined, in_other_database] =
-            [events, nodes, gaps, missing, quarantined, in_other_database].map(count);
-        Self { events, nodes, gaps, missing, in_other_database, duplicates: 0, quarantined }
-    }
-
     pub(super) fn add(&mut self, other: &Self) {
-        let Self { events, nodes, gaps, missing, in_other_database, duplicates: _, quarantined } = other;
+        let Self {
+            events,
+            nodes,
+            gaps,
+            missing,
+            in_other_database,
+            unknown_gaps,
+            unknown_gaps_in_other_database,
+            duplicates: _,
+            quarantined,
+        } = other;
         self.events = self.events.saturating_add(*events);
         self.nodes = self.nodes.saturating_add(*nodes);
         self.gaps = self.gaps.saturating_add(*gaps);
         self.missing = self.missing.saturating_add(*missing);
         self.in_other_database = self.in_other_database.saturating_add(*in_other_database);
+        self.unknown_gaps = self.unknown_gaps.saturating_add(*unknown_gaps);
+        self.unknown_gaps_in_other_database =
+            self.unknown_gaps_in_other_database.saturating_add(*unknown_gaps_in_other_database);
         self.quarantined = self.quarantined.saturating_add(*quarantined);
     }
 }
 
-/// Reads the counters of a host.
-async fn read_total(connection: &mut SqliteConnection, host: i64) -> Result<StoredCounts, sqlx::Error> {
-    let counts: (i64, i64, i64, i64, i64, i64) = sqlx::query_as(concat!(
+/// Reads the counters of a host as they were before the transaction. `added` are the transaction's additions until now.
+async fn read_total(
+    connection: &mut SqliteConnection,
+    host: i64,
+    added: &StoredCounts,
+) -> Result<StoredCounts, sqlx::Error> {
+    let columns: CountColumns = sqlx::query_as(concat!(
         "SELECT events, nodes, gaps, missing, quarantined, ",
-        in_other_database!(),
+        gap_columns!(),
         " FROM host WHERE id = ?"
     ))
     .bind(host)
     .fetch_one(connection)
     .await?;
-    Ok(StoredCounts::from_columns(counts))
+    let mut counts = StoredCounts::from(columns);
+    // These three counts are read from the table of gaps, which already has the gaps of this transaction.
+    counts.in_other_database = counts.in_other_database.saturating_sub(added.in_other_database);
+    counts.unknown_gaps = counts.unknown_gaps.saturating_sub(added.unknown_gaps);
+    counts.unknown_gaps_in_other_database =
+        counts.unknown_gaps_in_other_database.saturating_sub(added.unknown_gaps_in_other_database);
+    Ok(counts)
 }

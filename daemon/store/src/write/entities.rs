@@ -7,10 +7,10 @@ use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{HostDescription, RunDescription, RunEnded};
 use serde::Serialize;
-use sqlx::SqliteConnection;
+use sqlx::{FromRow, SqliteConnection};
 
 use super::{Refusal, RunName};
-use crate::stored::{StoredCounts, in_other_database};
+use crate::stored::{CountColumns, StoredCounts, gap_columns};
 
 /// Maximum number of runs in the cache. When it is reached, all cached runs are discarded. A run is read again when it
 /// is needed.
@@ -389,20 +389,21 @@ pub(crate) async fn read_host_counts(
     connection: &mut SqliteConnection,
     limit: u32,
 ) -> Result<Vec<(HostId, StoredCounts)>, sqlx::Error> {
-    let rows: Vec<(String, i64, i64, i64, i64, i64, i64)> = sqlx::query_as(concat!(
+    #[derive(FromRow)]
+    struct Host {
+        uuid: String,
+        #[sqlx(flatten)]
+        counts: CountColumns,
+    }
+    let rows: Vec<Host> = sqlx::query_as(concat!(
         "SELECT uuid, events, nodes, gaps, missing, quarantined, ",
-        in_other_database!(),
+        gap_columns!(),
         " FROM host WHERE name IS NOT NULL ORDER BY last_seen_ns DESC LIMIT ?",
     ))
     .bind(limit)
     .fetch_all(connection)
     .await?;
-    rows.into_iter()
-        .map(|(uuid, events, nodes, gaps, missing, quarantined, in_other_database)| {
-            let columns = (events, nodes, gaps, missing, quarantined, in_other_database);
-            Ok((id(&uuid)?, StoredCounts::from_columns(columns)))
-        })
-        .collect()
+    rows.into_iter().map(|row| Ok((id(&row.uuid)?, StoredCounts::from(row.counts)))).collect()
 }
 
 /// Parses a stored id.

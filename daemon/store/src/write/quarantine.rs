@@ -91,8 +91,13 @@ impl<'a> RejectedBatch<'a> {
         for gap in &gaps {
             records::insert_gap(connection, entities, reporter, gap).await?;
         }
-        let missing = gaps.iter().map(|gap| gap.count).sum();
-        Ok(StoredCounts { quarantined: 1, gaps: gaps.len() as u64, missing, ..StoredCounts::default() })
+        Ok(StoredCounts {
+            quarantined: 1,
+            gaps: gaps.len() as u64,
+            missing: gaps.iter().map(|gap| gap.count).sum(),
+            unknown_gaps: gaps.iter().filter(|gap| gap.count == 0).count() as u64,
+            ..StoredCounts::default()
+        })
     }
 }
 

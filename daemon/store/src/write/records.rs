@@ -101,7 +101,7 @@ pub(super) async fn insert_missing_batches(
 }
 
 /// Returns the reason of a gap for batches that their host sent to another database before. The SQL expression
-/// `in_other_database!` recognises such a gap by the prefix of the reason.
+/// `gap_columns!` recognises such a gap by the prefix of the reason.
 pub(super) fn describe_batches_of_other_database(stream: &StreamId, from: u64, through: u64) -> String {
     format!(
         "{}batches {from} to {through} of stream {stream} were stored in another database, and their agent has deleted them from its spool",
@@ -142,8 +142,17 @@ pub(super) async fn insert_unattributed_gap(
         .bind(format!("{subject}: {reason}"))
         .execute(connection)
         .await?;
-    let in_other_database = if reason.starts_with(other_database_prefix!()) { missing } else { 0 };
-    Ok(StoredCounts { gaps: 1, missing, in_other_database, ..StoredCounts::default() })
+    let unknown_gaps = u64::from(events.is_none());
+    let (in_other_database, unknown_gaps_in_other_database) =
+        if reason.starts_with(other_database_prefix!()) { (missing, unknown_gaps) } else { (0, 0) };
+    Ok(StoredCounts {
+        gaps: 1,
+        missing,
+        in_other_database,
+        unknown_gaps,
+        unknown_gaps_in_other_database,
+        ..StoredCounts::default()
+    })
 }
 
 /// Stores a batch whose events cannot be stored. `events` is the number of events if they can be decoded.

@@ -61,6 +61,8 @@ pub(crate) struct Host {
     pub clock: Option<HostClock>,
     /// Number of the host's events that will never be in the database, as far as they could be counted.
     pub missing_events: u64,
+    /// `true` if some of these events could not be counted, so that `missing_events` is the smallest possible number.
+    pub missing_events_incomplete: bool,
     pub stored: Stored,
 }
 
@@ -225,6 +227,8 @@ impl Stored {
             gaps,
             missing,
             in_other_database,
+            unknown_gaps: _,
+            unknown_gaps_in_other_database: _,
             duplicates,
             quarantined,
         } = stored;
@@ -264,6 +268,7 @@ impl From<&HostSnapshot> for Host {
             agent_memory_bytes,
             models,
         } = host.metrics.clone();
+        let missing = host.missing_events();
         Self {
             id: host.id.to_string(),
             name: host.description.name.to_string(),
@@ -290,7 +295,8 @@ impl From<&HostSnapshot> for Host {
                 events: EventAccount::from(&host.accounting),
             }),
             clock: Some(HostClock::from(&host.clock)),
-            missing_events: host.missing_events(),
+            missing_events: missing.known,
+            missing_events_incomplete: missing.is_incomplete,
             stored: Stored::new(host.stored, host.arrivals),
         }
     }
@@ -298,6 +304,7 @@ impl From<&HostSnapshot> for Host {
 
 impl From<&HostRow> for Host {
     fn from(row: &HostRow) -> Self {
+        let missing = row.stored.missing_everywhere();
         Self {
             id: row.id.to_string(),
             name: row.name.to_string(),
@@ -306,7 +313,8 @@ impl From<&HostRow> for Host {
             description: Description::from(&row.description),
             now: None,
             clock: None,
-            missing_events: row.stored.missing_everywhere(),
+            missing_events: missing.known,
+            missing_events_incomplete: missing.is_incomplete,
             stored: Stored::new(row.stored, RejectedBatches::default()),
         }
     }
@@ -327,5 +335,11 @@ mod tests {
         };
         assert_eq!([missing_events(0, 849, 0), missing_events(1_050, 50, 0)], [849, 1_050]);
         assert_eq!(missing_events(0, 849, 849), 0, "another database has them");
+        let is_incomplete = |unknown_gaps: u64| {
+            let mut host = samples::host("edge", "robot");
+            (host.stored.unknown_gaps, host.stored.unknown_gaps_in_other_database) = (unknown_gaps, 1);
+            Host::from(&host).missing_events_incomplete
+        };
+        assert_eq!([is_incomplete(1), is_incomplete(2)], [false, true]);
     }
 }

@@ -199,6 +199,7 @@ impl BatchBuilder {
             Event::Gap(gap) => {
                 self.batch.added.gaps += 1;
                 self.batch.added.missing = self.batch.added.missing.saturating_add(gap.count);
+                self.batch.added.unknown_gaps += u64::from(gap.count == 0);
                 gap.to
             }
             Event::Clock(sample) => sample.at,
