@@ -4,7 +4,7 @@ use peernet_statistics::number::count;
 use peernet_stream::OutcomeCounts;
 use serde::{Deserialize, Serialize};
 
-use crate::rows::{Outcome, Rows};
+use crate::rows::{Outcome, RowRef, Rows};
 
 /// Number of iterations by outcome. Warm-up iterations are counted separately, with any outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,19 +26,22 @@ pub struct Counts {
 
 impl Counts {
     /// Returns the numbers of rows by outcome. `unseen` is the number of iterations that were measured but have no row.
-    pub fn from_rows(rows: &Rows, unseen: u64) -> Self {
+    pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>, unseen: u64) -> Self {
         let mut counts = Self { unseen, ..Self::default() };
-        for row in rows {
-            let count = match row.outcome() {
-                _ if row.warm_up() => &mut counts.warm_up,
-                Outcome::Ok => &mut counts.ok,
-                Outcome::Failed => &mut counts.failed,
-                Outcome::Lost => &mut counts.lost,
-                Outcome::Timeout => &mut counts.timeout,
-            };
-            *count += 1;
-        }
+        rows.into_iter().for_each(|row| counts.add(row.outcome(), row.warm_up()));
         counts
+    }
+
+    /// Counts an iteration.
+    pub fn add(&mut self, outcome: Outcome, warm_up: bool) {
+        let count = match outcome {
+            _ if warm_up => &mut self.warm_up,
+            Outcome::Ok => &mut self.ok,
+            Outcome::Failed => &mut self.failed,
+            Outcome::Lost => &mut self.lost,
+            Outcome::Timeout => &mut self.timeout,
+        };
+        *count += 1;
     }
 
     /// Returns the number of iterations of all outcomes, without the warm-up and without the iterations in
@@ -56,6 +59,11 @@ impl Counts {
     pub const fn outcomes(&self) -> OutcomeCounts {
         OutcomeCounts { ok: self.ok, failed: self.failed, lost: self.lost, timeout: self.timeout }
     }
+}
+
+/// Returns the number of warm-up iterations whose outcome is not `ok`. [`Counts`] has these iterations in `warm_up` only.
+pub fn failed_in_warm_up(rows: &Rows) -> u64 {
+    rows.iter().filter(|row| row.warm_up() && row.outcome() != Outcome::Ok).count() as u64
 }
 
 /// Returns the share of the iterations whose outcome is not `ok`, 0 to 1; `None` without iterations.

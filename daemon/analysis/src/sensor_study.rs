@@ -4,6 +4,7 @@ use peernet_statistics::number::{NONE, count, counted, milliseconds, percent, ra
 use peernet_statistics::{MIN_VALUES_FOR_P95, Moments};
 
 use crate::order::SortedValues;
+use crate::outcomes::Counts;
 use crate::rows::{Outcome, RowRef, Rows};
 use crate::table::Table;
 
@@ -55,8 +56,8 @@ impl SensorStudy {
     /// Returns the study of these rows, which may be in any order. `None` if no two consecutive iterations have a sample.
     // A time across a failed iteration is no period of the sensor: it would contain the failure.
     pub fn from_rows(rows: &Rows) -> Option<Self> {
-        let measured = || rows.iter().filter(|row| !row.warm_up());
-        let mut sample_times: Vec<SampleTime> = measured().filter_map(sample_time).collect();
+        let measured = rows.iter().filter(|row| !row.warm_up());
+        let mut sample_times: Vec<SampleTime> = measured.filter_map(sample_time).collect();
         sample_times.sort_unstable_by_key(|sample| sample.iteration);
         let are_consecutive = |pair: &&[SampleTime]| pair[1].iteration == pair[0].iteration + 1;
         let length = |pair: &[SampleTime]| pair[1].at - pair[0].at;
@@ -71,7 +72,7 @@ impl SensorStudy {
         let sensing: SortedValues = rows.values_in_statistics("sensing").collect();
         Some(Self {
             samples: sample_times.len() as u64,
-            failed: measured().filter(|row| row.outcome() != Outcome::Ok).count() as u64,
+            failed: Counts::from_rows(rows, 0).all_failed(),
             rate: 1.0 / moments.mean,
             period: moments.mean,
             period_std: moments.std(),

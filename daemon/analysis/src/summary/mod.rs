@@ -13,8 +13,9 @@ use crate::actuator_results::{ActuatorResults, EPISODE_VALUES};
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::delays::median_bounds;
 use crate::order::SortedValues;
+use crate::outcomes::failed_in_warm_up;
 use crate::record::{Clocks, Counts, RunRecord};
-use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Outcome, Rows, Units};
+use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
 use crate::trust::{ReplayedLatencies, Starts};
 
 /// Summary of the columns of a run. Warm-up and failed iterations are left out.
@@ -104,8 +105,7 @@ impl Summary {
             title: String::new(),
             quantities: summarised_columns.filter_map(quantity).collect(),
             counts: Counts::from_rows(rows, 0),
-            failed_in_warm_up: rows.iter().filter(|row| row.warm_up() && row.outcome() != Outcome::Ok).count()
-                as u64,
+            failed_in_warm_up: failed_in_warm_up(rows),
             deadline_s: None,
             misses: Misses::from_rows(rows),
             actuator: ActuatorResults::from_rows(rows),

@@ -2,7 +2,7 @@
 
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
-use peernet_analysis::record::Counts;
+use peernet_analysis::outcomes::{Counts, failed_in_warm_up};
 use peernet_analysis::rows::{Outcome, Rows};
 use peernet_statistics::number::{count, counted};
 use peernet_stream::EndReason;
@@ -66,11 +66,13 @@ fn describe_failed_iterations(rows: &Rows) -> Option<String> {
     let are_actuator_failures =
         failed().all(|row| row.reason().is_some_and(|reason| reason.starts_with(ACTUATOR_FAILED)));
     let cause = if are_actuator_failures { " (the actuator failed to act on the answer)" } else { "" };
-    let (all, kind) =
-        if in_warm_up { (counts.warm_up, "warm-up iteration") } else { (counts.measured(), "iteration") };
+    let (failed_count, all, kind) = match in_warm_up {
+        true => (failed_in_warm_up(rows), counts.warm_up, "warm-up iteration"),
+        false => (counts.all_failed(), counts.measured(), "iteration"),
+    };
     Some(format!(
         "{} of {} failed{cause}; {}",
-        count(failed().count() as u64),
+        count(failed_count),
         counted(all, kind),
         describe_failure(first.iteration(), first.outcome(), first.reason())
     ))

@@ -4,6 +4,7 @@ use std::convert::Infallible;
 
 use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
 use peernet_agent::{Cloud, RunningAgent};
+use peernet_analysis::outcomes::Counts;
 use peernet_analysis::rows::{Outcome, Row, Rows, Units};
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
@@ -38,11 +39,9 @@ struct RunProgress {
     /// Minimum number of warm-up iterations.
     warm_up: u64,
     started_at: Option<MonoTime>,
-    /// Number of finished iterations.
-    done: u64,
-    /// Number of finished iterations after the warm-up that have no answer, or one that the actuator failed to act on.
-    failed: u64,
-    /// Number of such iterations in the warm-up.
+    /// Numbers of finished iterations.
+    counts: Counts,
+    /// Number of failed iterations of the warm-up.
     failed_in_warm_up: u64,
     /// Description of the first failed iteration.
     first_failure: Option<String>,
@@ -56,8 +55,7 @@ impl RunProgress {
             limit,
             warm_up,
             started_at: None,
-            done: 0,
-            failed: 0,
+            counts: Counts::default(),
             failed_in_warm_up: 0,
             first_failure: None,
             totals: Summary::default(),
@@ -65,9 +63,9 @@ impl RunProgress {
     }
 
     fn add(&mut self, row: &Row) {
-        self.done += 1;
+        self.counts.add(row.outcome, row.warm_up);
         if row.outcome != Outcome::Ok {
-            *if row.warm_up { &mut self.failed_in_warm_up } else { &mut self.failed } += 1;
+            self.failed_in_warm_up += u64::from(row.warm_up);
             self.first_failure
                 .get_or_insert_with(|| describe_failure(row.iteration, row.outcome, row.reason.as_deref()));
         }
@@ -75,6 +73,11 @@ impl RunProgress {
         if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.is_in_statistics()) {
             self.totals.record(total);
         }
+    }
+
+    /// Returns the number of finished iterations.
+    fn done(&self) -> u64 {
+        self.counts.measured() + self.counts.warm_up
     }
 
     /// Returns the number of iterations after which the run ends, with the warm-up; `None` if only a time limits the
@@ -89,12 +92,12 @@ impl RunProgress {
     /// Returns whether all iterations are finished. Only `limit.total` is compared, because the number of warm-up
     /// iterations may be unknown here.
     fn is_complete(&self) -> bool {
-        self.limit.total.is_some_and(|total| self.done >= total.get())
+        self.limit.total.is_some_and(|total| self.done() >= total.get())
     }
 
     /// Returns the progress to be shown in this phase.
     fn report(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> ProgressReport {
-        let (done, iterations) = (self.done, self.iterations());
+        let (done, iterations) = (self.done(), self.iterations());
         let elapsed = self.started_at.map_or(0.0, |started_at| (now - started_at).seconds());
         let rate = if elapsed > 0.0 { done as f64 / elapsed } else { 0.0 };
         // The run ends at the limit that it reaches first.
@@ -105,7 +108,7 @@ impl RunProgress {
         ProgressReport {
             phase,
             done,
-            failed: self.failed,
+            failed: self.counts.all_failed(),
             failed_in_warm_up: self.failed_in_warm_up,
             first_failure: self.first_failure.clone(),
             iterations,

@@ -5,6 +5,7 @@ use peernet_statistics::number::{count, counted};
 use crate::drawing::Unit;
 pub(super) use crate::drawing::is_drawable;
 use peernet_analysis::order::SortedValues;
+use peernet_analysis::outcomes::Counts;
 use peernet_analysis::rows::{RowRef, Rows, Units};
 use peernet_analysis::summary::Scale;
 
@@ -65,36 +66,28 @@ pub(super) fn undrawn_rows_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown_count: usize,
 ) -> Option<String> {
-    let rows_in_statistics = rows.clone().filter(|row| row.is_in_statistics()).count();
-    let undrawn = (rows_in_statistics.saturating_sub(shown_count), "without a value to draw");
-    left_out_note(excluded_rows(rows).into_iter().chain([undrawn]))
+    left_out_note(&Counts::from_rows(rows.clone(), 0), shown_count as u64)
 }
 
 /// Returns the note on the numbers of rows that are not in the statistics: `left out: 5 warm-up, 3 failed`; `None` if
 /// all rows are in the statistics.
 pub(super) fn excluded_note<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> Option<String> {
-    left_out_note(excluded_rows(rows))
+    let counts = Counts::from_rows(rows.clone(), 0);
+    left_out_note(&counts, counts.ok)
 }
 
-/// Returns the number of rows that are warm-up and the number of rows that failed after the warm-up, each with the
-/// reason for leaving the rows out.
-fn excluded_rows<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> [(usize, &'static str); 2] {
-    let count = |matches: &dyn Fn(&RowRef<'_>) -> bool| rows.clone().filter(|row| matches(row)).count();
-    [
-        (count(&|row| row.warm_up()), "warm-up"),
-        (count(&|row| !row.warm_up() && !row.is_in_statistics()), "failed"),
-    ]
-}
-
-/// Returns the note on rows that are left out. Each number of rows is given with the reason. `None` if all numbers are
-/// 0.
-fn left_out_note(counts: impl IntoIterator<Item = (usize, &'static str)>) -> Option<String> {
-    let counts: Vec<String> = counts
+/// Returns the note on the rows that are left out, each number with the reason. `shown_count` is the number of rows that
+/// are shown. `None` if all rows are shown.
+fn left_out_note(counts: &Counts, shown_count: u64) -> Option<String> {
+    let undrawn = counts.ok.saturating_sub(shown_count);
+    let numbers =
+        [(counts.warm_up, "warm-up"), (counts.all_failed(), "failed"), (undrawn, "without a value to draw")];
+    let texts: Vec<String> = numbers
         .into_iter()
-        .filter(|(count, _)| *count > 0)
-        .map(|(number, reason)| format!("{} {reason}", count(number as u64)))
+        .filter(|(number, _)| *number > 0)
+        .map(|(number, reason)| format!("{} {reason}", count(number)))
         .collect();
-    (!counts.is_empty()).then(|| format!("left out: {}", counts.join(", ")))
+    (!texts.is_empty()).then(|| format!("left out: {}", texts.join(", ")))
 }
 
 /// Returns a title followed by the name of a run or link; the title alone if the name is empty.
