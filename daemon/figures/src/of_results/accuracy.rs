@@ -43,7 +43,8 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
         let estimate = quality.from_rows(|| runs.iter().flat_map(|run| &run.rows))?;
         let times = rows_in_statistics(runs).filter_map(|row| row.value(total.name()));
         let times: SortedValues = times.filter(|time| is_drawable(*time)).collect();
-        let point = QualityPoint { label: label.clone(), estimate, median: times.median()?, p95: times.p95() };
+        let point =
+            QualityPoint { label: label.clone(), estimate, median: times.median()?, p95: times.p95() };
         Some((point, unscored_count(runs, estimate.count)))
     };
     let scored: Vec<(QualityPoint, u64)> = groups.iter().filter_map(point).collect();

@@ -25,7 +25,7 @@ fn invalid_command_line_is_refused() {
         &lab,
         &format!("{client} --iterations 5 --network pgm"),
         64,
-        &["there is", "zmq-tcp", "ros"],
+        &["the kinds are", "zmq-tcp", "ros"],
     );
     assert_refused(&lab, &format!("{client} --iterations 5 --network carrier-pigeon"), 64, &["zmq-tcp"]);
     assert_refused(&lab, &format!("{client} --iterations 5"), 64, &["--dataset-loc"]);
@@ -97,7 +97,7 @@ fn missing_files_are_named() {
     );
     assert_refused(&lab, &format!("{server} --model-name ./nothing"), 66, &["nothing"]);
 
-    let module = ["no Python module no_such", "no_such.py", "start in its folder"];
+    let module = ["no Python module no_such", "no_such.py", "start in the module's folder"];
     assert_refused(&lab, &format!("{client} --sensor-object no_such::Camera"), 66, &module);
     assert_refused(&lab, &format!("{server} --model-name no_such::Model"), 66, &module);
     std::fs::write(lab.folder().join("hollow.py"), "pass\n").expect("writable");
