@@ -30,8 +30,7 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
         let relative = folder.strip_prefix(&shared).ok().filter(|path| !path.as_os_str().is_empty());
         relative.or_else(|| folder.file_name().map(Path::new)).unwrap_or(folder).display().to_string()
     };
-    let reports =
-        runs.iter().enumerate().filter_map(|(index, run)| Some((name(index), run.record.trust.as_ref()?)));
+    let reports = runs.iter().enumerate().map(|(index, run)| (name(index), run.record.trust.as_ref()));
     let mut sentences: Vec<String> = publication_caveats(reports).into_iter().map(|(_, text)| text).collect();
     sentences.extend(skipped_starts(lines.iter().map(|line| (line.name.clone(), line.starts))));
     sentences.extend(replayed_configurations(

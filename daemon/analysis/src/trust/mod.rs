@@ -26,7 +26,7 @@ pub use ended_early::{EndedEarly, LimitUnit, Limits, Progress};
 pub use judge::NOTABLE_SHARE;
 pub use load::{Load, StartTimes, Starts};
 pub use missing_count::MissingCount;
-pub use publication::publication_caveats;
+pub use publication::{publication_caveats, publication_summary};
 pub use replayed::{DRAWN_LATENCY, OVERRUN, ReplayedLatencies};
 pub(crate) use replayed::{DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN};
 pub use restarts::Restarts;

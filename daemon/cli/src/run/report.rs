@@ -1,8 +1,6 @@
 //! Reports about the runs: tables of the comparison, tables of concurrent users and of sensors, figures, and whether
 //! the runs can be published.
 
-use std::cmp::Reverse;
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::exit::{Exit, Failure};
@@ -11,12 +9,10 @@ use peernet_analysis::WriteError;
 use peernet_analysis::compare::{Comparison, SEED};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::table::CaptionedTable;
-use peernet_analysis::trust::Publish;
+use peernet_analysis::trust::publication_summary;
 use peernet_analysis::users::Users;
 use peernet_figures::{self as figures, Columns, Kind, PlotError};
 use peernet_results::ResultFolder;
-use peernet_statistics::number::counted;
-use peernet_stream::Grade;
 
 use super::folder::Folder;
 use super::plan::Run;
@@ -46,7 +42,11 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
     // The runs are in the order of the file, not in the order in which they were measured.
     runs.sort_by_key(|run| (run.configuration, run.repeat));
     let loaded = runs.iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
-    let (sensors, trust) = (SensorsTable::from_runs(&record.plan, &runs, &loaded), trust(&loaded));
+    let sensors = SensorsTable::from_runs(&record.plan, &runs, &loaded);
+    let reports = runs.iter().zip(&loaded).flat_map(|(run, edges)| {
+        edges.iter().map(move |edge| (run.folder.clone(), edge.record.trust.as_ref()))
+    });
+    let publication = publication_summary(reports);
     let all: Vec<Loaded> = loaded.into_iter().flatten().collect();
     let users = Users::from_runs(&all);
     let mut comparison = Comparison::new(&all);
@@ -84,7 +84,7 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
         }
         parts.push(sensors.text());
     }
-    parts.push(trust);
+    parts.push(publication);
     let text = parts.iter().map(|part| part.trim_end()).collect::<Vec<_>>().join("\n\n");
     Ok(Report { text, figure_error })
 }
@@ -100,52 +100,6 @@ fn figures(all: &[Loaded], lines: usize, folder: &Path) -> Result<(), WriteError
     }
 }
 
-/// Describes how many runs can be published, and the objections with the number of runs. A run is as good as the
-/// worst of its edges.
-fn trust(runs: &[Vec<Loaded>]) -> String {
-    let worst = |edges: &Vec<Loaded>| {
-        let verdicts = edges.iter().map(|edge| edge.record.trust.as_ref().map(|trust| trust.verdict));
-        let verdicts: Option<Vec<Publish>> = verdicts.collect();
-        verdicts.and_then(|verdicts| verdicts.into_iter().max())
-    };
-    let count = |verdict| runs.iter().filter(|edges| worst(edges) == Some(verdict)).count();
-    let [yes, remarks, no] = [Publish::Yes, Publish::WithRemarks, Publish::No].map(count);
-    let mut lines =
-        vec![format!("Can they be published? {yes} as they are, {remarks} with caveats, {no} not.")];
-    let (bad, doubtful) = (count_findings(runs, Grade::Bad), count_findings(runs, Grade::Doubtful));
-    for (sign, counts) in [("✗", &bad), ("!", &doubtful)] {
-        lines.extend(
-            counts
-                .iter()
-                .map(|(about, count)| format!("  {sign} {about}: {}", counted(*count as u64, "run"))),
-        );
-    }
-    if lines.len() > 1 {
-        lines.push("  run.json of each run has the findings and advice, under trust".to_owned());
-    }
-    lines.join("\n")
-}
-
-/// Counts, for each subject, the runs in which the worst finding on this subject has this grade. The most frequent
-/// subject is first. A run may have several findings on a subject, one for each host, and counts once.
-fn count_findings(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
-    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-    for edges in runs {
-        let findings =
-            edges.iter().filter_map(|edge| edge.record.trust.as_ref()).flat_map(|trust| &trust.findings);
-        let mut worst_grades: BTreeMap<&str, Grade> = BTreeMap::new();
-        for finding in findings {
-            let worst = worst_grades.entry(finding.about.as_str()).or_insert(finding.grade);
-            *worst = finding.grade.max(*worst);
-        }
-        let subjects = worst_grades.into_iter().filter(|(_, worst)| *worst == grade);
-        subjects.for_each(|(subject, _)| *counts.entry(subject).or_default() += 1);
-    }
-    let mut counts: Vec<(&str, usize)> = counts.into_iter().collect();
-    counts.sort_by_key(|(_, count)| Reverse(*count));
-    counts
-}
-
 fn load(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<Loaded>, Failure> {
     let open = |path| ResultFolder::open(path).map_err(|error| Failure::new(Exit::Data, error));
     folder.results(&record.plan, run).iter().map(|path| open(path)).collect()
@@ -159,33 +113,4 @@ fn save(folder: &Path, name: &str, files: &[(&str, String)]) -> Result<(), Failu
         })?;
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use peernet_analysis::record::RunRecord;
-    use peernet_analysis::rows::Rows;
-    use peernet_analysis::trust::{Finding, Report as TrustReport};
-
-    use super::*;
-
-    #[test]
-    fn run_counts_once_for_a_subject_of_two_hosts() {
-        let run = |grades: &[Grade]| {
-            let finding = |grade: &Grade| Finding {
-                about: "competing load".to_owned(),
-                grade: *grade,
-                text: String::new(),
-                advice: String::new(),
-            };
-            let trust = TrustReport { verdict: Publish::No, findings: grades.iter().map(finding).collect() };
-            let record = RunRecord { trust: Some(trust), ..RunRecord::default() };
-            vec![Loaded { folder: "run".into(), record, rows: Rows::default() }]
-        };
-        // The two findings of a run are those of edge and cloud.
-        let runs =
-            [run(&[Grade::Bad, Grade::Doubtful]), run(&[Grade::Bad]), run(&[Grade::Doubtful, Grade::Good])];
-        assert_eq!(count_findings(&runs, Grade::Bad), [("competing load", 2)]);
-        assert_eq!(count_findings(&runs, Grade::Doubtful), [("competing load", 1)]);
-    }
 }
