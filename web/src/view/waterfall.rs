@@ -95,11 +95,12 @@ pub(crate) fn rows(
     if let Some(durations) = stack::durations(&detail.row) {
         let (total, unaccounted) = (durations.total, UnaccountedTime::of(&durations));
         if let Some((name, seconds)) = unaccounted.network {
-            let after = rows.iter().rposition(|row| row.class == "net").map_or(rows.len(), |last| last + 1);
+            // As in bars and tables of stages, the sum is before `upload`, the first row of the network.
+            let index = rows.iter().position(|row| row.class == "net").unwrap_or(rows.len());
             let median = medians.both_ways().filter(|_| name == look::NETWORK);
             let mut row = Row::sum(name, "network".to_owned(), (seconds, median), bars::blank(scale), column);
             row.is_cause = is_cause(name);
-            rows.insert(after, row);
+            rows.insert(index, row);
         }
         if let Some(rest) = unaccounted.unattributed {
             let median = medians.median(&stage::UNATTRIBUTED);

@@ -9,10 +9,13 @@ use crate::tests::samples;
 fn stepped_iteration() -> IterationDetail {
     let mut detail = samples::iteration();
     let at = |seconds: i64| WallTime::from_unix_nanos(seconds * 1_000_000_000);
-    for name in [stage::UPLOAD, stage::DOWNLOAD] {
+    let sensing = Measure::Timer(Some(Span::from_micros(2_200)));
+    detail.tree.add(NodeId::ROOT, stage::SENSING, Span::ZERO, sensing);
+    for (name, start) in [(stage::UPLOAD, 3), (stage::DOWNLOAD, 600)] {
         let delay = OneWayDelay::stepped(Span::from_seconds(-2), DelaySource::None);
         let transit = Transit { sent: at(9), received: Some(at(7)), delay: Some(delay), raw_stamps: None };
-        detail.tree.add(NodeId::ROOT, name.clone(), Span::ZERO, Measure::Transit(Box::new(transit)));
+        let transit = Measure::Transit(Box::new(transit));
+        detail.tree.add(NodeId::ROOT, name.clone(), Span::from_millis(start), transit);
         detail.row.delays.push(peernet_store::DelayRow {
             stage: name,
             value: None,
@@ -44,6 +47,20 @@ fn table_of_stepped_iteration_has_sum_of_directions() {
         |stage_name: &str| rows.iter().find(|(name, _)| name == stage_name).map(|(_, value)| value.as_str());
     assert_eq!((of("upload"), of("download")), (Some("—"), Some("—")));
     assert_eq!((of("upload + download"), of("unattributed")), (Some("1,186.00"), Some("11.80")));
+}
+
+#[test]
+fn waterfall_and_bar_have_one_order() {
+    let mut detail = stepped_iteration();
+    let inference = Measure::Timer(Some(Span::from_micros(200)));
+    detail.tree.add(NodeId::ROOT, stage::INFERENCE, Span::from_millis(500), inference);
+    detail.row.stages.push((stage::INFERENCE, 0.0002));
+    detail.row.unattributed = Some(0.0116);
+    let parts = stack::Stack::of_iteration(&detail.row).parts;
+    let parts: Vec<String> = parts.into_iter().map(|part| part.name).collect();
+    assert_eq!(parts, ["sensing", look::NETWORK, "inference", "unattributed"]);
+    let names = names_and_values(&detail).into_iter().map(|(name, _)| name);
+    assert_eq!(names.filter(|name| parts.contains(name)).collect::<Vec<_>>(), parts);
 }
 
 #[test]
