@@ -218,9 +218,9 @@ impl Placement {
     /// Inspects this host. Returns its conditions and the peer's conditions, which the peer reported when the session
     /// opened.
     ///
-    /// `is_continuation` is `true` if the run directly continues another run. The pipeline then measures during the
-    /// inspection. The competing threads are then counted only once, so that the inspection does not sleep between
-    /// several counts.
+    /// `is_continuation` is `true` if the run directly continues another run. Starts of iterations, or observed
+    /// messages, then become due during the inspection and wait for its end. The competing threads are therefore counted
+    /// only once, so that the inspection does not sleep between several counts.
     pub(super) async fn conditions(
         &self,
         context: &PipelineContext,

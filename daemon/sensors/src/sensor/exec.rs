@@ -15,7 +15,8 @@ use crate::{Sensor, SensorError};
 
 /// Sensor that requests each sample from a program.
 struct ExecSensor {
-    command: String,
+    /// Name of the program, for messages. Its arguments are left out, because they may be secret.
+    program_name: String,
     facts: Vec<(String, String)>,
     program: Program,
     resets: bool,
@@ -25,11 +26,11 @@ struct ExecSensor {
 
 impl SensorKind for ExecConfig {
     fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
-        let command = self.command.to_string();
+        let program_name = self.command.to_string();
         let facts = self.facts_for(Role::Sensor);
-        let program = Program::start(self, Role::Sensor, &format!("sensor {command}"), clock)
-            .map_err(|error| SensorError::Program { command: command.clone(), error })?;
-        Ok(Box::new(ExecSensor { command, facts, program, resets: self.resets, last_sequence: None }))
+        let program = Program::start(self, Role::Sensor, &format!("sensor {program_name}"), clock)
+            .map_err(|error| SensorError::Program { command: program_name.clone(), error })?;
+        Ok(Box::new(ExecSensor { program_name, facts, program, resets: self.resets, last_sequence: None }))
     }
 
     fn check(&self, _clock: &SharedClock) -> Result<(), SensorError> {
@@ -61,7 +62,7 @@ impl SensorConfig {
 
 impl ExecSensor {
     fn program_error(&self, error: ProgramCallError) -> SensorError {
-        SensorError::Program { command: self.command.clone(), error }
+        SensorError::Program { command: self.program_name.clone(), error }
     }
 
     /// Records the stages, values and dropped samples that the program reported with its sample.

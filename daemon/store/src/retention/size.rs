@@ -71,8 +71,8 @@ impl SizeLimit {
                 record_early_deletion(connection, now, cost).await?;
                 return Ok(true);
             }
-            // This transaction removed only arrivals whose data was deleted already. Further arrivals of this kind may
-            // have data.
+            // This transaction removed only rows of the table `arrival` whose data was deleted already, and stopped at
+            // the limit of rows. Other rows of this kind may still refer to stored data.
             if !is_complete {
                 return Ok(true);
             }

@@ -64,11 +64,12 @@ fn intervals_are_right_with_temperature_changes() {
 
 #[test]
 #[ignore = "takes half an hour; for make soak"]
-fn intervals_are_right_for_all_crystals_and_paths() {
+fn intervals_are_right_at_all_rates_on_all_paths() {
     let paths = [("1/1 ms", 1, 1), ("5/40 ms", 5, 40), ("20/20 ms", 20, 20), ("5/300 ms", 5, 300)];
     for (case, up, down) in paths {
         let wire_directions = [wire_direction(up, up / 2, 1), wire_direction(down, down / 4, 1)];
         check_case(case, wire_directions, 420, |[edge, _]| {
+            // A cycle passes through every permitted rate of the edge's clock, −199 to 199 ppm.
             schedule_temperature_cycles(edge, 199.0, 0.999, 1_000.0);
         });
     }

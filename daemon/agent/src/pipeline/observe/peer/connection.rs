@@ -30,7 +30,8 @@ pub(super) struct PeerConnector {
     peer_pipeline: Slug,
     pair_by: PairBy,
     remote: RemoteConfig,
-    timeout: Duration,
+    /// Longest wait for the answer to a query: the `timeout_ms` of the pipeline.
+    answer_timeout: Duration,
 }
 
 /// A connection to the peer: a session that is used to query stamps.
@@ -43,7 +44,7 @@ pub(super) struct PeerConnection {
     address: Address,
     clock: SharedClock,
     own_host: HostId,
-    timeout: Duration,
+    answer_timeout: Duration,
 }
 
 /// Reason why there is no connection to the peer.
@@ -102,7 +103,7 @@ impl PeerConnector {
             pipeline,
             pair_by: config.pair_by,
             remote,
-            timeout: runner.config.timeout(),
+            answer_timeout: runner.config.timeout(),
         })
     }
 
@@ -145,7 +146,7 @@ impl PeerConnector {
             address: self.remote.peer.clone(),
             clock: Arc::clone(&self.context.host.clock),
             own_host: self.context.host.id,
-            timeout: self.timeout,
+            answer_timeout: self.answer_timeout,
         };
         // A request without keys shows whether the peer has the pipeline.
         match connection.query(Vec::new()).await {
@@ -194,8 +195,8 @@ impl PeerConnector {
         &self.peer_pipeline
     }
 
-    pub(super) const fn timeout(&self) -> Duration {
-        self.timeout
+    pub(super) const fn answer_timeout(&self) -> Duration {
+        self.answer_timeout
     }
 
     /// Waits until `at`; for ever if `at` is `None`.
@@ -223,7 +224,7 @@ impl PeerConnection {
         // The recorder is required but belongs to no iteration, so its tree is dropped. The request has two uses: its
         // answer, and the exchange of time stamps, from which the clock relation of the link learns.
         let log = Recorder::new(Arc::clone(&self.clock), self.own_host);
-        match self.placement.compute(log, &sample, self.timeout).await.result {
+        match self.placement.compute(log, &sample, self.answer_timeout).await.result {
             Ok(answer) => {
                 let answer = answer.unwrap_or_else(empty_sample);
                 StampAnswer::read(&answer)
@@ -232,7 +233,7 @@ impl PeerConnection {
             Err(Outcome::Failed(reason)) => Err(refusal(reason)),
             Err(Outcome::Lost(reason)) => Err(failure(reason)),
             Err(Outcome::Timeout(_) | Outcome::Ok) => {
-                Err(failure(format!("no answer within {} ms", self.timeout.as_millis())))
+                Err(failure(format!("no answer within {} ms", self.answer_timeout.as_millis())))
             }
         }
     }

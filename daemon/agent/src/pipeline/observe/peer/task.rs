@@ -47,7 +47,7 @@ impl PeerTask {
         queries: mpsc::Receiver<(i64, Pair)>,
         settled_sender: mpsc::Sender<SettledPair>,
     ) -> Self {
-        let pending = PendingPairs::new(Span::from(connector.timeout()));
+        let pending = PendingPairs::new(Span::from(connector.answer_timeout()));
         let (reception, throttle) = (ReceptionWatch::default(), LogThrottle::default());
         Self {
             connector: Arc::new(connector),
