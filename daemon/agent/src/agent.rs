@@ -420,7 +420,10 @@ fn build_bank(
     });
     bank.on_unload(move |model| {
         let UnloadedModel { name, device, loaded_for, reason, .. } = model;
-        let mut text = format!("unloaded {name} from {device} after {:.2} s, {reason}", loaded_for.seconds());
+        let mut text = format!(
+            "unloaded {name} from {device}, where it was loaded for {:.2} s, {reason}",
+            loaded_for.seconds()
+        );
         if let Some(bytes) = model.memory_released {
             text.push_str(&format!("; the process shrank by {:.0} MB", bytes as f64 * 1e-6));
         }

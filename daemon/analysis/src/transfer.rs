@@ -50,11 +50,7 @@ impl Transfer {
     /// Returns the speed while sending if the clocks determine it; `verdict` is the verdict on the delays, `None` if no
     /// delay was judged. `None` while no delay is known, or if the verdict is neither `ok` nor `limited`.
     pub fn known_speed(&self, verdict: Option<Verdict>) -> Option<KnownSpeed> {
-        let is_limited = match verdict {
-            None | Some(Verdict::Ok) => false,
-            Some(Verdict::Limited) => true,
-            Some(_) => return None,
-        };
+        let is_limited = is_speed_limited(verdict)?;
         Some(KnownSpeed { bits_per_second: self.speed()?, is_limited })
     }
 
@@ -89,6 +85,16 @@ impl Transfers {
             up: Transfer::from_statistics(Direction::Up, &statistics),
             down: Transfer::from_statistics(Direction::Down, &statistics),
         }
+    }
+}
+
+/// Returns whether the clocks give only an interval of a speed; `verdict` is the verdict on the delays, `None` if no
+/// delay was judged. Returns `None` if the speed is unknown, because the verdict is neither `ok` nor `limited`.
+pub const fn is_speed_limited(verdict: Option<Verdict>) -> Option<bool> {
+    match verdict {
+        None | Some(Verdict::Ok) => Some(false),
+        Some(Verdict::Limited) => Some(true),
+        Some(_) => None,
     }
 }
 

@@ -195,11 +195,14 @@ mod tests {
     fn log_normal_values_have_one_mode() {
         for (count, seed) in [(100, 1), (300, 2), (1_000, 3), (10_000, 4)] {
             for sigma in [0.05, 0.3, 0.7, 1.2] {
-                let duration = alarms(count, seed, |noise| 0.02 * (sigma * noise.normal()).exp());
+                let durations = alarms(count, seed, |noise| 0.02 * (sigma * noise.normal()).exp());
                 let tokens = alarms(count, seed, |noise| (60.0 * (sigma * noise.normal()).exp()).ceil());
                 let few_tokens = alarms(count, seed, |noise| (4.0 * (sigma * noise.normal()).exp()).ceil());
-                let highest = duration.max(tokens).max(few_tokens);
-                assert!(highest <= 0.02, "{count} values, sigma {sigma}: {duration}, {tokens}, {few_tokens}");
+                let highest = durations.max(tokens).max(few_tokens);
+                assert!(
+                    highest <= 0.02,
+                    "{count} values, sigma {sigma}: false alarms with durations {durations}, tokens {tokens}, few tokens {few_tokens}"
+                );
             }
         }
     }

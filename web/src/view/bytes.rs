@@ -1,7 +1,7 @@
 //! Sizes, throughputs and other quantities of one iteration.
 
 use peernet_analysis::summary::Scale;
-use peernet_clock::Verdict;
+use peernet_analysis::transfer::is_speed_limited;
 use peernet_logger::{Measure, Name, Node, NodeId};
 use peernet_statistics::number::{NONE, SPACE, bytes, throughput, throughput_between, times};
 use peernet_store::{IterationDetail, QuantityStatistics};
@@ -95,11 +95,12 @@ fn throughput_text(detail: &IterationDetail, name: &str, delay: &str) -> (String
         Some(Measure::Transit(transit)) => transit.delay.map(|delay| delay.verdict),
         _ => None,
     };
-    match (rate.value, rate.bounds, verdict) {
-        (Some(_), Some((lo, hi)), Some(Verdict::Limited)) => {
+    match (rate.value, rate.bounds, is_speed_limited(verdict)) {
+        (Some(_), Some((lo, hi)), Some(true)) => {
             (throughput_between((lo, Some(hi))), "the delay is known only within its clock bound")
         }
-        (Some(value), ..) => (throughput(value), ""),
+        (Some(value), _, Some(_)) => (throughput(value), ""),
+        (Some(_), _, None) => (NONE.to_owned(), "the clocks do not determine the delay of this direction"),
         (None, ..) => (NONE.to_owned(), "the delay of this direction is not known"),
     }
 }

@@ -130,7 +130,7 @@ async fn replaced_model_is_incident_and_loaded_models_are_counted() {
         })
         .await;
     let text = &received_events.incidents(IncidentKind::ModelUnloaded)[0].text;
-    assert!(text.starts_with("unloaded plates from cpu after "), "{text}");
+    assert!(text.starts_with("unloaded plates from cpu, where it was loaded for "), "{text}");
     assert!(text.contains(" s, to make room for plates_2; the process shrank by "), "{text}");
     cloud.until(|live| live.metrics.models.is_some_and(|models| models.loaded == 1)).await;
     cloud.stop().await.expect("stops well");
@@ -139,7 +139,7 @@ async fn replaced_model_is_incident_and_loaded_models_are_counted() {
         .until(|received_events| received_events.incidents(IncidentKind::ModelUnloaded).len() == 2)
         .await;
     let text = &received_events.incidents(IncidentKind::ModelUnloaded)[1].text;
-    assert!(text.starts_with("unloaded plates_2 from cpu after "), "{text}");
+    assert!(text.starts_with("unloaded plates_2 from cpu, where it was loaded for "), "{text}");
     assert!(text.ends_with(" s, because the agent stops"), "{text}");
 }
 

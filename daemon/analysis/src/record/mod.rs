@@ -51,7 +51,7 @@ pub struct RunRecord {
     pub folder: String,
     /// Environment variables that influence file lookup and speed, if they were set.
     pub environment: BTreeMap<String, String>,
-    /// The file of network devices that the command or the experiment names; `None` if neither names one.
+    /// The file with the addresses of the devices that the command or the experiment names; `None` if neither names one.
     pub network_config: Option<NetworkConfig>,
     /// Edge host, which ran the sensor.
     pub edge: HostRecord,
@@ -103,7 +103,7 @@ impl RunRecord {
     }
 }
 
-/// File of network devices, as it was when the command started.
+/// File with the addresses of the devices (`net_config.yaml` in the paper), as it was when the command started.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct NetworkConfig {

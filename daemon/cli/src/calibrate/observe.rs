@@ -13,7 +13,8 @@ use super::plan::Plan;
 use super::sweep::SweepDisplay;
 use crate::foreground::{AgentEnd, PeerWait, PipelineActivity, RunObserver};
 
-/// Time for which an absent peer is waited for after the maximum duration of the sweep.
+/// Time that is added to the remaining time of the sweep to get the timeout of an absent peer. It is also the shortest
+/// timeout.
 const ABSENCE_TIMEOUT: Span = Span::from_seconds(10);
 
 /// The peer cannot answer payloads of one of the sizes; the text names the size and the reason.
@@ -168,7 +169,8 @@ impl RunObserver for SweepObserver<'_> {
         }
         let now = self.clock.mono();
         self.peer_wait.update(&activity, now);
-        // The wait for an absent peer ends shortly after the maximum duration of the sweep.
+        // An absent peer is waited for until shortly after the maximum duration of the sweep, but no longer than by other
+        // commands.
         let remaining =
             self.started_at + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
         let timeout = (remaining + ABSENCE_TIMEOUT).clamp(ABSENCE_TIMEOUT, PeerWait::DEFAULT_TIMEOUT);

@@ -1,9 +1,8 @@
 //! Choice of the stages that are drawn beside the total.
 
 use peernet_analysis::rows::Rows;
+use peernet_analysis::stage_split::StageSplit;
 use peernet_logger::{Name, stage};
-
-use super::columns::values;
 
 /// Maximum number of stages that are drawn. More lines would be hard to distinguish.
 const MAX_STAGES: usize = 4;
@@ -17,14 +16,12 @@ pub(super) struct LongestStages {
 }
 
 impl LongestStages {
-    /// Divides the stages by the sums of their latencies over the rows in the statistics. Stages that took no time are
-    /// in neither group.
+    /// Divides the stages by their mean latencies, as bars show them: an unknown delay counts as the mean of the known
+    /// delays. Stages that took no time are in neither group.
     pub(super) fn new(rows: &Rows) -> Self {
-        let sums = stage::ORDER.into_iter().map(|name| {
-            let sum: f64 = values(rows, &name).values().iter().sum();
-            (sum, name)
-        });
-        let mut stages: Vec<(f64, Name)> = sums.filter(|(sum, _)| *sum > 0.0).collect();
+        let parts = StageSplit::from_rows(rows).parts.into_iter().map(|(name, mean)| (mean, name));
+        let is_stage = |(mean, name): &(f64, Name)| *mean > 0.0 && stage::ORDER.contains(name);
+        let mut stages: Vec<(f64, Name)> = parts.filter(is_stage).collect();
         stages.sort_by(|a, b| b.0.total_cmp(&a.0));
         let shorter = stages.split_off(MAX_STAGES.min(stages.len()));
         let in_order = |mut stages: Vec<(f64, Name)>| {

@@ -1,12 +1,12 @@
 //! Figure of the latencies of a run over time.
 
-use super::columns::{count_note, is_drawable, too_large_note};
+use super::columns::{is_drawable, too_large_note};
 use super::longest_stages::LongestStages;
 use super::missing_data::MissingData;
 use super::replayed::title_with_marked_name;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Line, TimeSeries, Unit};
-use peernet_analysis::record::RunRecord;
+use peernet_analysis::record::{Counts, RunRecord};
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::warm_up::warm_up_periods;
@@ -28,6 +28,9 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         }
     };
     let total = Some(line(TotalColumn::from_rows(rows).name())).filter(|line| !line.values.is_empty());
+    let total_column = TotalColumn::from_rows(rows).name();
+    let has_total =
+        |row: &RowRef<'_>| is_drawable(time(*row)) && row.value(total_column).is_some_and(is_drawable);
     let failed_rows = rows.iter().filter(|row| row.outcome() != Outcome::Ok);
     let failure_times = failed_rows.map(&time).filter(|at| is_drawable(*at)).collect();
     let Some(total) = total else {
@@ -41,7 +44,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         x_is_iteration: x_title == ITERATION,
         x_title: x_title.to_owned(),
         unit: Unit::milliseconds("Latency"),
-        notes: std::iter::once(count_and_warm_up_note(rows, total.values.len()))
+        notes: std::iter::once(count_and_warm_up_note(successful().filter(has_total)))
             .chain(too_large_note(rows.iter(), &[total.name.as_str()]))
             .chain(stages.shorter_note())
             .collect(),
@@ -54,19 +57,12 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
 }
 
-/// Returns the note on the number of iterations in the statistics and on the number of iterations of the warm-up, which
-/// this figure shows, too: `n = 54 and 5 warm-up · lines: medians`.
-fn count_and_warm_up_note(rows: &Rows, shown_count: usize) -> String {
-    let rows_in_statistics = rows.iter().filter(|row| row.is_in_statistics()).count();
-    let note = count_note(&rows.iter(), rows_in_statistics);
-    let n = note.split(" · ").next().unwrap_or_default();
-    let warm_up_count = shown_count.saturating_sub(rows_in_statistics);
-    let warm_up = if warm_up_count > 0 {
-        format!(" and {} warm-up", count(warm_up_count as u64))
-    } else {
-        String::new()
-    };
-    format!("{n}{warm_up} · lines: medians")
+/// Returns the note on the shown iterations: the number of those in the statistics, and the number of those of the
+/// warm-up: `n = 54 and 5 warm-up · lines: medians`.
+fn count_and_warm_up_note<'a>(shown: impl Iterator<Item = RowRef<'a>>) -> String {
+    let Counts { ok, warm_up, .. } = Counts::from_rows(shown, 0);
+    let warm_up = if warm_up > 0 { format!(" and {} warm-up", count(warm_up)) } else { String::new() };
+    format!("n = {}{warm_up} · lines: medians", count(ok))
 }
 
 /// Returns the title of the horizontal axis and a function that returns the position of a row on this axis. The

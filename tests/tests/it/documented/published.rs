@@ -28,7 +28,7 @@ const ITERATIONS: (&str, &str) = ("1005", "40");
 const DEVICES: &str = "devices:\n  jetson-orin: 10.0.0.1\n  cluster: CLUSTER\nserver: cluster\n";
 
 #[test]
-fn published_commands_run_objects_programs_and_results() {
+fn paper_commands_in_documents_work_with_custom_code() {
     let machines = DocumentedCommands::new(&COMMANDS);
     machines.write("net_config.yaml", &DEVICES.replace("CLUSTER", DocumentedCommands::CLOUD_ADDRESS));
     machines.write("local.yaml", &DEVICES.replace("CLUSTER", "127.0.0.1"));

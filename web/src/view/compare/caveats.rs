@@ -34,14 +34,18 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     let replayed = replayed_configurations(
         replayed_descriptions.iter().map(|(name, text)| (name.clone(), text.as_deref())),
     );
-    let unfinished: Vec<String> = comparison
+    // The trust report has a finding about other runs that were not measured to their end.
+    let open: Vec<String> = comparison
         .runs()
-        .map(|run| (run.number, RunState::from_end_reason(run.reason.as_ref())))
-        .filter(|(_, state)| !state.is_finished())
-        .map(|(number, state)| format!("#{number} ({state})"))
+        .filter(|run| RunState::from_end_reason(run.reason.as_ref()) == RunState::Open)
+        .map(|run| format!("#{}", run.number))
         .collect();
-    let unfinished = (!unfinished.is_empty()).then(|| {
-        format!("Not measured to the end, but compared because you selected them: {}.", unfinished.join(", "))
+    let open = (!open.is_empty()).then(|| {
+        let state = RunState::Open;
+        format!(
+            "Without a recorded end ({state}), but compared because you selected them: {}.",
+            open.join(", ")
+        )
     });
     let skipped = skipped_starts(configurations.iter().map(|one| (one.name.clone(), one.starts())));
     let failed_texts = configurations.iter().filter_map(|one| {
@@ -57,7 +61,7 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
             )
         })
     });
-    let others = unfinished.into_iter().chain(skipped).chain(failed_texts);
+    let others = open.into_iter().chain(skipped).chain(failed_texts);
     let others = others.map(|text| (chip(Grade::Doubtful), text));
     publication.chain(replayed.map(|text| (REPLAYED, text))).chain(others).collect()
 }
@@ -196,7 +200,7 @@ mod tests {
         one.runs[0].reason = None;
         let sentences = texts(&comparison(vec![one, configuration(1, Local, 2.0, 1e3)]));
         let text =
-            "Not measured to the end, but compared because you selected them: #1 (in progress or killed).";
+            "Without a recorded end (in progress or killed), but compared because you selected them: #1.";
         assert_eq!(sentences, [text]);
     }
 

@@ -45,7 +45,7 @@ fn judge_end(input: &TrustInput) -> Option<Finding> {
         return Some(finding(
             END,
             Grade::Unknown,
-            "The run has not ended: the findings cover the iterations so far.",
+            "The run has no recorded end (in progress or killed): the findings cover the iterations so far.",
         ));
     }
     let progress_text = input.ended_early.as_ref().map(EndedEarly::progress_text);

@@ -22,7 +22,9 @@ const MIN_SHARED_BYTES: &str = "1024";
 
 /// Optimised model on disk; dropping the value deletes the files.
 pub(super) struct SharedModel {
+    /// Folder of the optimised model.
     folder: LockedTempDir,
+    /// Temporary folders of all models, which the end of the process deletes; `folder` is one of them.
     temp_dirs: TempDirs,
 }
 

@@ -72,7 +72,7 @@ pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection,
         report.value_or_problem("what retention deleted last", answer);
     if let Some((at, text)) = last_deletion {
         report.notice(
-            format!("retention {text}, within an hour from {at} UTC"),
+            format!("retention {text}, in the hour that began at {at} UTC"),
             "no action is needed if this is intended; otherwise change [aggregator.retention], or pin runs that must stay",
         );
     }

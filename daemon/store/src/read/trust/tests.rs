@@ -209,7 +209,8 @@ fn run_with_missing_events_is_not_reported_as_ended_early() {
     assert_eq!(end_finding(&run), None, "the number of missing events is unknown");
     run.gaps.clear();
     run.summary.ended = None;
-    let open = "The run has not ended: the findings cover the iterations so far.";
+    let open =
+        "The run has no recorded end (in progress or killed): the findings cover the iterations so far.";
     assert_eq!(end_finding(&run), Some((Grade::Unknown, open.to_owned())));
 }
 
