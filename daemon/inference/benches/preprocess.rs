@@ -35,7 +35,7 @@ fn main() {
     for _ in 0..rounds {
         let (sender, receiver) = sync_channel(1);
         let reply = Box::new(move |finished: FinishedJob| {
-            sender.send(finished).expect("the benchmark waits for the result")
+            sender.send(finished).expect("the benchmark waits for the result");
         });
         let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
         let job = Job::for_whole_answer(sample.clone(), recorder, clock.mono(), reply);

@@ -68,7 +68,7 @@ impl LatencyBar {
     /// are not [plausible](is_plausible) are left out. Returns `None` without a row.
     pub fn from_rows<'a>(
         column: TotalColumn,
-        rows: impl Iterator<Item = RowRef<'a>> + Clone,
+        rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     ) -> Option<Self> {
         let latency_of = |name: &str| {
             let mut moments = Moments::default();

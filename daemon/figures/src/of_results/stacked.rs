@@ -27,7 +27,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     }
     let total = TotalColumn::from_rows(all_rows());
     let bar = |(label, runs): &(String, Vec<&Loaded>)| {
-        Some((label.clone(), LatencyBar::from_rows(total, rows_in_statistics(runs))?))
+        Some((label.clone(), LatencyBar::from_rows(total, &rows_in_statistics(runs))?))
     };
     let mut bars: Vec<(String, LatencyBar)> = groups.iter().filter_map(bar).collect();
     let (bar_count, omitted_groups) = (bars.len(), groups.len() - bars.len());

@@ -86,7 +86,7 @@ fn run_until(
         received_at: clock.mono(),
         requester: Arc::clone(&requester) as Arc<dyn Requester>,
         reply: Box::new(move |done: FinishedJob| {
-            sender.send(done.result).expect("the test waits for the result")
+            sender.send(done.result).expect("the test waits for the result");
         }),
     };
     pool.submit(job).expect("the queue has room");

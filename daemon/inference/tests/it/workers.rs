@@ -16,7 +16,7 @@ fn answers(lines: &str) -> Vec<Answer> {
     for (index, (file, _)) in pictures("pictures").into_iter().enumerate() {
         let sender = sender.clone();
         let reply = Box::new(move |done: FinishedJob| {
-            sender.send((index, done.result)).expect("the test waits for the result")
+            sender.send((index, done.result)).expect("the test waits for the result");
         });
         let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
         let job = Job::for_whole_answer(jpeg(file), recorder, clock.mono(), reply);

@@ -176,7 +176,7 @@ async fn partial_answers_of_incomplete_answer_are_recorded(network: TestNetwork)
     for session_closes in [false, true] {
         let (sender, arrivals) = sync_channel(8);
         let handler = PartialAnswerHandler(Arc::new(move |_| {
-            sender.send(()).expect("the test waits for partial answers")
+            sender.send(()).expect("the test waits for partial answers");
         }));
         let timeout = if session_closes { TIME_LIMIT } else { Duration::from_secs(2) };
         let pending = tokio::spawn({

@@ -314,7 +314,7 @@ fn beyond_axes_sentence(
     let counts: Vec<String> = outside
         .iter()
         .filter(|(many, ..)| *many > 0)
-        .map(|(many, one, several)| number::counted_with_plural(*many as u64, one, several))
+        .map(|(many, one, several)| number::counted_with_plural(*many, one, several))
         .collect();
     (!counts.is_empty()).then(|| format!("Beyond the axes: {}.", counts.join(", ")))
 }

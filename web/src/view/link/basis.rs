@@ -85,7 +85,7 @@ pub(crate) fn brief_words(assumptions: &DelayAssumptions) -> String {
         Some(false) => Some("probes not authenticated"),
         None => None,
     };
-    let parts = [Some(by.to_owned()), drift, change, probes.map(str::to_owned)];
+    let parts = [Some(by), drift, change, probes.map(str::to_owned)];
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
