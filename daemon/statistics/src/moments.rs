@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Merge, Summary};
+use crate::{MAX_MAGNITUDE, Merge};
 
 /// Count, mean, sum of squared deviations from the mean, and extremes.
 ///
@@ -25,7 +25,14 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Adds a number. The caller must leave out numbers that [`Summary::accepts`] rejects.
+    /// Returns whether a number is recorded: it must be finite, and small enough that squares can be added.
+    // Some drivers report the largest floating-point number if a reading is missing.
+    #[inline]
+    pub fn accepts(value: f64) -> bool {
+        value.abs() <= MAX_MAGNITUDE
+    }
+
+    /// Adds a number. The caller must leave out numbers that [`accepts`](Self::accepts) rejects.
     #[inline]
     pub fn record(&mut self, value: f64) {
         if self.count == 0 {
@@ -104,10 +111,10 @@ impl TryFrom<UncheckedMoments> for Moments {
 }
 
 impl FromIterator<f64> for Moments {
-    /// Collects numbers. Numbers that [`Summary::accepts`] rejects are left out.
+    /// Collects numbers. Numbers that [`accepts`](Moments::accepts) rejects are left out.
     fn from_iter<I: IntoIterator<Item = f64>>(values: I) -> Self {
         let mut moments = Self::default();
-        let accepted = values.into_iter().filter(|value| Summary::accepts(*value));
+        let accepted = values.into_iter().filter(|value| Self::accepts(*value));
         accepted.for_each(|value| moments.record(value));
         moments
     }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{MAX_MAGNITUDE, Merge, Moments, Sketch};
+use crate::{Merge, Moments, Sketch};
 
 /// Minimum number of values for p5 and p95, everywhere in PEERNet.
 pub const MIN_VALUES_FOR_P95: u64 = 60;
@@ -19,11 +19,10 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Returns whether a number is recorded: it must be finite, and small enough that squares can be added.
-    // Some drivers report the largest floating-point number if a reading is missing.
+    /// Returns whether a number is recorded; see [`Moments::accepts`].
     #[inline]
     pub fn accepts(value: f64) -> bool {
-        value.abs() <= MAX_MAGNITUDE
+        Moments::accepts(value)
     }
 
     /// Adds a number if it is [accepted](Self::accepts).
@@ -99,6 +98,7 @@ impl Merge for Summary {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::MAX_MAGNITUDE;
 
     #[test]
     fn quantiles_stay_within_the_observed_extremes() {
