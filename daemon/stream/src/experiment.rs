@@ -25,7 +25,7 @@ pub struct ExperimentPosition {
 pub struct Condition {
     /// Name of the host.
     pub host: String,
-    /// Subject: `CPU governor`, `Wi-Fi power save`, `competing load`.
+    /// Subject, such as `CPU governor` or `competing load`.
     pub about: String,
     /// Finding for people, with unit.
     pub found: String,

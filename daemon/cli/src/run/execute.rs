@@ -161,8 +161,9 @@ pub(super) fn run_result(
     let Some((user, result)) = first_failure else {
         return RunResult { status: RunStatus::Finished, exit: Some(0), reason: None, seconds };
     };
-    // The results decide, as they do for the aggregator: all iterations may have been tried although some failed, and
-    // all measurements may be written although a process was stopped before it had drawn all figures.
+    // The result files decide, not the exit codes: all iterations may have been tried although some failed, and all
+    // measurements may be written although a process was stopped before it had drawn all figures. The page Compare decides
+    // by the stored end of the run in the same way.
     let status = if load_results(folder, record, run).is_ok() {
         RunStatus::Finished
     } else if process_results.interrupted {

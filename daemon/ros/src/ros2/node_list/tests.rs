@@ -35,7 +35,7 @@ fn entry_round_trips_with_identifiers_of_both_lengths() {
 }
 
 #[test]
-fn entry_with_foreign_endpoints_or_names_is_refused() {
+fn entry_with_foreign_endpoint_or_invalid_name_is_refused() {
     let mut entry_with_foreign_endpoint = entry(16);
     entry_with_foreign_endpoint.endpoints[0].1.0[0] = 2;
     assert_eq!(
