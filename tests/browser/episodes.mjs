@@ -31,7 +31,7 @@ describe("runs over time", () => {
         assert.match(await course.locator(".sub").innerText(), /^3 episodes of 40 steps/);
         if (script) {
           await waitForCharts(page);
-          const marks = await page.evaluate(() => globalThis.echarts.getInstanceByDom(document.getElementById("run-chart")).getOption().series.find((one) => one.name === "parts").data);
+          const marks = await page.evaluate(() => globalThis.echarts.getInstanceByDom(document.getElementById("run-chart")).getOption().series.find((one) => one.name === "run-marks").data);
           // Two periods of warm-up, which are the first episode with the first step of the second, and the first step of the third; then the
           // borders of the episodes.
           assert.equal(marks.filter(([from, to]) => from === to).length, 2);
