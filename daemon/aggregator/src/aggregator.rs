@@ -237,7 +237,7 @@ impl RunningAggregator {
         self.task_names.insert(id, name);
     }
 
-    /// Spawns a task on a thread of its own, where it may compute and wait. Such a thread cannot be aborted: the task must
+    /// Spawns a task on a separate thread, where it may compute and wait. Such a thread cannot be aborted: the task must
     /// end when its input is closed.
     fn spawn_thread(&mut self, name: &'static str, task: impl FnOnce() + Send + 'static) {
         let work = move || {

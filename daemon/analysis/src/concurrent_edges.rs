@@ -3,7 +3,7 @@
 use peernet_stream::ExperimentPosition;
 
 /// Groups runs of edges that measured at the same time, which are the edges that measured the same repeat of the same
-/// configuration of an experiment. A run without a position in an experiment is a group of its own. Groups and runs keep
+/// configuration of an experiment. A run without a position in an experiment is a separate group. Groups and runs keep
 /// the order of the input.
 pub fn concurrent_groups<'a, R, E: PartialEq>(
     runs: impl IntoIterator<Item = &'a R>,

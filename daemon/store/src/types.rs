@@ -274,7 +274,7 @@ pub struct DelayRow {
     pub raw: f64,
     /// Source of the estimate and the bounds.
     pub source: DelaySource,
-    /// How far the estimate can be trusted.
+    /// Verdict on how far the estimate can be trusted.
     pub verdict: Verdict,
     /// Assumptions behind the bounds; `None` if no clock sample of the time of the delay is stored, or if sender and
     /// receiver read the same clock.

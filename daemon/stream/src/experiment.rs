@@ -10,7 +10,7 @@ pub struct ExperimentPosition {
     pub name: String,
     /// Random id of the execution of the experiment; all runs of the execution have this id.
     pub id: String,
-    /// What distinguishes this configuration from the others: for each axis, its name and the label of this
+    /// Difference between this configuration and the others: for each axis, its name and the label of this
     /// configuration's value on the axis, in the order of the file.
     pub configuration: Vec<(String, String)>,
     /// Repetition of the configuration, from 0.

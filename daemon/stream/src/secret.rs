@@ -33,7 +33,7 @@ pub struct HostSecret(#[serde(with = "serde_bytes")] [u8; BYTES]);
 #[error("a host secret is written as {} hexadecimal digits", 2 * BYTES)]
 pub struct InvalidSecret;
 
-/// Random number that is used once, so that nobody can use a recorded proof again.
+/// Random number that is used once, so that a recorded proof cannot be used again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Nonce(#[serde(with = "serde_bytes")] [u8; BYTES]);

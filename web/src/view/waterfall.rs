@@ -167,7 +167,7 @@ impl Row {
         }
     }
 
-    /// Creates the row of a time that has no node of its own, such as the total. `seconds` is the time in the
+    /// Creates the row of a time that no node measures, such as the total. `seconds` is the time in the
     /// iteration, `median` the median in the run.
     fn sum(
         name: &str,

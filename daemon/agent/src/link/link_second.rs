@@ -7,7 +7,7 @@ use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTri
 
 use super::downsampled::DownsampledValues;
 
-/// What happened on a link within one second of the edge's wall clock, or within a part of that second.
+/// Events on a link within one second of the edge's wall clock, or within a part of that second.
 #[derive(Debug)]
 pub(super) struct LinkSecond {
     /// Start of the second in seconds since the Unix epoch.

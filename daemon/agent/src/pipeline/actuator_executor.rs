@@ -48,7 +48,7 @@ pub(super) struct ActuatorExecutor {
     // The lock is held during the action, which may take long, so waiting for the lock must not block a thread of
     // tokio.
     ordered_actuator: Arc<Mutex<OrderedActuator>>,
-    /// `true` if the actuator may block. It then runs on a thread of its own, so that it delays no iteration in flight.
+    /// `true` if the actuator may block. It then runs on a separate thread, so that it delays no iteration in flight.
     blocks: bool,
     /// `true` if the actuator has to be reset before each episode.
     needs_resets: bool,

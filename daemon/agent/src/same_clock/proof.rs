@@ -54,7 +54,7 @@ pub(super) struct OwnClock {
     pub(super) shows_kernel_time: bool,
 }
 
-/// What an answer shows.
+/// Result of checking an answer.
 #[derive(Debug)]
 pub(super) enum AnswerResult {
     /// Both processes read one clock.

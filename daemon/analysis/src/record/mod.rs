@@ -57,7 +57,7 @@ pub struct RunRecord {
     pub edge: HostRecord,
     /// Cloud host, which ran the model; `None` if the run had no cloud host, or if the host was not reached.
     pub cloud: Option<HostRecord>,
-    /// Where the model ran.
+    /// Place where the model ran.
     pub placement: Placement,
     /// Model of the run; `None` if a sensor ran alone.
     pub model: Option<ModelRecord>,
@@ -143,7 +143,7 @@ pub struct HostRecord {
     pub conditions: Vec<Condition>,
 }
 
-/// Where the model of a run ran, if the run had a model.
+/// Place where the model of a run ran, if the run had a model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Placement {

@@ -25,7 +25,7 @@ const PROGRAM_TABLES: [&str; 2] = ["sensor", "actuator"];
 
 /// Key for fingerprints of commands. Equal commands have equal fingerprints.
 ///
-/// The key is secret and stays on its host. Without the key, nobody can find a short secret among the arguments by
+/// The key is secret and stays on its host. Without the key, no program can find a short secret among the arguments by
 /// trying values. A plain hash would allow such a search.
 #[derive(Clone)]
 pub struct FingerprintKey([u8; 32]);

@@ -60,7 +60,7 @@ pub enum FramingError {
          inference and postprocessing"
     )]
     Name(String),
-    /// The name belongs to feedback, which an actuator reports with a line of its own.
+    /// The name belongs to feedback, which an actuator reports with a separate line.
     #[error("it reported {name:?}, which is a reserved name; an actuator writes the line: {form}")]
     FeedbackName {
         /// The name.

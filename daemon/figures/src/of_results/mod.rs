@@ -103,7 +103,7 @@ impl Kind {
         matches!(self, Self::Series | Self::Stacked)
     }
 
-    /// Returns whether a figure of these runs is drawn even if nobody asks for this kind. A figure that compares
+    /// Returns whether a figure of these runs is drawn even if this kind is not requested. A figure that compares
     /// configurations is then drawn only for at least two configurations.
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {

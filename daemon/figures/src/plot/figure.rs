@@ -109,7 +109,7 @@ impl Plot {
     }
 }
 
-/// Table below the plots, with numbered lines. The numbers stand beside points in the plots.
+/// Table below the plots, with numbered lines. The plots show the numbers beside their points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Table {
     /// Titles of the columns of cells. The column of names has no title.

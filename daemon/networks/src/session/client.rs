@@ -33,7 +33,7 @@ impl fmt::Display for CloseReason {
     }
 }
 
-/// What a message from the cloud means for a session that is being opened.
+/// Meaning of a message from the cloud for a session that is being opened.
 #[derive(Debug)]
 pub(crate) enum HelloOutcome {
     /// The cloud accepted the session.

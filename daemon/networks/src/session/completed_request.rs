@@ -1,4 +1,4 @@
-//! What a request and its answer add to the edge's tree.
+//! Nodes that a request and its answer add to the edge's tree.
 
 use std::fmt;
 use std::num::NonZeroU32;

@@ -31,7 +31,7 @@ pub enum Incoming {
     Remark {
         /// A session of that connection; `None` if the connection has no session now.
         session: Option<SessionId>,
-        /// What the problem is, where it occurs, and what to do.
+        /// Description of the problem, its place, and what to do.
         text: String,
     },
     /// An edge was refused before it could ask for a session.

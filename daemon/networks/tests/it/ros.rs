@@ -295,7 +295,7 @@ async fn connection_without_session_ends_after_hello_timeout() {
 }
 
 #[tokio::test]
-async fn session_loses_no_message_to_subscriber_that_does_not_read() {
+async fn session_keeps_messages_for_subscriber_that_does_not_read() {
     let master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (session, pipeline) = session(&mut cloud).await;

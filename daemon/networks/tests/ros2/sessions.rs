@@ -257,7 +257,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn session_loses_no_message_to_subscriber_that_does_not_read() {
+async fn session_keeps_messages_for_subscriber_that_does_not_read() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&cloud).await;

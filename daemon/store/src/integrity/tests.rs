@@ -181,7 +181,7 @@ async fn page_moved_during_first_pass_is_fine_in_second_pass() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn busy_intact_database_has_no_page_malformed_in_every_pass() {
+async fn no_page_of_busy_database_is_malformed_in_every_pass() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("busy.sqlite");
     let mut writer = growing_file(&path).await;

@@ -35,7 +35,7 @@ async fn iterations(path: &Path) -> i64 {
     number(path, "SELECT count(*) FROM iteration").await
 }
 
-/// Returns the id that stands in the database file. The write-ahead log may hold another id.
+/// Returns the id in the database file. The write-ahead log may hold another id.
 fn file_id(path: &Path) -> [u8; 4] {
     fs::read(path).expect("reads")[60..64].try_into().expect("four bytes")
 }

@@ -49,7 +49,7 @@ pub(super) fn assert_same(a: &BTreeMap<Key, Summary>, b: &BTreeMap<Key, Summary>
 /// A value: its run, name and second, the value itself, and whether the value is a half width.
 type AddedValue = (i64, i64, i64, f64, bool);
 
-/// What the test does with the roll-ups.
+/// Action of the test on the roll-ups.
 #[derive(Clone, Debug)]
 enum Action {
     Commit(Vec<AddedValue>),

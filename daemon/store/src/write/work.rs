@@ -28,7 +28,7 @@ pub enum Work {
     Secret(HostId),
 }
 
-/// How an admitted host introduced itself.
+/// Introduction of an admitted host.
 #[derive(Clone, Debug)]
 pub struct Introduction {
     /// The host.

@@ -122,7 +122,7 @@ fn run_command(command: &str, results: &Path) -> ProcessEnd {
     Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end()
 }
 
-/// Waits for the end of an experiment. The timeout starts anew with each run, so a long experiment does not exceed it.
+/// Waits for the end of an experiment. The timeout starts again with each run, so a long experiment does not exceed it.
 pub(crate) fn wait_for_runs(experiment: Process, runs: usize) -> ProcessEnd {
     for run in 1..=runs {
         experiment.wait_for(&format!("run {run} of {runs} ("));

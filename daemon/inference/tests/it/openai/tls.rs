@@ -19,7 +19,7 @@ use super::scripted_server::tls_stream;
 use super::*;
 use crate::recording_requester::run_cancelled_by;
 
-/// Variable with the file of trusted authorities. Each test sets it for a process of its own, because the tests of one
+/// Variable with the file of trusted authorities. Each test sets it for a separate process, because the tests of one
 /// process share its environment.
 const ROOTS_VARIABLE: &str = "SSL_CERT_FILE";
 

@@ -1,4 +1,4 @@
-//! What a batch adds to the statistics, by the second in which the iterations began.
+//! Values that a batch adds to the statistics, by the second in which the iterations began.
 
 use std::collections::HashMap;
 

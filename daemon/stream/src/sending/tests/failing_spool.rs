@@ -88,7 +88,7 @@ fn acknowledgement_during_write_deletes_batch_after_write() {
 }
 
 #[test]
-fn restarted_process_repeats_no_batch_after_kill_with_full_disk() {
+fn no_batch_is_repeated_after_kill_with_full_disk() {
     // Two batches are in the file, acknowledged but not deleted; two more were stored from memory.
     let mut agent = Agent::new_welcomed(config());
     agent.offer_batches(2);

@@ -51,7 +51,7 @@ fn chart_without_data_renders() {
 }
 
 #[test]
-fn outliers_after_clock_step_change_neither_trend_nor_scale() {
+fn clock_step_outliers_change_neither_trend_nor_scale() {
     let mut link = link(Some(0.000_01), &[]);
     // A clock was set back by five seconds. The first second after the step still has the offset from before the step,
     // and the band of the next second is wide.

@@ -62,7 +62,7 @@ async fn losses_of_killed_process_stay_until_reported() {
 }
 
 #[tokio::test]
-async fn batches_sent_without_spool_stay_unresolved_until_aggregator_answers() {
+async fn unspooled_batches_stay_unresolved_until_aggregator_answers() {
     let (spool_folder, run) = (SpoolFolder::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
     count_events(&counter, run, 10);

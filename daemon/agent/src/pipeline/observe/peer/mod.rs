@@ -4,7 +4,7 @@
 //! waiting for the network does not delay messages; the number of waiting pairs is bounded. `connection` is the
 //! connection to the peer, `pending` has the pairs that wait for an answer (without I/O), and `task` drives both.
 //!
-//! Both stamps of an observed message are receptions, one by each agent; nobody stamps its departure. Therefore a
+//! Both stamps of an observed message are receptions, one by each agent; its departure has no stamp. Therefore a
 //! message does not bound the offset of the clocks: the clock relation judges its delays but does not learn from them,
 //! and a delay may be negative.
 

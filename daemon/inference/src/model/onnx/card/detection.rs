@@ -110,7 +110,7 @@ enum Layout {
     Nms,
 }
 
-/// The table `[output]` as it stands in the card.
+/// The table `[output]` as written in the card.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct DetectionTable {

@@ -44,7 +44,7 @@ pub(in crate::model::onnx) struct PictureSource {
     pub(in crate::model::onnx) size: (u32, u32),
 }
 
-/// The table of an input as it stands in the card.
+/// The table of an input as written in the card.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct InputTable {
