@@ -112,9 +112,11 @@ impl ZonedTime {
         self.0.format("%H:%M:%S").to_string()
     }
 
-    /// Returns the time of day without seconds: `14:11`.
-    pub(crate) fn hour_and_minute(&self) -> String {
-        self.0.format("%H:%M").to_string()
+    /// Returns the label of a mark on a time axis: the time of day without seconds (`14:11`), and the day at midnight
+    /// (`19 Nov`).
+    pub(crate) fn axis_label(&self) -> String {
+        let is_midnight = self.0.time() == chrono::NaiveTime::MIN;
+        self.0.format(if is_midnight { "%-d %b" } else { "%H:%M" }).to_string()
     }
 
     /// Returns the time of day with milliseconds: `13:46:56.400`.
@@ -152,6 +154,14 @@ mod tests {
         assert_eq!(zone.name(TIME), "UTC+1");
         assert_eq!(Zone::Utc.name(TIME), "UTC");
         assert_eq!(Zone::Fixed(-12_600).name(TIME), "UTC\u{2212}3:30");
+    }
+
+    #[test]
+    fn mark_at_midnight_is_labelled_with_the_day() {
+        let zone: Zone = "+01:00".parse().expect("an offset");
+        assert_eq!(zone.moment(TIME).axis_label(), "13:01");
+        let midnight = WallTime::from_unix_nanos(1_795_129_200_000_000_000);
+        assert_eq!(zone.moment(midnight).axis_label(), "20 Nov");
     }
 
     #[test]

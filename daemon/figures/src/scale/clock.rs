@@ -1,9 +1,10 @@
 //! Times of day along an axis.
 
-/// Possible distances between two marks, seconds.
-const STEPS_S: [i64; 9] = [60, 120, 300, 600, 1_800, 3_600, 7_200, 14_400, 86_400];
-/// Maximum number of steps on an axis. An axis that is longer than this number of days has more steps, because a day is
-/// the longest step.
+/// Possible distances between two marks, seconds. A longer axis has marks at multiples of the last distance, a day.
+const STEPS_S: [i64; 9] = [60, 120, 300, 600, 1_800, 3_600, 7_200, 14_400, DAY_S];
+/// Length of a day, seconds.
+const DAY_S: i64 = 86_400;
+/// Maximum number of steps on an axis.
 const MAX_STEPS: i64 = 12;
 /// Minimum distance of a mark from an end, as a share of the axis. The label of a nearer mark would extend beyond the
 /// axis.
@@ -14,9 +15,10 @@ const MIN_END_DISTANCE: f64 = 0.015;
 /// ahead of UTC.
 pub fn times_of_day(from: f64, length: f64, utc_offset: i64) -> Vec<(i64, f64)> {
     let fits = |step: &i64| length / *step as f64 <= MAX_STEPS as f64;
-    let step = STEPS_S.into_iter().find(fits).unwrap_or(STEPS_S[STEPS_S.len() - 1]);
+    let whole_days = || (length / (MAX_STEPS * DAY_S) as f64).ceil() as i64 * DAY_S;
+    let step = STEPS_S.into_iter().find(fits).unwrap_or_else(whole_days);
     let first_number = (from.floor() as i64 + utc_offset).div_euclid(step) + 1;
-    let times = (first_number..first_number + 2 * MAX_STEPS).map(|number| number * step - utc_offset);
+    let times = (first_number..=first_number + MAX_STEPS).map(|number| number * step - utc_offset);
     let with_positions = times.map(|time| (time, (time as f64 - from) / length));
     with_positions.filter(|(_, at)| (MIN_END_DISTANCE..=1.0 - MIN_END_DISTANCE).contains(at)).collect()
 }
@@ -33,6 +35,12 @@ mod tests {
         // India is five and a half hours ahead of UTC, so full hours in India are half past the hour in UTC.
         let hours: Vec<i64> = times_of_day(0.0, 30_000.0, 19_800).into_iter().map(|(time, _)| time).collect();
         assert_eq!(hours[..2], [1_800, 5_400]);
-        assert!(times_of_day(0.0, 90.0 * 86_400.0, 0).len() <= 24);
+    }
+
+    #[test]
+    fn axis_of_months_has_marks_up_to_end() {
+        let marks = times_of_day(0.0, 90.0 * DAY_S as f64, 0);
+        let days: Vec<i64> = marks.iter().map(|(time, _)| time / DAY_S).collect();
+        assert_eq!(days, [8, 16, 24, 32, 40, 48, 56, 64, 72, 80, 88]);
     }
 }

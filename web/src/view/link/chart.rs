@@ -294,7 +294,7 @@ fn time_labels(time_series: &LinkTimeSeries, zone: Zone) -> Picture {
         times_of_day(from, time_series.seconds(), i64::from(zone.offset_seconds(time_series.to)));
     let tick = |(seconds, at): (i64, f64)| {
         let time = WallTime::from_unix_nanos(seconds * 1_000_000_000);
-        Tick { value: seconds as f64, at, text: zone.moment(time).hour_and_minute() }
+        Tick { value: seconds as f64, at, text: zone.moment(time).axis_label() }
     };
     Picture::labels_below("times", &time_ticks.into_iter().map(tick).collect::<Vec<_>>())
 }
