@@ -5,8 +5,7 @@
 //! Therefore each database has a random id in the header field that SQLite leaves to programs (`user_version`).
 //! <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
 
-use std::ffi::OsString;
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
@@ -14,16 +13,11 @@ use std::path::{Path, PathBuf};
 use sqlx::{AssertSqlSafe, SqliteConnection};
 use uuid::Uuid;
 
+use super::integrity::log_pages::{FRAME_BYTES, HEADER_BYTES, MAGIC, log_path, read_whole};
 use super::integrity::pages::be32;
 
 /// Offset of the id within page 1, which is also the offset within the file.
 const ID_OFFSET: usize = 60;
-/// First four bytes of a write-ahead log, without the lowest bit, which gives the byte order of the checksum's words.
-const MAGIC: u32 = 0x377f_0682;
-/// Size of the write-ahead log's header, bytes.
-const LOG_HEADER: usize = 32;
-/// Size of the header of a frame, bytes. A frame holds one page.
-const FRAME_HEADER: usize = 24;
 
 /// The write-ahead log at the path belongs to another file, which was at the database's path before.
 #[derive(Debug, thiserror::Error)]
@@ -62,9 +56,7 @@ fn random_id() -> i32 {
 /// file of an earlier version has no id and is not checked. An error while reading is logged and not returned, because
 /// SQLite reports the error when it opens the file.
 pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), ForeignLog> {
-    let mut log = fs::canonicalize(database).map_or_else(|_| database.into(), OsString::from);
-    log.push("-wal");
-    let log = PathBuf::from(log);
+    let log = log_path(database);
     match read_id(file)
         .and_then(|database_id| database_id.map_or(Ok(false), |database_id| is_foreign(&log, database_id)))
     {
@@ -98,7 +90,7 @@ fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
         log => log?,
     };
-    let mut header = [0; LOG_HEADER];
+    let mut header = [0; HEADER_BYTES];
     if !read_whole(&log, &mut header, 0)? {
         return Ok(false);
     }
@@ -109,10 +101,10 @@ fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
     if !is_log || !checksum.equals_stored(&header[24..]) {
         return Ok(false);
     }
-    let (mut frame, mut offset) = (vec![0; FRAME_HEADER + page_bytes], LOG_HEADER as u64);
+    let (mut frame, mut offset) = (vec![0; FRAME_BYTES + page_bytes], HEADER_BYTES as u64);
     let mut has_other_id = false;
     while read_whole(&log, &mut frame, offset)? {
-        let (head, page) = frame.split_at(FRAME_HEADER);
+        let (head, page) = frame.split_at(FRAME_BYTES);
         checksum.add(&head[..8]);
         checksum.add(page);
         // This frame and the frames after it were left by an earlier use of the log file (other salts), or were not
@@ -152,13 +144,5 @@ impl Checksum {
 
     fn equals_stored(&self, bytes: &[u8]) -> bool {
         (be32(bytes, 0), be32(bytes, 4)) == self.words
-    }
-}
-
-/// Fills `bytes` from the file. Returns `false` if the file ends before `bytes` is full.
-fn read_whole(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<bool> {
-    match file.read_exact_at(bytes, offset) {
-        Err(error) if error.kind() == ErrorKind::UnexpectedEof => Ok(false),
-        read => read.map(|()| true),
     }
 }

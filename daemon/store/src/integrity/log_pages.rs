@@ -9,11 +9,11 @@ use std::path::{Path, PathBuf};
 use super::pages::be32;
 
 /// Size of the write-ahead log's header.
-const HEADER_BYTES: u64 = 32;
+pub(crate) const HEADER_BYTES: usize = 32;
 /// Size of the header of a frame, which holds one page.
-const FRAME_BYTES: u64 = 24;
+pub(crate) const FRAME_BYTES: usize = 24;
 /// First four bytes of a write-ahead log, without the lowest bit, which gives the byte order of the checksums.
-const MAGIC: u32 = 0x377f_0682;
+pub(crate) const MAGIC: u32 = 0x377f_0682;
 
 /// The newest version of each page that is in the write-ahead log.
 ///
@@ -46,7 +46,7 @@ impl LogPages {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
             opened => opened?,
         };
-        let mut header = [0; HEADER_BYTES as usize];
+        let mut header = [0; HEADER_BYTES];
         if !read_whole(&file, &mut header, 0)?
             || be32(&header, 0) & !1 != MAGIC
             || be32(&header, 8) as usize != page_bytes
@@ -54,12 +54,12 @@ impl LogPages {
             return Ok(None);
         }
         let mut offsets = HashMap::new();
-        let mut offset = HEADER_BYTES;
-        let mut frame = [0; FRAME_BYTES as usize];
+        let mut offset = HEADER_BYTES as u64;
+        let mut frame = [0; FRAME_BYTES];
         // Frames of an earlier use of the write-ahead log have other salts. Their pages are in the main file already.
         while read_whole(&file, &mut frame, offset)? && frame[8..16] == header[16..24] {
-            offsets.insert(be32(&frame, 0), offset + FRAME_BYTES);
-            offset += FRAME_BYTES + page_bytes as u64;
+            offsets.insert(be32(&frame, 0), offset + FRAME_BYTES as u64);
+            offset += (FRAME_BYTES + page_bytes) as u64;
         }
         Ok(Some(Self { file, page_bytes, offsets }))
     }
@@ -82,8 +82,8 @@ impl LogPages {
     }
 }
 
-/// Fills the buffer; returns `false` at the end of the file.
-fn read_whole(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<bool> {
+/// Fills the buffer from the file. Returns `false` if the file ends before the buffer is full.
+pub(crate) fn read_whole(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<bool> {
     match file.read_exact_at(buffer, offset) {
         Err(error) if error.kind() == ErrorKind::UnexpectedEof => Ok(false),
         read => read.map(|()| true),

@@ -9,7 +9,7 @@
 //! `cksumvfs` is not in the bundled library. Checksums in a separate file would have to be written with every
 //! checkpoint, which needs a virtual file system of our own.
 
-mod log_pages;
+pub(crate) mod log_pages;
 mod page_check;
 pub(crate) mod pages;
 mod task;
