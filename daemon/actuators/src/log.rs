@@ -2,7 +2,7 @@
 
 use peernet_clock::SharedClock;
 use peernet_logger::Recorder;
-use peernet_sample::{MediaType, Sample};
+use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
 
 use crate::{Action, Actuator, ActuatorError, ActuatorKind, Feedback};
@@ -45,11 +45,7 @@ impl Actuator for LogActuator {
 
 /// Reads an answer as a classification; returns `None` for other answers, which may be JSON as well.
 fn classification(answer: &Sample) -> Option<Classification> {
-    let part = answer.parts.first()?;
-    if part.description.media != MediaType::Json {
-        return None;
-    }
-    serde_json::from_slice(&part.bytes).ok()
+    serde_json::from_slice(answer.json()?).ok()
 }
 
 #[cfg(test)]
@@ -59,7 +55,7 @@ mod tests {
 
     use peernet_clock::{ClockIdentity, ManualClock, WallTime};
     use peernet_logger::HostId;
-    use peernet_sample::Description;
+    use peernet_sample::{Description, MediaType};
 
     use super::*;
 

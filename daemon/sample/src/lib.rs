@@ -44,6 +44,12 @@ impl Sample {
         Self { parts: vec![Part { description, bytes }], source: String::new(), label: None }
     }
 
+    /// Returns the first part if it is JSON.
+    pub fn json(&self) -> Option<&[u8]> {
+        let part = self.parts.first().filter(|part| part.description.media == MediaType::Json)?;
+        Some(&part.bytes)
+    }
+
     /// Returns the number of payload bytes of all parts.
     pub fn payload_bytes(&self) -> u64 {
         self.parts.iter().map(|part| part.bytes.len() as u64).sum()

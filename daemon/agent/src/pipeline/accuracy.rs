@@ -1,15 +1,13 @@
 //! Accuracy of answers to samples with a label: the values `top-1` and `top-5` of a classification, `map-50` and
 //! `mean-iou` of a detection, `mean-iou` of a segmentation.
 
-use std::path::Path;
-
-use peernet_analysis::accuracy::detection::{DETECTION_SCORES, DetectionScores, PictureObjects};
-use peernet_analysis::accuracy::segmentation::{ClassMap, SEGMENTATION_SCORE, SegmentedPixels};
+use peernet_analysis::accuracy::ScoredAnswer;
+use peernet_analysis::accuracy::detection::{DETECTION_SCORES, DetectionScores};
+use peernet_analysis::accuracy::segmentation::SEGMENTATION_SCORE;
 use peernet_logger::stage::{TOP_1, TOP_5, UNKNOWN_LABEL};
 use peernet_logger::{Name, Recorder, Unit};
-use peernet_sample::{MaskLabel, MediaType, ObjectsLabel, Sample, normalized_label};
+use peernet_sample::Sample;
 use peernet_sensors::read_mask;
-use serde::Deserialize;
 
 /// Name of the value that is the mean average precision of the picture.
 const MAP_50: Name = Name::from_static(DETECTION_SCORES[0]);
@@ -17,99 +15,40 @@ const MAP_50: Name = Name::from_static(DETECTION_SCORES[0]);
 const MEAN_IOU: Name = Name::from_static(DETECTION_SCORES[1]);
 /// Name of the value that is the mean ratio of intersection to union of the classes of the picture.
 const SEGMENTED_IOU: Name = Name::from_static(SEGMENTATION_SCORE);
-/// Number of best classes that `top-5` considers.
-const TOP_5_CLASSES: usize = 5;
 
-/// The fields of a classifier's answer that are read.
-#[derive(Debug, Deserialize)]
-struct Classification {
-    label: String,
-    /// Classes, best first; with fewer than five only `top-1` is recorded.
-    top: Option<Vec<Class>>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Class {
-    label: String,
-}
-
-/// Records the accuracy of an answer to a sample with the label `label`. The label determines what the answer should
-/// be:
+/// Records the accuracy of an answer to a sample with the label `label`: `mean-iou` of a segmentation, `map-50` and
+/// `mean-iou` of a detection, `top-1` and `top-5` of a classification.
 ///
-/// - a mask, whose file is read: a segmentation, which is JSON and grey pixels; records `mean-iou`
-/// - objects: a detection, which is JSON with `detections`; records `map-50` and `mean-iou`
-/// - a class: a classification, which is JSON with `label` and, best first, `top`; records `top-1` and `top-5`
-///
-/// Records nothing if the answer has another form, or if the model marked a class of the label as unknown
+/// Records nothing if the label expects another form of answer, or if the model marked a class of the label as unknown
 /// (`unknown-label`). If a mask contains a class that the model does not have, records `unknown-label` only.
 pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) {
-    // No answer to such a sample can be correct, so the answer says nothing about the accuracy of the model.
-    if log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some() {
-        return;
-    }
-    if let Some(label) = MaskLabel::parse(label) {
-        return record_segmentation(log, &label, answer);
-    }
-    let Some(answer) = json_part(answer) else { return };
-    if ObjectsLabel::parse(label).is_some() {
-        return record_detection(log, label, answer);
-    }
-    let Ok(Classification { label: best, top }) = serde_json::from_slice(answer) else { return };
-    // A label is often the name of a folder, which may be spelled differently from the model's class.
-    let label = normalized_label(label);
-    let matches_label = |class: &str| normalized_label(class) == label;
-    let is_best = matches_label(&best);
-    log.record_value(TOP_1, as_number(is_best), Unit::NONE);
-    // If the list has fewer than five classes, the label might be in the list only because the model has so few
-    // classes.
-    if let Some(top) = top.filter(|top| top.len() >= TOP_5_CLASSES) {
-        // A list in another order must not make `top-5` lower than `top-1`.
-        let is_in_top = is_best || top.iter().take(TOP_5_CLASSES).any(|class| matches_label(&class.label));
-        log.record_value(TOP_5, as_number(is_in_top), Unit::NONE);
-    }
-}
-
-/// Compares the detected objects of an answer with the labelled objects, and records `map-50` and `mean-iou`.
-fn record_detection(log: &mut Recorder, label: &str, answer: &[u8]) {
-    let Some(objects) = PictureObjects::read(label, answer) else { return };
-    let scores = DetectionScores::of(&[objects]);
-    log.record_value(MAP_50, scores.map_50, Unit::NONE);
-    if let Some(iou) = scores.mean_iou {
-        log.record_value(MEAN_IOU, iou, Unit::NONE);
-    }
-}
-
-/// Compares the classes of an answer's pixels with the mask that the label names, and records `mean-iou`.
-fn record_segmentation(log: &mut Recorder, label: &MaskLabel, sample: &Sample) {
-    let Some(answer) = ClassMap::from_answer(sample) else { return };
-    let mask = match read_mask(Path::new(&label.mask)) {
-        Ok(mask) => mask,
+    let scored = match ScoredAnswer::of(label, answer, log.tree(), read_mask) {
+        Ok(scored) => scored,
         Err(error) => {
             tracing::warn!(%error, "an answer is not scored, because the mask of its picture cannot be used; correct the file");
             return;
         }
     };
-    let Some(mask) = ClassMap::new(mask.width(), mask.height(), mask.pixels()) else { return };
-    // The model does not receive the mask, so the model cannot mark a class as unknown itself.
-    if mask.has_unknown_class(sample) {
-        log.record_value(UNKNOWN_LABEL, 1.0, Unit::NONE);
-        return;
+    let is_marked = log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some();
+    let mut record = |name: Name, value: Option<f64>| {
+        if let Some(value) = value {
+            log.record_value(name, value, Unit::NONE);
+        }
+    };
+    match scored {
+        Some(ScoredAnswer::UnknownLabel) => record(UNKNOWN_LABEL, (!is_marked).then_some(1.0)),
+        Some(ScoredAnswer::Class { is_best, is_in_top }) => {
+            record(TOP_1, Some(f64::from(is_best)));
+            record(TOP_5, is_in_top.map(f64::from));
+        }
+        Some(ScoredAnswer::Objects(objects)) => {
+            let scores = DetectionScores::of(&[objects]);
+            record(MAP_50, Some(scores.map_50));
+            record(MEAN_IOU, scores.mean_iou);
+        }
+        Some(ScoredAnswer::Pixels(pixels)) => record(SEGMENTED_IOU, pixels.mean_iou()),
+        None => {}
     }
-    let mut pixels = SegmentedPixels::default();
-    pixels.add(mask, answer);
-    if let Some(iou) = pixels.mean_iou() {
-        log.record_value(SEGMENTED_IOU, iou, Unit::NONE);
-    }
-}
-
-/// Returns the first part of an answer if it is JSON.
-fn json_part(answer: &Sample) -> Option<&[u8]> {
-    let part = answer.parts.first().filter(|part| part.description.media == MediaType::Json)?;
-    Some(&part.bytes)
-}
-
-const fn as_number(condition: bool) -> f64 {
-    if condition { 1.0 } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -118,7 +57,7 @@ mod tests {
 
     use peernet_clock::{ClockIdentity, ManualClock, WallTime};
     use peernet_logger::HostId;
-    use peernet_sample::Description;
+    use peernet_sample::{Description, MaskLabel, MediaType};
 
     use super::*;
 

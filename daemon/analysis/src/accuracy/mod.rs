@@ -2,10 +2,12 @@
 
 pub mod detection;
 mod mean_score;
+mod scored_answer;
 pub mod segmentation;
 mod unknown_labels;
 
 pub use mean_score::MeanScore;
+pub use scored_answer::ScoredAnswer;
 pub use unknown_labels::{UNKNOWN_LABEL, UnknownLabels};
 
 use std::collections::BTreeMap;

@@ -2,7 +2,7 @@
 //!
 //! M. Everingham et al., *The PASCAL Visual Object Classes Challenge: A Retrospective*, IJCV 111, 2015, section 2.3.3.
 
-use peernet_sample::{MediaType, PixelFormat, Sample};
+use peernet_sample::{MediaType, Part, PixelFormat, Sample};
 use serde::Deserialize;
 
 /// Name of the score of an iteration with a labelled mask: the mean over the classes that the mask or the answer has.
@@ -35,17 +35,21 @@ impl<'a> ClassMap<'a> {
 
     /// Reads the answer of a segmentation: JSON, and grey pixels. Returns `None` if the answer has another form.
     pub fn from_answer(answer: &'a Sample) -> Option<Self> {
-        let [json, pixels] = &answer.parts[..] else { return None };
-        let is_segmentation = json.description.media == MediaType::Json
-            && pixels.description.media == MediaType::Pixels(PixelFormat::Grey8);
-        let [height, width, 1] = pixels.description.shape[..] else { return None };
-        is_segmentation.then(|| Self::new(width, height, &pixels.bytes))?
+        let [_, pixels] = &answer.parts[..] else { return None };
+        answer.json().and_then(|_| Self::from_part(pixels))
+    }
+
+    /// Reads grey pixels, such as a mask. Returns `None` if the part has another form.
+    pub fn from_part(part: &'a Part) -> Option<Self> {
+        let [height, width, 1] = part.description.shape[..] else { return None };
+        let is_grey = part.description.media == MediaType::Pixels(PixelFormat::Grey8);
+        is_grey.then(|| Self::new(width, height, &part.bytes))?
     }
 
     /// Returns whether this mask has a class that the model does not have. The answer contains the number of the
     /// model's classes. `false` if it does not, like the answer of a Python object.
     pub fn has_unknown_class(&self, answer: &Sample) -> bool {
-        let summary = answer.parts.first().map(|part| serde_json::from_slice(&part.bytes));
+        let summary = answer.json().map(serde_json::from_slice);
         let Some(Ok(AnswerSummary { class_count: Some(count) })) = summary else { return false };
         self.classes.iter().any(|class| *class != IGNORED_CLASS && usize::from(*class) >= count)
     }
@@ -68,19 +72,20 @@ struct ClassPixels {
 
 /// Numbers of pixels of each class, over one or several pictures.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SegmentedPixels([ClassPixels; CLASSES]);
+pub struct SegmentedPixels(Box<[ClassPixels; CLASSES]>);
 
 impl Default for SegmentedPixels {
     fn default() -> Self {
-        Self([ClassPixels::default(); CLASSES])
+        Self(Box::new([ClassPixels::default(); CLASSES]))
     }
 }
 
 impl SegmentedPixels {
-    /// Adds the pixels of a picture. The answer may have another resolution than the mask, with the same proportions.
+    /// Counts the pixels of a picture. The answer may have another resolution than the mask, with the same proportions.
     /// For each pixel of the mask, its class is compared with the class of the answer's pixel in which the centre of
     /// the mask's pixel lies.
-    pub fn add(&mut self, mask: ClassMap<'_>, answer: ClassMap<'_>) {
+    pub fn of(mask: ClassMap<'_>, answer: ClassMap<'_>) -> Self {
+        let mut counts = Self::default();
         // Index of the answer's pixel, of `answer_size`, that contains the centre of the mask's pixel `index`, of
         // `mask_size`. The calculation uses whole numbers, so that rounding cannot choose a neighbouring pixel.
         let answer_index = |index: usize, mask_size: usize, answer_size: usize| {
@@ -95,10 +100,20 @@ impl SegmentedPixels {
                     continue;
                 }
                 let answered = answer.classes[row_start + column];
-                self.0[usize::from(*label)].labelled += 1;
-                self.0[usize::from(answered)].answered += 1;
-                self.0[usize::from(*label)].both += u64::from(*label == answered);
+                counts.0[usize::from(*label)].labelled += 1;
+                counts.0[usize::from(answered)].answered += 1;
+                counts.0[usize::from(*label)].both += u64::from(*label == answered);
             }
+        }
+        counts
+    }
+
+    /// Adds the pixels of other pictures.
+    pub fn merge(&mut self, other: &Self) {
+        for (class, more) in self.0.iter_mut().zip(other.0.iter()) {
+            class.labelled += more.labelled;
+            class.answered += more.answered;
+            class.both += more.both;
         }
     }
 
@@ -131,41 +146,35 @@ mod tests {
         ClassMap::new(width, classes.len() as u32 / width, classes).expect("one class for each pixel")
     }
 
-    fn scored(mask: ClassMap<'_>, answer: ClassMap<'_>) -> SegmentedPixels {
-        let mut pixels = SegmentedPixels::default();
-        pixels.add(mask, answer);
-        pixels
-    }
-
     #[test]
     fn mean_is_over_labelled_and_answered_classes() {
         // Pixels of the intersection and of the union: class 0: 2 of 3; class 1: 1 of 4; class 2: 0 of 2.
-        let pixels = scored(map(3, &[0, 0, 0, 1, 1, 1]), map(3, &[0, 0, 1, 1, 2, 2]));
+        let pixels = SegmentedPixels::of(map(3, &[0, 0, 0, 1, 1, 1]), map(3, &[0, 0, 1, 1, 2, 2]));
         let expected = (2.0 / 3.0 + 1.0 / 4.0 + 0.0) / 3.0;
         assert!((pixels.mean_iou().expect("is scored") - expected).abs() < 1e-12, "{:?}", pixels.mean_iou());
         assert_eq!(pixels.classes(), 3);
-        assert_eq!(scored(map(2, &[4, 9]), map(2, &[4, 9])).mean_iou(), Some(1.0));
+        assert_eq!(SegmentedPixels::of(map(2, &[4, 9]), map(2, &[4, 9])).mean_iou(), Some(1.0));
     }
 
     #[test]
     fn ignored_pixels_are_not_scored() {
-        let ignored = scored(map(4, &[255, 1, 1, 255]), map(4, &[0, 1, 1, 2]));
+        let ignored = SegmentedPixels::of(map(4, &[255, 1, 1, 255]), map(4, &[0, 1, 1, 2]));
         assert_eq!((ignored.mean_iou(), ignored.classes()), (Some(1.0), 1));
-        assert_eq!(scored(map(1, &[255]), map(1, &[0])).mean_iou(), None);
+        assert_eq!(SegmentedPixels::of(map(1, &[255]), map(1, &[0])).mean_iou(), None);
     }
 
     #[test]
     fn answer_of_other_size_is_compared_by_place() {
         let mask = [0, 0, 1, 1, 0, 0, 1, 1, 2, 2, 3, 3, 2, 2, 3, 3];
-        assert_eq!(scored(map(4, &mask), map(2, &[0, 1, 2, 3])).mean_iou(), Some(1.0));
-        assert_eq!(scored(map(2, &[0, 1, 2, 3]), map(4, &mask)).mean_iou(), Some(1.0));
-        assert_eq!(scored(map(4, &mask), map(3, &[0, 9, 1, 9, 9, 9, 2, 9, 3])).classes(), 5);
+        assert_eq!(SegmentedPixels::of(map(4, &mask), map(2, &[0, 1, 2, 3])).mean_iou(), Some(1.0));
+        assert_eq!(SegmentedPixels::of(map(2, &[0, 1, 2, 3]), map(4, &mask)).mean_iou(), Some(1.0));
+        assert_eq!(SegmentedPixels::of(map(4, &mask), map(3, &[0, 9, 1, 9, 9, 9, 2, 9, 3])).classes(), 5);
     }
 
     #[test]
     fn pictures_are_scored_together() {
-        let mut pixels = scored(map(1, &[0, 0, 0]), map(1, &[0, 0, 0]));
-        pixels.add(map(1, &[0]), map(1, &[1]));
+        let mut pixels = SegmentedPixels::of(map(1, &[0, 0, 0]), map(1, &[0, 0, 0]));
+        pixels.merge(&SegmentedPixels::of(map(1, &[0]), map(1, &[1])));
         // Pixels of the intersection and of the union: class 0: 3 of 4; class 1: 0 of 1.
         assert_eq!(pixels.mean_iou(), Some(3.0 / 8.0));
     }

@@ -1,12 +1,10 @@
 //! Comparison of a model's answers with the labels of its test pictures.
 
-use std::path::Path;
-
+use peernet_analysis::accuracy::ScoredAnswer;
 use peernet_analysis::accuracy::detection::{DetectionScores, PictureObjects};
-use peernet_analysis::accuracy::segmentation::{ClassMap, SegmentedPixels};
+use peernet_analysis::accuracy::segmentation::SegmentedPixels;
 use peernet_logger::Tree;
-use peernet_logger::stage::UNKNOWN_LABEL;
-use peernet_sample::{Description, MaskLabel, MediaType, ObjectsLabel, Sample, normalized_label};
+use peernet_sample::{Description, Sample};
 use peernet_sensors::{SensorError, read_mask};
 use peernet_statistics::number::{count, counted, fixed, share};
 use serde::Deserialize;
@@ -14,7 +12,7 @@ use serde::Deserialize;
 /// Longest answer that is shown, bytes.
 const MAX_SHOWN_BYTES: usize = 2_000;
 
-/// Parts of a classifier's answer that the check needs.
+/// Parts of a classifier's answer that the check shows.
 #[derive(Deserialize)]
 struct Classification {
     label: String,
@@ -49,36 +47,17 @@ impl Tally {
         answer: &Sample,
         measurements: &Tree,
     ) -> Result<(), SensorError> {
-        if measurements.find(&[UNKNOWN_LABEL.as_str()]).is_some() {
-            // No answer to such a picture can be right, so the picture would be scored too low.
-            self.unknown_labels += 1;
-        } else if let Some(label) = MaskLabel::parse(label) {
-            self.add_segmentation(&label, answer)?;
-        } else if let Some(json) = json(answer) {
-            self.add_json(label, json);
+        match ScoredAnswer::of(label, answer, measurements, read_mask)? {
+            Some(ScoredAnswer::UnknownLabel) => self.unknown_labels += 1,
+            Some(ScoredAnswer::Class { is_best, .. }) => {
+                self.labelled += 1;
+                self.right += u64::from(is_best);
+            }
+            Some(ScoredAnswer::Objects(objects)) => self.pictures.push(objects),
+            Some(ScoredAnswer::Pixels(pixels)) => self.pixels.merge(&pixels),
+            None => {}
         }
         Ok(())
-    }
-
-    fn add_segmentation(&mut self, label: &MaskLabel, sample: &Sample) -> Result<(), SensorError> {
-        let Some(answer) = ClassMap::from_answer(sample) else { return Ok(()) };
-        let mask = read_mask(Path::new(&label.mask))?;
-        let Some(mask) = ClassMap::new(mask.width(), mask.height(), mask.pixels()) else { return Ok(()) };
-        if mask.has_unknown_class(sample) {
-            self.unknown_labels += 1;
-        } else {
-            self.pixels.add(mask, answer);
-        }
-        Ok(())
-    }
-
-    fn add_json(&mut self, label: &str, json: &[u8]) {
-        if ObjectsLabel::parse(label).is_some() {
-            self.pictures.extend(PictureObjects::read(label, json));
-        } else if let Ok(answer) = serde_json::from_slice::<Classification>(json) {
-            self.labelled += 1;
-            self.right += u64::from(normalized_label(label) == normalized_label(&answer.label));
-        }
     }
 
     /// Returns the counts, each after a semicolon.
@@ -116,7 +95,7 @@ impl Tally {
 /// Returns an answer as text: class and score of a classification, other JSON as it is, and a description of other
 /// parts.
 pub(super) fn describe(answer: &Sample) -> String {
-    if let Some(json) = json(answer) {
+    if let Some(json) = answer.json() {
         if let Ok(Classification { label, score }) = serde_json::from_slice(json) {
             return format!("{label} ({})", fixed(score, 3));
         }
@@ -132,18 +111,14 @@ pub(super) fn describe(answer: &Sample) -> String {
     answer.parts.iter().map(|answer_part| part(&answer_part.description)).collect::<Vec<_>>().join(", ")
 }
 
-fn json(answer: &Sample) -> Option<&[u8]> {
-    let part = answer.parts.first().filter(|part| part.description.media == MediaType::Json)?;
-    Some(&part.bytes)
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
 
     use peernet_clock::{ClockIdentity, ManualClock, WallTime};
+    use peernet_logger::stage::UNKNOWN_LABEL;
     use peernet_logger::{HostId, Recorder, Unit};
-    use peernet_sample::{ElementType, PixelFormat};
+    use peernet_sample::{ElementType, MaskLabel, MediaType, PixelFormat};
 
     use super::*;
 
