@@ -42,6 +42,12 @@ impl UnknownLabels {
         Self::new(count, facts)
     }
 
+    /// Returns the number of iterations whose score is missing for another reason than an unknown label, out of the
+    /// `unscored` iterations in the statistics that have no score.
+    pub fn other_unscored(unknown: Option<&Self>, unscored: u64) -> u64 {
+        unscored.saturating_sub(unknown.map_or(0, |unknown| unknown.count))
+    }
+
     /// Adds the count of another run. The examples stay those of this run.
     #[must_use]
     pub fn merged_with(self, other: &Self) -> Self {

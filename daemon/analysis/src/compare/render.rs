@@ -7,7 +7,7 @@ use peernet_statistics::number::{
 
 use super::difference_table::{MAX_MS_DECIMALS, in_milliseconds};
 use super::{Comparison, EMPTY_CELL, LATENCIES, Latency, Line, MIN_KNOWN_SHARE, MIN_VALUES, SCORES};
-use crate::accuracy::{ACCURACIES, Accuracy};
+use crate::accuracy::{ACCURACIES, Accuracy, UnknownLabels};
 use crate::actuator_results::EPISODES_SEPARATOR;
 use crate::deadline::Misses;
 use crate::table::Table;
@@ -287,9 +287,8 @@ impl Line {
     /// Returns the texts on iterations without a score, one for each accuracy. Iterations whose label is not a class of
     /// the model are not included: [`Comparison::unknown_label_notes`] returns the note on them.
     fn unscored_texts(&self) -> Vec<String> {
-        let with_unknown_label = self.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
         let unscored_text = |(name, accuracy): (&str, &Option<Accuracy>)| {
-            let unscored = (*accuracy)?.unscored.saturating_sub(with_unknown_label);
+            let unscored = UnknownLabels::other_unscored(self.unknown_labels.as_ref(), (*accuracy)?.unscored);
             let text = || format!("{name} of {}: {} of {}", self.name, count(unscored), count(self.count));
             (unscored > 0).then(text)
         };

@@ -8,6 +8,7 @@ use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{MAX_QUALITY_POINTS, QualityAgainstLatency, QualityPoint, Unit};
+use peernet_analysis::accuracy::UnknownLabels;
 use peernet_analysis::loaded::{Loaded, unknown_labels};
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::quality::Quality;
@@ -83,9 +84,8 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
 /// Returns the number of iterations in the statistics without a valid score, from the number of scored iterations.
 /// Iterations whose label the model does not know are not counted, because they have their own note.
 fn unscored_count(runs: &[&Loaded], scored_count: u64) -> u64 {
-    let unknown_label_count = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
-    let answer_count = rows_in_statistics(runs).count() as u64;
-    answer_count.saturating_sub(scored_count).saturating_sub(unknown_label_count)
+    let unscored = (rows_in_statistics(runs).count() as u64).saturating_sub(scored_count);
+    UnknownLabels::other_unscored(unknown_labels(runs.iter().copied()).as_ref(), unscored)
 }
 
 /// Returns notes on the iterations without a score. `unscored` is the sum of [`unscored_count`] over the configurations

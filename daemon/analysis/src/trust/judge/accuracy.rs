@@ -4,15 +4,15 @@ use peernet_statistics::number;
 use peernet_stream::Grade;
 
 use super::{finding, iterations, percent, with_advice};
-use crate::accuracy::Accuracy;
+use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::trust::{Finding, TrustInput};
 
 /// Returns a finding for each accuracy that does not cover all iterations. Accuracies in which the same number of iterations is missing share
 /// one finding. A separate finding reports unknown labels.
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
-    let unknown_label_count = input.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
     // Iterations with an unknown label have their own finding.
-    let unscored = |accuracy: &Accuracy| accuracy.unscored.saturating_sub(unknown_label_count);
+    let unscored =
+        |accuracy: &Accuracy| UnknownLabels::other_unscored(input.unknown_labels.as_ref(), accuracy.unscored);
     // Names of accuracies, number of iterations without a score, number of all iterations.
     let mut incomplete: Vec<(Vec<&str>, u64, u64)> = Vec::new();
     for (name, accuracy) in input.accuracy.iter().filter(|(_, accuracy)| unscored(accuracy) > 0) {
@@ -48,7 +48,6 @@ fn judge_unknown_labels(input: &TrustInput) -> Option<Finding> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::accuracy::UnknownLabels;
     use crate::outcomes::Counts;
 
     fn grades_and_texts(unscored: [u64; 2], with_unknown_label: u64) -> Vec<(Grade, String)> {
