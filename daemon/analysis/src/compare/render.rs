@@ -133,8 +133,8 @@ impl Comparison {
             ));
         }
         if self.lines.iter().any(|line| line.scores.iter().any(Option::is_some)) {
-            let text = "mAP@0.5 and mean IoU: mean over all pictures in %, with its 95 % confidence interval, which assumes that the \
-                        iterations are independent.";
+            let text = "mAP@0.5 and mean IoU: mean of the values of single pictures in %, with its 95 % confidence interval, which assumes \
+                        that the iterations are independent; peernet models check scores all pictures together.";
             notes.push(text.to_owned());
         }
         notes.extend(self.actuator_notes());

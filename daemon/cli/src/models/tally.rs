@@ -77,7 +77,9 @@ impl Tally {
     fn segmentation(&self) -> Option<String> {
         let class_count = self.pixels.classes();
         let classes = if class_count == 1 { "1 class".to_owned() } else { format!("{class_count} classes") };
-        self.pixels.mean_iou().map(|iou| format!("; mean IoU {} % over {classes}", share(iou)))
+        self.pixels
+            .mean_iou()
+            .map(|iou| format!("; all pictures together: mean IoU {} % over {classes}", share(iou)))
     }
 
     /// Returns the scores of the boxes of all pictures together.
@@ -88,7 +90,7 @@ impl Tally {
         let scores = DetectionScores::of(&self.pictures);
         let iou = scores.mean_iou.map(|iou| format!(", mean IoU {} %", share(iou))).unwrap_or_default();
         let found_text = format!("{} of {} found", count(scores.matched), counted(scores.labelled, "object"));
-        Some(format!("; {found_text}, mAP@0.5 {} %{iou}", share(scores.map_50)))
+        Some(format!("; all pictures together: {found_text}, mAP@0.5 {} %{iou}", share(scores.map_50)))
     }
 }
 
@@ -165,7 +167,7 @@ mod tests {
         }
         assert_eq!(
             tally.text(),
-            "; 1 of 2 objects found, mAP@0.5 50.0 %, mean IoU 80.0 %; 1 label is not a class of the model"
+            "; all pictures together: 1 of 2 objects found, mAP@0.5 50.0 %, mean IoU 80.0 %; 1 label is not a class of the model"
         );
     }
 
@@ -190,7 +192,10 @@ mod tests {
             tally.add(&label(name), &segmentation(answered), &measurements(false)).expect("is read");
         }
         // Road: 1 of 2 pixels; lane: none of 1.
-        assert_eq!(tally.text(), "; mean IoU 25.0 % over 2 classes; 1 label is not a class of the model");
+        assert_eq!(
+            tally.text(),
+            "; all pictures together: mean IoU 25.0 % over 2 classes; 1 label is not a class of the model"
+        );
         let missing = tally.add(&label("d.png"), &segmentation(0), &measurements(false));
         let error = missing.expect_err("is gone").to_string();
         assert!(error.contains("d.png"), "{error}");

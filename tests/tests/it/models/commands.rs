@@ -117,7 +117,7 @@ fn check_and_run_agree_on_unknown_mask_class() {
     let unknown = column(&rows, "unknown-label").iter().filter(|value| *value == "1").count();
     assert_eq!((scores.len(), unknown), (1, 1));
     let same = format!(
-        "; mean IoU {} % over 1 class; {unknown} label is not a class of the model",
+        "; all pictures together: mean IoU {} % over 1 class; {unknown} label is not a class of the model",
         share(scores[0])
     );
     assert!(check.contains(&same), "the run has{same}, and the check has: {check}");

@@ -45,7 +45,8 @@ fn scores_of_detections_are_shown_beside_latency() {
     // In runs with `map-50`, `mean-iou` is the mean overlap of the found objects, which is not shown as a score.
     assert!(text.contains("mAP@0.5 (%)") && !text.contains("mean IoU (%)"), "{text}");
     assert!(
-        text.contains("50.0 (") && text.contains("mAP@0.5 and mean IoU: mean over all pictures"),
+        text.contains("50.0 (")
+            && text.contains("mAP@0.5 and mean IoU: mean of the values of single pictures"),
         "{text}"
     );
     let csv = comparison.csv();
