@@ -1,5 +1,6 @@
 //! Difference of two means, with its interval.
 
+use peernet_statistics::Moments;
 use peernet_statistics::number::Estimate;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -105,12 +106,10 @@ impl MeanEstimate {
 
     /// Returns the variance of the mean, computed from the batch means; `None` if there are too few batches.
     fn variance(&self) -> Option<MeanVariance> {
-        let count = self.batches.len();
-        (count >= MIN_BATCHES).then_some(())?;
-        let (count, degrees_of_freedom) = (count as f64, count as f64 - 1.0);
-        let mean = self.batches.iter().sum::<f64>() / count;
-        let squares: f64 = self.batches.iter().map(|value| (value - mean).powi(2)).sum();
-        Some(MeanVariance { variance: squares / degrees_of_freedom / count, degrees_of_freedom })
+        let moments: Moments = self.batches.iter().copied().collect();
+        let count = moments.count as f64;
+        let variance = moments.variance().filter(|_| moments.count >= MIN_BATCHES as u64)? / count;
+        Some(MeanVariance { variance, degrees_of_freedom: count - 1.0 })
     }
 }
 

@@ -194,16 +194,17 @@ fn normal(random: &mut SplitMix64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use peernet_statistics::Moments;
+
     use super::*;
 
     /// Returns the mean, the standard deviation and the 99th percentile of many draws, seconds.
     fn moments_of_draws(distribution: &LatencyDistribution) -> [f64; 3] {
         let mut random = SplitMix64::new(7);
         let mut drawn: Vec<f64> = (0..200_000).map(|_| distribution.draw(&mut random)).collect();
-        let mean = drawn.iter().sum::<f64>() / drawn.len() as f64;
-        let variance = drawn.iter().map(|drawn| (drawn - mean).powi(2)).sum::<f64>() / drawn.len() as f64;
+        let moments: Moments = drawn.iter().copied().collect();
         drawn.sort_by(f64::total_cmp);
-        [mean, variance.sqrt(), drawn[drawn.len() * 99 / 100]]
+        [moments.mean, moments.std().expect("many draws"), drawn[drawn.len() * 99 / 100]]
     }
 
     fn assert_close(drawn: f64, expected: f64) {
