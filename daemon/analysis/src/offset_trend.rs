@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_clock::{Offset, Verdict, WallTime};
+use peernet_clock::{Offset, WallTime};
 
 use crate::clock_points::ClockPoint;
 use crate::fit::{Point, theil_sen};
@@ -13,7 +13,7 @@ use crate::order::SortedValues;
 /// an offset has no value.
 pub fn estimate_and_max_error(offset: &Offset) -> Option<(f64, f64)> {
     let [estimate, lo, hi] = [offset.estimate, offset.bounds.lo, offset.bounds.hi].map(|span| span.seconds());
-    (offset.verdict != Verdict::Inconsistent).then(|| (estimate, (hi - estimate).max(estimate - lo)))
+    offset.is_consistent().then(|| (estimate, (hi - estimate).max(estimate - lo)))
 }
 
 /// Straight lines through the estimates of an offset: one line for each relation period. A new relation period begins
@@ -38,9 +38,7 @@ impl OffsetTrend {
     pub fn of(points: &[ClockPoint]) -> Self {
         let mut relation_periods: BTreeMap<u64, Vec<(WallTime, f64)>> = BTreeMap::new();
         for point in points {
-            if let Some(offset) =
-                point.offset.as_ref().filter(|offset| estimate_and_max_error(offset).is_some())
-            {
+            if let Some(offset) = point.offset.as_ref().filter(|offset| offset.is_consistent()) {
                 relation_periods
                     .entry(point.relation_period)
                     .or_default()

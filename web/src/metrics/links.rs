@@ -6,7 +6,6 @@ use peernet_stream::{Connection, ConnectionStatistics, DirectionStatistics, Prob
 
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
-use crate::view::link::estimate_and_max_error;
 
 /// Length of the period whose probes are counted.
 const WINDOW: Span = Span::from_seconds(60);
@@ -29,8 +28,7 @@ pub(super) fn write_each(
 /// each other.
 pub(super) fn half_width(link: &LinkSnapshot) -> Option<Sample> {
     let offset = link.live.latest_sample.offset.as_ref()?;
-    estimate_and_max_error(offset)?;
-    Some(Sample::Value(offset.bounds.width().seconds() / 2.0))
+    offset.is_consistent().then(|| Sample::Value(offset.bounds.width().seconds() / 2.0))
 }
 
 /// Returns the share of the probes of the last [`WINDOW`] that were lost, 0 to 1; `None` if no probe was sent.

@@ -57,7 +57,7 @@ impl Clocks {
             max_drift_change_ppm_per_s: clock_samples
                 .last()
                 .and_then(|sample| sample.basis?.max_drift_change_ppm_per_s),
-            skew_ppm: clock_samples.iter().rev().find_map(|sample| sample.offset.as_ref()?.skew_ppm),
+            skew_ppm: clock_samples.iter().rev().find_map(|sample| sample.offset.as_ref()?.drift_ppm()),
             offset: iterations.iter().rev().find_map(offset),
             round_trip: round_trips.map(|trip| trip.min.seconds()).reduce(f64::min),
         }

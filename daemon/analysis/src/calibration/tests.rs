@@ -273,6 +273,18 @@ fn returned_peer_is_trusted_only_with_same_clock() {
 }
 
 #[test]
+fn contradictory_offset_gives_no_skew() {
+    let with_skew = |second: i64, verdict: Delay, skew_ppm: f64| {
+        let mut sample = clock_sample(second, 7, 1_000);
+        sample.offset = sample.offset.map(|offset| Offset { verdict, skew_ppm: Some(skew_ppm), ..offset });
+        sample
+    };
+    let samples = [with_skew(1, Delay::Ok, 12.4), with_skew(2, Delay::Inconsistent, 900.0)];
+    let study = Study::new(Setting::default(), sweep(GOOD), &samples);
+    assert_eq!(study.clocks.skew_ppm, Some(12.4));
+}
+
+#[test]
 fn all_study_files_are_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let written = study(sweep(GOOD)).write(folder.path()).expect("writes");

@@ -112,6 +112,19 @@ pub struct Offset {
     pub age: Option<Span>,
 }
 
+impl Offset {
+    /// Returns whether sources and exchanges agree. An offset without agreement has no value.
+    pub fn is_consistent(&self) -> bool {
+        self.verdict != Verdict::Inconsistent
+    }
+
+    /// Returns the rate at which the offset changes, parts per million; `None` without enough exchanges, or if sources
+    /// or exchanges contradict each other.
+    pub fn drift_ppm(&self) -> Option<f64> {
+        self.skew_ppm.filter(|_| self.is_consistent())
+    }
+}
+
 /// Numbers of accepted and refused exchanges since the relation was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ExchangeCounts {

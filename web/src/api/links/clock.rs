@@ -5,8 +5,6 @@ use peernet_stream::{self as stream, DelayPoint, DelaySecond, ProbeCounts};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use crate::view::link::estimate_and_max_error;
-
 /// Offset between the two related clocks at one time: cloud minus edge. `clocks` names the clocks.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ClockOffset {
@@ -43,7 +41,7 @@ impl From<&Offset> for ClockOffset {
             lo_s: interval.lo.seconds(),
             hi_s: interval.hi.seconds(),
         });
-        let consistent = estimate_and_max_error(offset).is_some();
+        let consistent = offset.is_consistent();
         let value = |span: Span| consistent.then(|| span.seconds());
         Self {
             estimate_s: value(offset.estimate),
@@ -52,7 +50,7 @@ impl From<&Offset> for ClockOffset {
             source: if consistent { offset.source } else { DelaySource::None }.name(),
             sources: sources.collect(),
             verdict: offset.verdict.name(),
-            skew_ppm: offset.skew_ppm.filter(|_| consistent),
+            skew_ppm: offset.drift_ppm(),
             exchanges: offset.exchanges,
             age_s: offset.age.map(Span::seconds),
         }

@@ -62,16 +62,15 @@ impl LinkLine {
         let subject = Subject::live(link);
         let verdict = subject.verdict();
         let offset = subject.offset();
-        let is_same_clock = subject.same_clock();
         let (probes, newest_trip) = live_probes(&link.history, subject.end);
         let has_clock_fault = faulty_clocks.concerns(&[&subject.edge, &subject.cloud]);
         let why = missing_offset_reason(&subject);
-        let clock_cell = |value: Option<String>| {
-            if is_same_clock {
+        let clock_cell = |value: Result<String, &str>| match value {
+            _ if subject.same_clock() => {
                 Cell { text: "0".into(), title: Some("both hosts read one clock".into()) }
-            } else {
-                cell(value, why)
             }
+            Ok(text) => Cell::new(text),
+            Err(why) => Cell::none(why),
         };
         Self {
             name: subject.route(),
@@ -84,20 +83,14 @@ impl LinkLine {
             away: (!link.connected).then(|| zone.moment(link.last_seen)),
             clock_fault: has_clock_fault.then_some(clock_fault::CHIP),
             network: link.live.network().to_string(),
-            bound: clock_cell(subject.bound().map(bound_ms)),
+            bound: clock_cell(subject.bound().map(bound_ms).ok_or(why)),
             offset: clock_cell(
                 offset
                     .and_then(estimate_and_max_error)
-                    .map(|(estimate, max_error)| offset_ms(estimate, max_error)),
+                    .map(|(estimate, max_error)| offset_ms(estimate, max_error))
+                    .ok_or(why),
             ),
-            drift: if is_same_clock {
-                clock_cell(None)
-            } else {
-                let consistent = offset.filter(|offset| estimate_and_max_error(offset).is_some());
-                // Two clocks need more exchanges for a drift than for an offset.
-                let why = if subject.contradicts() { why } else { "too few exchanges yet" };
-                cell(consistent.and_then(|offset| offset.skew_ppm).map(ppm), why)
-            },
+            drift: clock_cell(subject.drift().map(ppm)),
             round_trip: cell(
                 newest_trip.map(|trip| trip_ms(trip.median.seconds())),
                 "no probe came back in ten minutes",

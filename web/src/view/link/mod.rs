@@ -18,7 +18,7 @@ pub(crate) mod traffic;
 use std::sync::Arc;
 
 use peernet_aggregator::{LinkSnapshot, LiveState};
-pub(crate) use peernet_analysis::offset_trend::estimate_and_max_error;
+use peernet_analysis::offset_trend::estimate_and_max_error;
 use peernet_clock::{MIN_EXCHANGES_FOR_FRESHNESS, Offset, RelatedClocks, Span, Verdict, WallTime};
 use peernet_store::{ClockPoint, DelayAssumptions, LinkKey, LinkRow};
 use peernet_stream::{NetworkName, Placement, PlacementKind};
@@ -222,7 +222,7 @@ impl<'a> Subject<'a> {
 
     /// Returns whether sources or exchanges contradict each other.
     pub(crate) fn contradicts(&self) -> bool {
-        self.offset().is_some_and(|offset| offset.verdict == Verdict::Inconsistent)
+        self.offset().is_some_and(|offset| !offset.is_consistent())
     }
 
     /// Returns whether any exchange ever related the two clocks, even if a clock was stepped since then.
@@ -239,6 +239,16 @@ impl<'a> Subject<'a> {
             return Some(0.0);
         }
         estimate_and_max_error(self.offset()?).map(|(_, max_error)| max_error)
+    }
+
+    /// Returns the drift of the cloud's clock against the edge's clock, ppm.
+    ///
+    /// # Errors
+    /// The reason why the drift is not known.
+    pub(crate) fn drift(&self) -> Result<f64, &'static str> {
+        // Two clocks need more exchanges for a drift than for an offset.
+        let reason = if self.contradicts() { CONTRADICTION } else { "too few exchanges yet" };
+        self.offset().and_then(Offset::drift_ppm).ok_or(reason)
     }
 
     /// Returns the delays of messages in the last ten seconds. Delays from before the current clock relation was

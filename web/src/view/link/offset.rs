@@ -8,7 +8,6 @@ use peernet_figures::scale::Scale;
 use peernet_store::ClockPoint;
 
 use super::chart::{ChartInput, OffsetView, beyond, distance_from_top, reach};
-use super::estimate_and_max_error;
 use super::tracks::Track;
 
 /// An interval of another source extends the scale only if it is at most this multiple of the band.
@@ -46,8 +45,7 @@ pub(super) fn track(cloud: &str, input: &ChartInput<'_>, view: OffsetView) -> Tr
         (without_trend(point, interval.lo), without_trend(point, interval.hi))
     };
     // If sources contradict each other, there is no band. The intervals of the other sources are drawn nevertheless.
-    let offset =
-        |point: &ClockPoint| point.offset.clone().filter(|offset| estimate_and_max_error(offset).is_some());
+    let offset = |point: &ClockPoint| point.offset.clone().filter(|offset| offset.is_consistent());
     let band = |point: &ClockPoint| Some(ends(point, offset(point)?.bounds));
     let interval_by = |point: &ClockPoint, source: DelaySource| {
         let (_, interval) = point.offset.as_ref()?.sources.iter().find(|(other, _)| *other == source)?;

@@ -6,7 +6,7 @@ use peernet_stream::{HostClock, Probing};
 
 use super::list::TOO_YOUNG;
 use super::time_series::LinkTimeSeries;
-use super::{Subject, estimate_and_max_error, is_young};
+use super::{Subject, is_young};
 
 /// The interval of the offset by one source.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -74,7 +74,7 @@ impl Origin {
             .map(|(name, interval)| row(source(*name, offset.exchanges), *interval, false))
             .collect();
         let has_several = offset.sources.len() > 1;
-        if estimate_and_max_error(offset).is_none() {
+        if !offset.is_consistent() {
             // The bounds of such an offset span intervals that exclude each other, and say nothing about the offset.
             // They are not shown.
             let name = if has_several { "no common interval" } else { "not to be trusted" };

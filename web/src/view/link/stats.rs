@@ -9,7 +9,7 @@ use super::super::chip::Chip;
 use super::super::speed::NetworkDirection;
 use super::list::missing_offset_reason;
 use super::time_series::LinkTimeSeries;
-use super::{CONTRADICTION, Subject, estimate_and_max_error};
+use super::{Subject, estimate_and_max_error};
 
 /// A number with its name, its unit and a line of explanation.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -101,13 +101,10 @@ pub(crate) fn ppm(value: f64) -> String {
 }
 
 fn drift(subject: &Subject<'_>) -> Stat {
-    let consistent = subject.offset().filter(|offset| estimate_and_max_error(offset).is_some());
-    let skew = consistent.and_then(|offset| offset.skew_ppm);
-    let absence_reason =
-        || if subject.contradicts() { CONTRADICTION } else { "too few exchanges yet" }.to_owned();
-    let line = skew.map_or_else(absence_reason, |skew| {
-        let seconds_per_day = skew.abs() * 1e-6 * 86_400.0;
-        let verb = if skew < 0.0 { "loses" } else { "gains" };
+    let drift = subject.drift();
+    let line = drift.map_or_else(str::to_owned, |drift| {
+        let seconds_per_day = drift.abs() * 1e-6 * 86_400.0;
+        let verb = if drift < 0.0 { "loses" } else { "gains" };
         // Two decimals would show such a drift as 0.00 s.
         if seconds_per_day < 0.005 {
             "both run equally fast".to_owned()
@@ -115,7 +112,7 @@ fn drift(subject: &Subject<'_>) -> Stat {
             format!("{} {verb} {}{SPACE}s a day", subject.cloud, figure(seconds_per_day))
         }
     });
-    Stat::new("Drift", skew.map(ppm), "ppm", line)
+    Stat::new("Drift", drift.ok().map(ppm), "ppm", line)
 }
 
 fn round_trip(time_series: &LinkTimeSeries) -> Stat {

@@ -1,5 +1,6 @@
 //! The time series of a link as a table, with the same numbers as its chart.
 
+use peernet_clock::Offset;
 use peernet_statistics::BUCKET_WIDTHS_S;
 use peernet_statistics::number::{NONE, bound_ms, count, offset_ms, trip_ms};
 use peernet_store::ClockPoint;
@@ -72,7 +73,7 @@ impl Row {
             offset: estimate_and_error
                 .map_or_else(dash, |(estimate, max_error)| offset_ms(estimate, max_error)),
             bound: estimate_and_error.map_or_else(dash, |(_, max_error)| bound_ms(max_error)),
-            drift: estimate_and_error.and(offset).and_then(|offset| offset.skew_ppm).map_or_else(dash, ppm),
+            drift: offset.and_then(Offset::drift_ppm).map_or_else(dash, ppm),
             smallest: trip.map_or_else(dash, |trip| trip_ms(trip.min.seconds())),
             median: trip.map_or_else(dash, |trip| trip_ms(trip.median.seconds())),
             sent: count(point.probes.sent.into()),

@@ -156,6 +156,7 @@ fn contradictory_offset_is_shown_without_value() {
         let link = inconsistent(sources);
         let subject = Subject::live(&link);
         assert_eq!((subject.bound(), subject.verdict()), (None, Some(Verdict::Inconsistent)));
+        assert_eq!(subject.drift(), Err(CONTRADICTION));
         assert!(title(&subject, Zone::Utc).contains("contradicts itself"));
         let stats = stats::all(&subject, &time_series(&link));
         let offset = stats.iter().find(|stat| stat.name == "Clock offset").expect("it is a figure");
@@ -166,7 +167,10 @@ fn contradictory_offset_is_shown_without_value() {
         assert!(origin.hints.iter().all(|one| one.contains(hint)), "{origin:?}");
         assert!(!format!("{origin:?}").contains('±'), "{origin:?}");
         let table = table::Row::all(&time_series(&link), Zone::Utc);
-        assert!(table.iter().all(|row| row.offset == "—" && row.bound == "—"), "{table:?}");
+        assert!(
+            table.iter().all(|row| row.offset == "—" && row.bound == "—" && row.drift == "—"),
+            "{table:?}"
+        );
         let picture = tracks(&subject, &time_series(&link), OffsetView::Removed, &[], Zone::Utc);
         assert_eq!(super::chart::path(&picture.tracks[0], "band"), None);
     }
