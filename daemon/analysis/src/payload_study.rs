@@ -111,7 +111,7 @@ impl DirectionMessages {
         }
         let sizes = merge_sizes(by_payload, |_| 1).into_iter();
         let is_unknown = |row: &&RowRef<'_>| {
-            row.value(&payload).is_some_and(|bytes| bytes > 0.0) && row.value(name).is_none()
+            row.has_unknown_delay(name) && row.value(&payload).is_some_and(|bytes| bytes > 0.0)
         };
         Self {
             name,

@@ -106,11 +106,21 @@ impl<'a> RowRef<'a> {
 
     /// Returns whether a message was sent to the other host, and whether one was sent back.
     pub fn has_messages(&self) -> [bool; 2] {
-        let has_delay = |column: &str| self.value(column).is_some();
-        // A message has a verdict even if its delay is unknown. But results of other programs have delays without
-        // verdicts.
-        let [up, down] = self.verdicts().map(|verdict| verdict.is_some());
-        [up || has_delay(UPLOAD[0]), down || has_delay(DOWNLOAD[0])]
+        // A message has a verdict even if its delay is unknown. But results of other programs have delays and sizes
+        // without verdicts.
+        let has_message = |verdict: Option<Verdict>, delay: &str, bytes: &str| {
+            verdict.is_some()
+                || self.value(delay).is_some()
+                || self.value(bytes).is_some_and(|bytes| bytes > 0.0)
+        };
+        let [up, down] = self.verdicts();
+        [has_message(up, UPLOAD[0], "upload-bytes"), has_message(down, DOWNLOAD[0], "download-bytes")]
+    }
+
+    /// Returns whether a message was sent in the direction `upload` or `download`, but its delay is unknown.
+    pub fn has_unknown_delay(&self, direction: &str) -> bool {
+        let [up, down] = self.has_messages();
+        self.value(direction).is_none() && if direction == UPLOAD[0] { up } else { down }
     }
 
     fn delay(&self, direction: usize, columns: [&str; 4]) -> Option<OneWayDelay> {

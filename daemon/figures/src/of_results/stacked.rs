@@ -2,9 +2,10 @@
 
 use peernet_analysis::compare::{LatencyBar, part_order};
 use peernet_analysis::loaded::Loaded;
+use peernet_analysis::payload_study::DIRECTIONS;
 use peernet_analysis::rows::{LATENESS, RowRef};
 use peernet_analysis::total_column::TotalColumn;
-use peernet_logger::{Name, stage};
+use peernet_logger::Name;
 use peernet_statistics::number;
 
 use super::columns::{count_note, too_large_note};
@@ -13,8 +14,6 @@ use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::Stacked;
 
-/// Stages of the network. Their order is the order of the verdicts of a row.
-const DIRECTIONS: [Name; 2] = [stage::UPLOAD, stage::DOWNLOAD];
 /// Maximum number of bars in one figure.
 const MAX_BARS: usize = 100;
 
@@ -80,13 +79,9 @@ fn with_count_per_bar(count_note: &str, counts: &[u64]) -> String {
 /// Returns a note on the number of unknown delays of each direction; `None` if all delays are known.
 fn unknown_delays_note<'a, I: Iterator<Item = RowRef<'a>>>(all_rows: impl Fn() -> I) -> Option<String> {
     let counts: Vec<String> = DIRECTIONS
-        .iter()
-        .enumerate()
-        .filter_map(|(index, direction)| {
-            // A message with a verdict was sent, so its delay is unknown if it has no value.
-            let is_unknown =
-                |row: &RowRef<'_>| row.verdicts()[index].is_some() && row.value(direction).is_none();
-            let count = all_rows().filter(is_unknown).count();
+        .into_iter()
+        .filter_map(|direction| {
+            let count = all_rows().filter(|row| row.has_unknown_delay(direction)).count();
             (count > 0).then(|| format!("{} of {direction}", number::count(count as u64)))
         })
         .collect();

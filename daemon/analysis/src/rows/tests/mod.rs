@@ -2,8 +2,10 @@
 
 mod columns;
 
+use peernet_clock::{OneWayDelay, Span};
+
 use super::*;
-use crate::testing::rows as test_rows;
+use crate::testing::{row_of_values, rows as test_rows};
 
 #[test]
 fn rows_are_read_back_unchanged() {
@@ -35,6 +37,22 @@ fn statistics_exclude_warm_up_and_failed_rows() {
         (rows.values_in_statistics("inference_pre").count(), rows.values_in_statistics("nothing").count()),
         (6, 0)
     );
+}
+
+#[test]
+fn sent_message_without_delay_has_unknown_delay() {
+    let row = |values: &[(&'static str, f64)]| row_of_values(Outcome::Ok, values);
+    let rows: Rows = [
+        row(&[("upload", 1.0), ("upload-bytes", 9.0)]),
+        row(&[("upload-bytes", 9.0)]),
+        Row { upload: Some(OneWayDelay::unsynchronised(Span::from_millis(3))), ..row(&[]) },
+        row(&[("upload-bytes", 0.0)]),
+    ]
+    .into_iter()
+    .collect();
+    let is_unknown: Vec<bool> = rows.iter().map(|row| row.has_unknown_delay("upload")).collect();
+    assert_eq!(is_unknown, [false, true, true, false]);
+    assert!(rows.iter().all(|row| !row.has_unknown_delay("download")));
 }
 
 #[test]
