@@ -141,7 +141,7 @@ impl TimeSeries {
     /// median. `None` without halves.
     pub fn change(&self) -> Option<f64> {
         let (first, second) = self.halves?;
-        Some(if first > 0.0 { second / first - 1.0 } else { 0.0 })
+        Some(relative_change(first, second))
     }
 
     /// Returns whether the median changes by at least 5 %. Such a change is reported if it is more than chance.
@@ -176,6 +176,11 @@ impl TimeSeries {
             });
         Self { batches, halves, beginning, ..Self::default() }
     }
+}
+
+/// Returns the change from `from` to `to`, as a share of `from`; 0 if `from` is not above 0.
+pub(super) fn relative_change(from: f64, to: f64) -> f64 {
+    if from > 0.0 { to / from - 1.0 } else { 0.0 }
 }
 
 fn merged(summaries: &[Summary]) -> Summary {

@@ -5,7 +5,7 @@ use peernet_stream::Grade;
 
 use super::{finding, ms, percent, with_advice};
 use crate::stage_split::{NOTABLE_UNEXPLAINED_SHARE, StageSplit};
-use crate::trust::time_series::MIN_NOTABLE_CHANGE;
+use crate::trust::time_series::{MIN_NOTABLE_CHANGE, relative_change};
 use crate::trust::trend::chance_of_trend;
 use crate::trust::{Finding, TimeSeries, TrustInput};
 
@@ -214,9 +214,4 @@ fn judge_lateness(seconds: f64, split: &StageSplit) -> Finding {
         percent(split.share_of_mean_total(seconds))
     );
     finding("late start", Grade::Good, text)
-}
-
-/// Returns the change from `from` to `to`, as a share of `from`; 0 if `from` is not above 0.
-fn relative_change(from: f64, to: f64) -> f64 {
-    if from > 0.0 { to / from - 1.0 } else { 0.0 }
 }
