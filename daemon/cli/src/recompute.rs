@@ -2,6 +2,7 @@
 
 use crate::exit::Failure;
 use crate::output::print_to_stdout;
+use peernet_analysis::delays::is_exact;
 use peernet_analysis::table::text;
 use peernet_clock::RelatedClocks;
 use peernet_statistics::number::{self, NONE, bound_ms, column_decimals, fixed};
@@ -154,7 +155,7 @@ fn describe_clocks(clocks: &[String]) -> String {
 /// Returns whether all delays are exact.
 fn are_exact(stages: &[Stage]) -> bool {
     let has_exact_delays =
-        |stage: &Stage| stage.after.half_width.as_ref().is_some_and(|width| width.max == 0.0);
+        |stage: &Stage| stage.after.half_width.as_ref().is_some_and(|width| is_exact(width.max));
     stages.iter().all(has_exact_delays)
 }
 

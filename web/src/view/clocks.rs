@@ -1,7 +1,8 @@
 //! Accuracy of one-way delays, in a cell of a table.
 
+use peernet_analysis::delays::is_exact;
 use peernet_clock::Verdict;
-use peernet_statistics::number::bound_ms;
+use peernet_statistics::number::{EXACT, bound_ms, interval_ms};
 use peernet_store::DelayAccuracy;
 use peernet_stream::PlacementKind;
 
@@ -23,6 +24,11 @@ pub(crate) struct ClockCell {
 /// Returns the verdict on the delays of one direction; `None` without delays. A verdict on few delays is ignored.
 pub(crate) fn verdict(bound: &DelayAccuracy) -> Option<Verdict> {
     Verdict::summarise(bound.verdicts.iter().copied())
+}
+
+/// Formats the interval that contains a delay, in ms; `exact` if both ends of the message read one clock.
+pub(crate) fn interval_text((lo, hi): (f64, f64)) -> String {
+    if is_exact(hi - lo) { EXACT.to_owned() } else { interval_ms(lo, hi) }
 }
 
 /// Returns the meaning of a verdict, in a sentence for first-time readers.
@@ -59,8 +65,7 @@ impl ClockCell {
             return Self { bound: None, chip: None, words: "one host", title };
         }
         let verdict = bounds.iter().filter_map(verdict).max_by_key(|verdict| verdict.severity());
-        let widths = bounds.iter().filter_map(|bound| bound.half_width.as_ref());
-        let width = widths.map(|statistics| statistics.p50).max_by(f64::total_cmp);
+        let width = bounds.iter().filter_map(DelayAccuracy::median_half_width).max_by(f64::total_cmp);
         let chip = verdict.map(Chip::verdict);
         match (width, verdict) {
             (_, None) => Self {
@@ -70,11 +75,9 @@ impl ClockCell {
                 title: "no one-way delay was measured in this time",
             },
             (None, Some(verdict)) => Self { bound: None, chip, words: "", title: meaning(verdict) },
-            (Some(0.0), Some(_)) => {
-                Self { bound: Some(bound_ms(0.0)), chip, words: "", title: "both hosts read one clock" }
-            }
             (Some(width), Some(verdict)) => {
-                Self { bound: Some(bound_ms(width)), chip, words: "", title: meaning(verdict) }
+                let title = if is_exact(width) { "both hosts read one clock" } else { meaning(verdict) };
+                Self { bound: Some(bound_ms(width)), chip, words: "", title }
             }
         }
     }

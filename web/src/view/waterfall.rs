@@ -7,13 +7,14 @@ use peernet_analysis::unaccounted_time::{NETWORK_AND_REST, UnaccountedTime};
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{
-    DurationFormat, EXACT, NONE, SPACE, ends_ms, interval_ms, shift_ms, signed_within_ms, within_ms,
+    DurationFormat, EXACT, NONE, SPACE, ends_ms, shift_ms, signed_within_ms, within_ms,
 };
 use peernet_store::IterationDetail;
 
 pub(crate) use bars::lanes;
 
 use super::chip::Chip;
+use super::clocks;
 use super::link::basis::{brief_words, source_words};
 use super::stack;
 use crate::look;
@@ -155,7 +156,7 @@ impl Row {
             depth: node.depth,
             host,
             value: or_dash(node.length.map(|length| format_duration(length, bounds, column))),
-            bound: bounds.map(|(lo, hi)| if lo == hi { EXACT.to_owned() } else { interval_ms(lo, hi) }),
+            bound: bounds.map(clocks::interval_text),
             chip: node.delay.map(|delay| Chip::verdict(delay.verdict)),
             difference: or_dash(difference),
             is_cause,

@@ -2,7 +2,7 @@
 
 use peernet_analysis::delays::DelaySummary;
 use peernet_clock::Verdict;
-use peernet_statistics::number::{EXACT, NONE, interval_ms, within_ms};
+use peernet_statistics::number::{NONE, within_ms};
 use peernet_store::ClockPoint;
 use peernet_stream::{DelayPoint, DelaySecond};
 
@@ -81,8 +81,7 @@ impl Delays {
 
     /// Returns the interval that contains the median, in ms; `None` without a median.
     pub(crate) fn interval(&self) -> Option<String> {
-        let (lo, hi) = non_negative_bounds(self.median.as_ref()?);
-        Some(if lo == hi { EXACT.to_owned() } else { interval_ms(lo, hi) })
+        Some(clocks::interval_text(non_negative_bounds(self.median.as_ref()?)))
     }
 
     /// Returns the reason why there is no median.

@@ -6,7 +6,7 @@ use peernet_statistics::number::{ends_ms, milliseconds, within_ms};
 use peernet_stream::Grade;
 
 use super::{finding, percent, with_advice};
-use crate::delays::ClockInterval;
+use crate::delays::{ClockInterval, is_exact};
 use crate::trust::{DelayQuality, Finding, TrustInput};
 
 /// If at least this share of the delays has no value, the finding is bad.
@@ -30,7 +30,7 @@ fn judge_direction(clocks: &DelayQuality) -> Option<Finding> {
         .map(|(verdict, count)| format!("{verdict} {}", percent(*count as f64 / total as f64)))
         .collect();
     let precision = match (clocks.delay, clocks.interval) {
-        (Some(delay), Some(ClockInterval { lo, hi, .. })) if lo == hi => {
+        (Some(delay), Some(ClockInterval { lo, hi, .. })) if is_exact(hi - lo) => {
             format!("the median of {}\u{202f}ms is exact: both ends read one clock", milliseconds(delay))
         }
         (Some(delay), Some(ClockInterval { lo, hi, method })) => {
