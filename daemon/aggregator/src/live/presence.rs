@@ -24,8 +24,18 @@ pub(super) struct Presence {
     process: u64,
     /// Time of the last message.
     last_seen: Stamp,
-    /// The latest update: the host's clock when it was sent, and the process that sent it.
-    update: Option<(WallTime, u64)>,
+    update: Option<Update>,
+}
+
+/// The latest update of a host.
+#[derive(Clone, Copy, Debug)]
+struct Update {
+    /// The process that sent the update.
+    process: u64,
+    /// The host's clock when the update was sent.
+    sent: WallTime,
+    /// The aggregator's clock when the update was received.
+    received: WallTime,
 }
 
 impl Presence {
@@ -51,17 +61,17 @@ impl Presence {
 
     /// Returns the host's clock at its latest update.
     pub(super) fn sent(&self) -> Option<WallTime> {
-        self.update.map(|(sent, _)| sent)
+        self.update.map(|update| update.sent)
     }
 
     /// Returns the host's clock at the latest update of the current process.
     pub(super) fn sent_by_current_process(&self) -> Option<WallTime> {
-        self.update.filter(|(_, process)| *process == self.process).map(|(sent, _)| sent)
+        self.update.filter(|update| update.process == self.process).map(|update| update.sent)
     }
 
     /// Returns the host's clock minus the aggregator's at the latest update.
     pub(super) fn clock_ahead(&self) -> Span {
-        self.sent().map_or(Span::ZERO, |sent| sent - self.last_seen.wall)
+        self.update.map_or(Span::ZERO, |update| update.sent - update.received)
     }
 
     /// Records a process's hello. Returns whether the process is the same as before.
@@ -79,7 +89,7 @@ impl Presence {
     /// Records an update.
     pub(super) const fn update(&mut self, sent: WallTime, now: Stamp) {
         (self.state, self.last_seen) = (State::Connected, now);
-        self.update = Some((sent, self.process));
+        self.update = Some(Update { process: self.process, sent, received: now.wall });
     }
 
     /// Records a goodbye.
@@ -97,5 +107,22 @@ impl Presence {
     /// Returns whether the host counts as connected and has been silent for too long.
     pub(super) fn is_overdue(&self, now: MonoTime) -> bool {
         self.is_connected() && now - self.last_seen.mono > SILENCE_TIMEOUT
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stamp(seconds: i64) -> Stamp {
+        Stamp::default() + Span::from_seconds(seconds)
+    }
+
+    #[test]
+    fn hello_does_not_change_the_clock_comparison() {
+        let mut presence = Presence::new(1, stamp(100));
+        presence.update(stamp(101).wall + Span::from_millis(250), stamp(101));
+        presence.introduce(2, stamp(160));
+        assert_eq!(presence.clock_ahead(), Span::from_millis(250));
     }
 }
