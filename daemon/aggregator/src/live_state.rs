@@ -5,9 +5,10 @@
 
 use std::sync::Arc;
 
+use peernet_analysis::delays::VerdictCounts;
 use peernet_analysis::transfer::Transfers;
 use peernet_analysis::trust::MissingCount;
-use peernet_clock::{Span, Verdict, WallTime};
+use peernet_clock::{Span, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug};
 use peernet_stream::{
     Accounting, HostClock, HostDescription, HostMetrics, LinkLive, OutcomeCounts, PipelineState, Placement,
@@ -279,8 +280,8 @@ pub struct LiveSecond {
     pub total_p95: Option<f64>,
     /// Amounts of data and transfer times of both directions.
     pub transfers: Transfers,
-    /// Number of one-way delays by direction and verdict.
-    pub verdicts: Vec<(Name, Verdict, u64)>,
+    /// Number of one-way delays by verdict, upload and download.
+    pub verdicts: [VerdictCounts; 2],
 }
 
 impl Window {

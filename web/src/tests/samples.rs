@@ -6,6 +6,7 @@ use peernet_aggregator::{
     Aggregator, AggregatorConfig, HostSnapshot, LinkSnapshot, LiveSecond, LiveState, MetricsPoint,
     PercentilePoint, PercentileSeries, PipelineSnapshot, RefusedHost, RejectedBatches, Totals, Window,
 };
+use peernet_analysis::delays::VerdictCounts;
 use peernet_analysis::transfer::Transfers;
 use peernet_clock::{
     ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
@@ -151,7 +152,8 @@ pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: 
         let is_part = |(name, _): &&(Name, f64)| stage::ORDER.contains(name) || *name == stage::UNATTRIBUTED;
         let parts = means.iter().filter(is_part).cloned().collect();
         let counts = OutcomeCounts { ok: hz as u64, ..OutcomeCounts::default() };
-        let verdicts = [stage::UPLOAD, stage::DOWNLOAD].map(|stage| (stage, verdict, counts.ok));
+        let mut verdicts = VerdictCounts::default();
+        verdicts.add(verdict, counts.ok);
         Arc::new(LiveSecond {
             at,
             counts,
@@ -159,7 +161,7 @@ pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: 
             parts,
             total_p95: (counts.ok >= 60).then_some(0.018 * scale),
             transfers: transfers(counts.ok, Some(0.0063 * scale)),
-            verdicts: verdicts.to_vec(),
+            verdicts: [verdicts; 2],
         })
     });
     PipelineSnapshot {

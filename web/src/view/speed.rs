@@ -6,9 +6,10 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
-use peernet_analysis::delays::ClockInterval;
+use peernet_analysis::delays::{ClockInterval, VerdictCounts};
 use peernet_analysis::transfer::{KnownSpeed, Transfer, Transfers};
 use peernet_clock::Verdict;
+use peernet_statistics::Merge;
 use peernet_statistics::number::{NONE, throughput, throughput_between};
 use peernet_store::{DelayAccuracy, QuantityStatistics};
 use peernet_stream::PlacementKind;
@@ -64,16 +65,9 @@ pub(crate) fn known_speed(
 pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirection) -> Option<&'static str> {
     let last = series.iter().rfind(|second| second.counts.ok > 0).map(|second| second.at);
     let minute = || series.iter().filter(|second| last.is_some_and(|last| second.at > last - MINUTE_S));
-    let verdict_count = |verdict: &Verdict| {
-        let verdicts = minute().flat_map(|second| &second.verdicts);
-        let verdicts =
-            verdicts.filter(|(stage, other, _)| *stage == *direction.delay_name() && other == verdict);
-        (*verdict, verdicts.map(|(.., count)| count).sum())
-    };
-    find_obstacle(
-        Verdict::summarise(Verdict::ALL.iter().map(verdict_count)),
-        minute().map(|second| second.counts.ok).sum(),
-    )
+    let mut verdicts = VerdictCounts::default();
+    minute().for_each(|second| verdicts.merge(&second.verdicts[direction as usize]));
+    find_obstacle(Verdict::summarise(verdicts.counts()), minute().map(|second| second.counts.ok).sum())
 }
 
 /// Returns the reason why there is no single speed, from the verdict on the delays and the number of successful

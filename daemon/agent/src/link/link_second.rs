@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use peernet_analysis::delays::VerdictCounts;
 use peernet_clock::{Direction, Exchange, Interval, OneWayDelay, Span, Verdict, WallTime};
 use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTrip};
 
@@ -35,8 +36,7 @@ struct DelaysByDirection {
 /// Delays of one direction.
 #[derive(Debug, Default)]
 struct Delays {
-    /// Counts by verdict, in the order of [`Verdict::ALL`].
-    verdicts: [u32; Verdict::ALL.len()],
+    verdicts: VerdictCounts,
     points: DownsampledValues<DelayPoint>,
 }
 
@@ -136,9 +136,7 @@ impl LinkSecond {
 
 impl Delays {
     fn add(&mut self, delay: &OneWayDelay, bits: Option<f64>) {
-        if let Some(index) = Verdict::ALL.iter().position(|verdict| *verdict == delay.verdict) {
-            self.verdicts[index] = self.verdicts[index].saturating_add(1);
-        }
+        self.verdicts.add(delay.verdict, 1);
         if let (Some(value), Some(bounds)) = (delay.value, delay.bounds) {
             // An estimate of zero or less has no rate.
             let rate = bits.filter(|_| value > Span::ZERO).map(|bits| bits / value.seconds());
@@ -146,15 +144,11 @@ impl Delays {
         }
     }
 
-    fn count(&self) -> u32 {
-        self.verdicts.iter().fold(0, |sum, count| sum.saturating_add(*count))
-    }
-
     /// Returns the number, the median and the verdict of the delays ([`Verdict::summarise`]); `None` without delays.
     fn summary(&self) -> Option<DelaySecond> {
-        let counts = Verdict::ALL.iter().zip(&self.verdicts);
-        let verdict = Verdict::summarise(counts.map(|(verdict, count)| (*verdict, u64::from(*count))))?;
-        Some(DelaySecond { count: self.count(), median: self.median(), verdict })
+        let verdict = Verdict::summarise(self.verdicts.counts())?;
+        let count = u32::try_from(self.verdicts.total()).unwrap_or(u32::MAX);
+        Some(DelaySecond { count, median: self.median(), verdict })
     }
 
     /// Returns the median delay. Its bounds are the medians of all lower and of all upper bounds, between which the

@@ -1,5 +1,6 @@
 //! The statistics of one second.
 
+use peernet_analysis::delays::VerdictCounts;
 use peernet_clock::Span;
 use peernet_logger::{Measure, Name, Node, Tree, stage};
 use peernet_statistics::Summary;
@@ -15,6 +16,9 @@ pub(crate) const EPISODE_SUCCESS: Name = Name::from_static("episode-success");
 /// Name of the return of the episode that ended with an iteration: the sum of its rewards. It counts in the same cases
 /// as [`EPISODE_SUCCESS`].
 pub(crate) const EPISODE_RETURN: Name = Name::from_static("episode-return");
+
+/// Stages whose delays have verdicts.
+const DIRECTIONS: [Name; 2] = [stage::UPLOAD, stage::DOWNLOAD];
 
 /// Maximum number of names per second.
 // A peer adds nodes of its choice to a tree, so the memory for their names must be bounded.
@@ -34,12 +38,12 @@ pub(super) struct SecondStatistics {
     values: Summaries,
     /// Half the widths of the intervals of delays, and the ends of the intervals, by name.
     bounds: Summaries,
-    /// Name of the node, verdict, and number of delays with this verdict.
-    verdicts: Vec<(Name, Name, u64)>,
+    /// Number of delays by verdict, in the order of [`DIRECTIONS`].
+    verdicts: [VerdictCounts; 2],
 }
 
 impl SecondStatistics {
-    pub(super) const fn new(at: i64) -> Self {
+    pub(super) fn new(at: i64) -> Self {
         Self {
             at,
             version: 0,
@@ -47,7 +51,7 @@ impl SecondStatistics {
             counts: OutcomeCounts { ok: 0, failed: 0, lost: 0, timeout: 0 },
             values: Summaries(Vec::new()),
             bounds: Summaries(Vec::new()),
-            verdicts: Vec::new(),
+            verdicts: [VerdictCounts::default(); 2],
         }
     }
 
@@ -104,26 +108,23 @@ impl SecondStatistics {
                 });
             }
         }
-        let verdict = delay.verdict.name();
-        let existing_count = self
-            .verdicts
-            .iter_mut()
-            .find(|(name, other_verdict, _)| *name == node.name && *other_verdict == verdict);
-        if let Some((_, _, count)) = existing_count {
-            *count += 1;
-        } else if self.verdicts.len() < MAX_NAMES {
-            self.verdicts.push((node.name.clone(), Name::from_static(verdict), 1));
+        if let Some(direction) = DIRECTIONS.iter().position(|direction| *direction == node.name) {
+            self.verdicts[direction].add(delay.verdict, 1);
         }
     }
 
     /// Returns the second in the form in which it is sent.
     pub(super) fn to_message(&self) -> Second {
+        let verdicts = DIRECTIONS.into_iter().zip(self.verdicts).flat_map(|(direction, verdicts)| {
+            let counts = verdicts.counts();
+            counts.map(move |(verdict, count)| (direction.clone(), Name::from_static(verdict.name()), count))
+        });
         Second {
             at: self.at,
             counts: self.counts,
             values: self.values.0.clone(),
             bounds: self.bounds.0.clone(),
-            verdicts: self.verdicts.clone(),
+            verdicts: verdicts.collect(),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The numbers of one second of one pipeline, and their merge into windows.
 
 use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
+use peernet_analysis::delays::VerdictCounts;
 use peernet_analysis::outcomes::failed_share;
 use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::transfer::Transfers;
@@ -13,6 +14,9 @@ use super::MAX_NAMES;
 use crate::live_state::{LiveSecond, Window};
 use peernet_store::{DelayAccuracy, QuantityStatistics, table_order};
 
+/// Stages whose delays have verdicts.
+const DIRECTIONS: [Name; 2] = [stage::UPLOAD, stage::DOWNLOAD];
+
 /// Statistics of one or more seconds. A list is faster than a map here, because there are few names.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SecondStatistics {
@@ -22,15 +26,15 @@ pub(super) struct SecondStatistics {
     /// Clock bounds of each direction: half widths under the name of the stage, lower and upper ends under its two
     /// [`bound_names`].
     bounds: Vec<(Name, Summary)>,
-    /// Number of iterations by stage and clock verdict.
-    verdicts: Vec<(Name, Verdict, u64)>,
+    /// Number of delays by verdict, in the order of [`DIRECTIONS`].
+    verdicts: [VerdictCounts; 2],
 }
 
 impl SecondStatistics {
     /// Creates the numbers from an agent's report of a second, cut to `MAX_NAMES`. The number of removed names is
     /// added to `discarded_items`.
     pub(super) fn from_report(second: Second, discarded_items: &mut u64) -> Self {
-        let Second { counts, mut values, mut bounds, verdicts, .. } = second;
+        let Second { counts, mut values, mut bounds, verdicts: reported_verdicts, .. } = second;
         let mut limit = |names: &mut Vec<(Name, Summary)>| {
             *discarded_items += names.len().saturating_sub(MAX_NAMES) as u64;
             names.truncate(MAX_NAMES);
@@ -38,10 +42,14 @@ impl SecondStatistics {
         };
         limit(&mut values);
         limit(&mut bounds);
-        // Verdicts that only a later version knows are left out.
-        let parse_verdict =
-            |(stage, verdict, count): (Name, Name, u64)| Some((stage, Verdict::from_name(&verdict)?, count));
-        let verdicts = verdicts.into_iter().filter_map(parse_verdict).take(MAX_NAMES).collect();
+        let mut verdicts = [VerdictCounts::default(); 2];
+        for (stage, verdict, count) in reported_verdicts {
+            let direction = DIRECTIONS.iter().position(|direction| *direction == stage);
+            // Verdicts that only a later version knows are left out.
+            if let (Some(direction), Some(verdict)) = (direction, Verdict::from_name(&verdict)) {
+                verdicts[direction].add(verdict, count);
+            }
+        }
         Self { counts, values, bounds, verdicts }
     }
 
@@ -64,14 +72,10 @@ impl SecondStatistics {
             let (_, summary) = self.values.iter().find(|(other, _)| other == name)?;
             (summary.count() > 0).then_some((summary.count(), summary.moments.mean))
         };
-        let message_counts = [stage::UPLOAD, stage::DOWNLOAD].map(|direction| {
-            let counts = self.verdicts.iter().filter(|(stage, ..)| *stage == direction);
-            counts.map(|(.., count)| count).sum()
-        });
-        let StageSplit { parts, .. } = StageSplit::new(message_counts, mean_of);
+        let StageSplit { parts, .. } = StageSplit::new(self.verdicts.map(VerdictCounts::total), mean_of);
         let total_p95 =
             self.total().and_then(QuantityStatistics::from_summary).and_then(|statistics| statistics.p95);
-        let (transfers, verdicts) = (self.transfers(), self.verdicts.clone());
+        let (transfers, verdicts) = (self.transfers(), self.verdicts);
         LiveSecond { at, counts: self.counts, means, parts, total_p95, transfers, verdicts }
     }
 
@@ -112,9 +116,10 @@ impl SecondStatistics {
 
     /// Returns the clock bounds of both directions.
     fn delay_bounds(&self) -> Vec<DelayAccuracy> {
-        [stage::UPLOAD, stage::DOWNLOAD]
+        DIRECTIONS
             .into_iter()
-            .filter_map(|stage| {
+            .zip(self.verdicts)
+            .filter_map(|(stage, verdicts)| {
                 let statistics = |wanted: &Name| {
                     let (_, summary) = self.bounds.iter().find(|(name, _)| name == wanted)?;
                     QuantityStatistics::from_summary(summary)
@@ -122,20 +127,11 @@ impl SecondStatistics {
                 let half_width = statistics(&stage);
                 let ends =
                     bound_names(&stage).and_then(|[lo, hi]| Some([statistics(&lo)?, statistics(&hi)?]));
-                let mut verdicts: Vec<(Verdict, u64)> = Vec::new();
-                for verdict in Verdict::ALL {
-                    let has_verdict =
-                        |(name, other, _): &&(Name, Verdict, u64)| *name == stage && other == verdict;
-                    let count = self.verdicts.iter().filter(has_verdict).map(|(_, _, count)| *count).sum();
-                    if count > 0 {
-                        verdicts.push((*verdict, count));
-                    }
-                }
-                (half_width.is_some() || !verdicts.is_empty()).then_some(DelayAccuracy {
+                (half_width.is_some() || !verdicts.is_empty()).then(|| DelayAccuracy {
                     stage,
                     half_width,
                     ends,
-                    verdicts,
+                    verdicts: verdicts.counts().collect(),
                 })
             })
             .collect()
@@ -147,16 +143,7 @@ impl Merge for SecondStatistics {
         self.counts.merge(&other.counts);
         merge_named(&mut self.values, &other.values);
         merge_named(&mut self.bounds, &other.bounds);
-        for (stage, verdict, count) in &other.verdicts {
-            let index = self.verdicts.iter().position(|(name, other, _)| name == stage && other == verdict);
-            match index {
-                Some(index) => self.verdicts[index].2 = self.verdicts[index].2.saturating_add(*count),
-                None if self.verdicts.len() < MAX_NAMES => {
-                    self.verdicts.push((stage.clone(), *verdict, *count));
-                }
-                None => {}
-            }
-        }
+        self.verdicts.iter_mut().zip(&other.verdicts).for_each(|(verdicts, other)| verdicts.merge(other));
     }
 }
 

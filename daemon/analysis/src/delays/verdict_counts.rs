@@ -1,16 +1,24 @@
 //! Number of delays by verdict.
 
 use peernet_clock::Verdict;
+use peernet_statistics::Merge;
+use serde::Serialize;
 
 /// Number of delays by verdict.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct VerdictCounts([u64; Verdict::ALL.len()]);
 
 impl VerdictCounts {
     /// Adds `count` delays with this verdict.
     pub fn add(&mut self, verdict: Verdict, count: u64) {
-        // `Verdict::ALL` has the order of declaration.
-        self.0[verdict as usize] += count;
+        // `Verdict::ALL` has the order of declaration. The sum saturates, because another host may report any number.
+        let sum = &mut self.0[verdict as usize];
+        *sum = sum.saturating_add(count);
+    }
+
+    /// Returns the number of all delays.
+    pub fn total(self) -> u64 {
+        self.0.into_iter().fold(0, u64::saturating_add)
     }
 
     /// Returns whether there are no delays.
@@ -21,6 +29,12 @@ impl VerdictCounts {
     /// Returns the number of delays for each verdict that occurs, in the order of [`Verdict::ALL`].
     pub fn counts(self) -> impl Iterator<Item = (Verdict, u64)> {
         Verdict::ALL.iter().copied().zip(self.0).filter(|(_, count)| *count > 0)
+    }
+}
+
+impl Merge for VerdictCounts {
+    fn merge(&mut self, other: &Self) {
+        other.counts().for_each(|(verdict, count)| self.add(verdict, count));
     }
 }
 

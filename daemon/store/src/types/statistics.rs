@@ -8,7 +8,7 @@ use peernet_analysis::stage_split::share_of_total;
 use peernet_analysis::transfer::Transfers;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
-use peernet_statistics::Summary;
+use peernet_statistics::{Merge, Summary};
 use serde::Serialize;
 
 use crate::quantity_statistics::{DelayAccuracy, QuantityStatistics, table_order};
@@ -152,7 +152,7 @@ impl MergeableStatistics {
             self.add_ends(name.clone(), [lower, upper]);
         }
         for (stage, verdicts) in &other.verdicts {
-            verdicts.counts().for_each(|(verdict, count)| self.add_verdicts(stage.clone(), verdict, count));
+            self.verdicts.entry(stage.clone()).or_default().merge(verdicts);
         }
     }
 

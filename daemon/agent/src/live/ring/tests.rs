@@ -179,7 +179,7 @@ fn delays_without_value_are_counted_and_not_averaged() {
         second.bounds.iter().map(|(name, summary)| (name.as_str(), summary.count(), summary.moments.max));
     let expected = [("upload", 1, 0.0), ("upload-lo", 1, 0.004), ("upload-hi", 1, 0.004)];
     assert_eq!(bounds.collect::<Vec<_>>(), expected);
-    let verdicts = ["ok", "inconsistent", "stepped"].map(|verdict| ("upload".into(), verdict.into(), 1));
+    let verdicts = ["ok", "stepped", "inconsistent"].map(|verdict| ("upload".into(), verdict.into(), 1));
     assert_eq!(second.verdicts, verdicts);
 }
 
