@@ -33,8 +33,8 @@ impl Counts {
     }
 
     /// Counts an iteration.
-    pub fn add(&mut self, outcome: Outcome, warm_up: bool) {
-        let count = match outcome {
+    pub fn add(&mut self, outcome: impl Into<Outcome>, warm_up: bool) {
+        let count = match outcome.into() {
             _ if warm_up => &mut self.warm_up,
             Outcome::Ok => &mut self.ok,
             Outcome::Failed => &mut self.failed,

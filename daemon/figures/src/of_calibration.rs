@@ -35,6 +35,7 @@ pub(crate) fn messages(study: &Study) -> MessageFigures {
 mod tests {
     use peernet_analysis::calibration::Passage;
     use peernet_analysis::calibration::{Sample, Setting};
+    use peernet_analysis::rows::Outcome;
     use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
 
     use super::*;
@@ -62,7 +63,7 @@ mod tests {
             at: number as f64,
             payload_bytes,
             warm_up: false,
-            outcome: "ok",
+            outcome: Outcome::Ok,
             reason: None,
             total: Some(1e-3),
             up: Some(passage(payload_bytes, number)),

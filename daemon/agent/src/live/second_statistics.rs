@@ -1,10 +1,11 @@
 //! The statistics of one second.
 
 use peernet_analysis::delays::VerdictCounts;
+use peernet_analysis::outcomes::Counts;
 use peernet_clock::Span;
 use peernet_logger::{Measure, Name, Node, Tree, stage};
 use peernet_statistics::Summary;
-use peernet_stream::{Outcome, OutcomeCounts, Second, bound_names};
+use peernet_stream::{Outcome, Second, bound_names};
 
 /// Name of the value that is 1 if an iteration missed its deadline or failed, and 0 otherwise. Absent if the
 /// pipeline has no deadline.
@@ -33,7 +34,7 @@ pub(super) struct SecondStatistics {
     pub(super) version: u64,
     /// Version of this second that was last sent.
     pub(super) sent_version: u64,
-    counts: OutcomeCounts,
+    counts: Counts,
     /// Values of the nodes by name.
     values: Summaries,
     /// Half the widths of the intervals of delays, and the ends of the intervals, by name.
@@ -48,7 +49,7 @@ impl SecondStatistics {
             at,
             version: 0,
             sent_version: 0,
-            counts: OutcomeCounts { ok: 0, failed: 0, lost: 0, timeout: 0 },
+            counts: Counts::default(),
             values: Summaries(Vec::new()),
             bounds: Summaries(Vec::new()),
             verdicts: [VerdictCounts::default(); 2],
@@ -57,12 +58,7 @@ impl SecondStatistics {
 
     /// Adds an iteration that is not warm-up.
     pub(super) fn record(&mut self, outcome: &Outcome, tree: &Tree) {
-        match outcome {
-            Outcome::Ok => self.counts.ok += 1,
-            Outcome::Failed(_) => self.counts.failed += 1,
-            Outcome::Lost(_) => self.counts.lost += 1,
-            Outcome::Timeout(_) => self.counts.timeout += 1,
-        }
+        self.counts.add(outcome, false);
         // The durations of a failed iteration are left out, because they say nothing about the durations of successful
         // iterations. The name of the deadline's value is added, so that a second without answers still shows that
         // there is a deadline. Values that do not depend on the answer are added, too: skipped starts and the results
@@ -121,7 +117,7 @@ impl SecondStatistics {
         });
         Second {
             at: self.at,
-            counts: self.counts,
+            counts: self.counts.outcomes(),
             values: self.values.0.clone(),
             bounds: self.bounds.0.clone(),
             verdicts: verdicts.collect(),

@@ -13,7 +13,7 @@ use crate::rows::Outcome;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Failures {
     /// `failed`, `lost` or `timeout`.
-    pub outcome: &'static str,
+    pub outcome: Outcome,
     /// Number of these payloads.
     pub count: u64,
     /// Most frequent reason; `None` when no reason was given.
@@ -23,7 +23,7 @@ pub struct Failures {
 impl Failures {
     /// Returns one item for each outcome of the unanswered samples, the most frequent outcome first.
     pub(super) fn by_outcome(samples: &[Sample]) -> Vec<Self> {
-        let mut reasons: BTreeMap<&'static str, BTreeMap<Option<&str>, u64>> = BTreeMap::new();
+        let mut reasons: BTreeMap<Outcome, BTreeMap<Option<&str>, u64>> = BTreeMap::new();
         for sample in samples.iter().filter(|sample| !sample.warm_up && !sample.is_in_statistics()) {
             *reasons.entry(sample.outcome).or_default().entry(sample.reason.as_deref()).or_default() += 1;
         }
@@ -42,7 +42,7 @@ impl Failures {
 
     /// Returns the number, the outcome in words, and the reason: `4 failed (most often: too large)`.
     fn description(&self) -> String {
-        let outcome = Outcome::from_name(self.outcome).map_or(self.outcome, Outcome::display_name);
+        let outcome = self.outcome.display_name();
         let reason = match &self.commonest_reason {
             None => String::new(),
             Some(reason) if self.count == 1 => format!(" ({reason})"),

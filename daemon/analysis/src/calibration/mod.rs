@@ -27,7 +27,7 @@ use peernet_clock::Direction;
 use peernet_stream::ClockSample;
 use serde::Serialize;
 
-use crate::{WriteError, write_file};
+use crate::{WriteError, outcomes, write_file};
 
 /// Setting of a study, as given by the program that made the study.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -97,14 +97,10 @@ impl Study {
     /// Makes a study from all iterations, which sent payloads of several sizes, and from the samples of the clock
     /// relation during these iterations, one per second.
     pub fn new(setting: Setting, samples: Vec<Sample>, clocks: &[ClockSample]) -> Self {
-        let count = |condition: &dyn Fn(&Sample) -> bool| {
-            samples.iter().filter(|sample| condition(sample)).count() as u64
-        };
-        let counts = Counts {
-            measured: count(&Sample::is_in_statistics),
-            warm_up: count(&|sample| sample.warm_up),
-            failed: count(&|sample| !sample.warm_up && !sample.is_in_statistics()),
-        };
+        let mut by_outcome = outcomes::Counts::default();
+        samples.iter().for_each(|sample| by_outcome.add(sample.outcome, sample.warm_up));
+        let (measured, failed) = (by_outcome.ok, by_outcome.all_failed());
+        let counts = Counts { measured, warm_up: by_outcome.warm_up, failed };
         let up = DirectionStudy::new(Direction::Up, &samples);
         let down = DirectionStudy::new(Direction::Down, &samples);
         let clocks = Clocks::new(clocks, &samples);

@@ -2,9 +2,10 @@
 
 use peernet_clock::Direction;
 use peernet_logger::stage;
-use peernet_stream::{Iteration, Outcome};
+use peernet_stream::Iteration;
 
 use super::passage::Passage;
+use crate::rows::Outcome;
 
 /// Measurements of one iteration of a calibration, which sent one payload.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,8 +18,8 @@ pub struct Sample {
     pub payload_bytes: u64,
     /// True if the iteration is warm-up. Such samples are written to `samples.csv`, but left out of the study.
     pub warm_up: bool,
-    /// `ok`, `failed`, `lost` or `timeout`.
-    pub outcome: &'static str,
+    /// Outcome of the iteration.
+    pub outcome: Outcome,
     /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
     /// Duration of the iteration, seconds; `None` if it was not measured.
@@ -39,7 +40,7 @@ impl Sample {
             at,
             payload_bytes,
             warm_up: iteration.warm_up,
-            outcome: iteration.outcome.name(),
+            outcome: Outcome::from(&iteration.outcome),
             reason: iteration.outcome.reason().map(str::to_owned),
             total: tree.find(&[&stage::TOTAL]).and_then(|(_, node)| node.measure.value()),
             up: Passage::up(tree),
@@ -49,7 +50,7 @@ impl Sample {
 
     /// Returns whether statistics include the sample: it was answered and is not warm-up.
     pub fn is_in_statistics(&self) -> bool {
-        !self.warm_up && self.outcome == Outcome::Ok.name()
+        !self.warm_up && self.outcome == Outcome::Ok
     }
 
     /// Returns the message in one direction.

@@ -42,7 +42,7 @@ fn sample_row(sample: &Sample) -> Vec<String> {
         format!("{:.6}", sample.at),
         sample.payload_bytes.to_string(),
         u8::from(sample.warm_up).to_string(),
-        sample.outcome.to_owned(),
+        sample.outcome.name().to_owned(),
         cell(sample.total.map(seconds)),
     ];
     for direction in [Direction::Up, Direction::Down] {

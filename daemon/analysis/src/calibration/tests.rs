@@ -3,6 +3,7 @@ use peernet_logger::HostId;
 use peernet_stream::{NetworkName, ProbeCounts};
 
 use super::*;
+use crate::rows::Outcome;
 
 const SIZES: [u64; 8] = [100, 1_000, 10_000, 50_000, 100_000, 400_000, 1_000_000, 4_000_000];
 const REPEATS: u64 = 100;
@@ -71,7 +72,7 @@ fn sweep(link: Link) -> Vec<Sample> {
             at: number as f64,
             payload_bytes,
             warm_up: round == 0,
-            outcome: "ok",
+            outcome: Outcome::Ok,
             reason: None,
             total: Some(1e-3),
             up: Some(passage(link, payload_bytes, 2 * number, 1.0)),
@@ -103,7 +104,11 @@ fn median_delay_equals_median_of_study() {
     }
     let answered =
         samples.iter().find(|sample| sample.is_in_statistics()).cloned().expect("a sample in the statistics");
-    samples.extend((0..200).map(|_| Sample { outcome: "timeout", up: Some(slow), ..answered.clone() }));
+    samples.extend((0..200).map(|_| Sample {
+        outcome: Outcome::Timeout,
+        up: Some(slow),
+        ..answered.clone()
+    }));
     let study = study(samples.clone());
     let [up, _] = study.directions();
     for size in &up.sizes {
@@ -170,7 +175,7 @@ fn unsuitable_sweeps_have_no_trusted_verdict() {
 fn lost_answers_are_counted_and_written() {
     let mut samples = sweep(GOOD);
     let lost = samples.last_mut().expect("there are some");
-    (lost.outcome, lost.up, lost.down) = ("lost", None, None);
+    (lost.outcome, lost.up, lost.down) = (Outcome::Lost, None, None);
     lost.reason = Some("the connection broke: reset".to_owned());
     let study = study(samples);
     assert_eq!(study.counts, Counts { measured: 791, warm_up: 8, failed: 1 });
@@ -186,18 +191,18 @@ fn lost_answers_are_counted_and_written() {
 #[test]
 fn reasons_for_unanswered_payloads_are_counted() {
     let mut samples = sweep(GOOD);
-    let fail = |samples: &mut [Sample], count: usize, outcome: &'static str, reason: Option<&str>| {
+    let fail = |samples: &mut [Sample], count: usize, outcome: Outcome, reason: Option<&str>| {
         let answered = samples.iter_mut().filter(|sample| sample.is_in_statistics());
         for sample in answered.take(count) {
             (sample.outcome, sample.up, sample.down) = (outcome, None, None);
             sample.reason = reason.map(str::to_owned);
         }
     };
-    fail(&mut samples, 3, "failed", Some("too large"));
-    fail(&mut samples, 1, "failed", Some("overloaded"));
-    fail(&mut samples, 2, "timeout", None);
+    fail(&mut samples, 3, Outcome::Failed, Some("too large"));
+    fail(&mut samples, 1, Outcome::Failed, Some("overloaded"));
+    fail(&mut samples, 2, Outcome::Timeout, None);
     let study = study(samples);
-    let failures = [("failed", 4, Some("too large")), ("timeout", 2, None)];
+    let failures = [(Outcome::Failed, 4, Some("too large")), (Outcome::Timeout, 2, None)];
     let failures = failures.map(|(outcome, count, reason)| Failures {
         outcome,
         count,

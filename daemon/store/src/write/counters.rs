@@ -116,8 +116,8 @@ impl Counters {
     /// Adds the part of a run that is in a batch.
     pub(super) fn add_run_part(&mut self, run: i64, part: &RunPart) {
         let counts = self.runs.entry(run).or_default();
-        counts.outcomes.merge(&part.outcomes);
-        counts.warm_up += part.warm_up;
+        counts.outcomes.merge(&part.counts.outcomes());
+        counts.warm_up += part.counts.warm_up;
         counts.skipped_starts =
             counts.skipped_starts.saturating_add(part.skipped_starts).min(MAX_SKIPPED_STARTS);
         counts.newest_start = counts.newest_start.max(part.newest_start);

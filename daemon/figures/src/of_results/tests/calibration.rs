@@ -41,7 +41,7 @@ fn assert_equal_figures(
         at: number as f64,
         payload_bytes: passage.payload_bytes,
         warm_up: false,
-        outcome: "ok",
+        outcome: Outcome::Ok,
         reason: None,
         total: None,
         up: Some(*passage),

@@ -1,9 +1,10 @@
 //! Conversion of a tree to rows and statistics.
 
 use peernet_analysis::actuator_results::EPISODE_VALUES;
+use peernet_analysis::outcomes::Counts;
 use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::{HostId, Measure, NodeId, Transit, stage};
-use peernet_stream::{Iteration, Outcome, OutcomeCounts};
+use peernet_stream::{Iteration, Outcome};
 
 use super::{AnchorRow, BatchBuilder, BatchError, IterationRow, NodeRow, RunPart, Step, TransitRow};
 use crate::extent::Extent;
@@ -91,11 +92,9 @@ impl BatchBuilder {
         let run = *self.runs.entry(iteration.run).or_insert_with(|| {
             let run = batch.runs.len() as u32;
             batch.steps.push(Step::Run(run, started));
-            let outcomes = OutcomeCounts::default();
             batch.runs.push(RunPart {
                 id: iteration.run,
-                outcomes,
-                warm_up: 0,
+                counts: Counts::default(),
                 skipped_starts: 0,
                 newest_start: started,
                 numbers,
@@ -111,15 +110,7 @@ impl BatchBuilder {
             // The cast saturates: values that are no counts become 0 or the largest count.
             part.skipped_starts = part.skipped_starts.saturating_add(skipped_starts.unwrap_or(0.0) as u64);
         }
-        let outcomes = &mut part.outcomes;
-        let counter = match &iteration.outcome {
-            _ if iteration.warm_up => &mut part.warm_up,
-            Outcome::Ok => &mut outcomes.ok,
-            Outcome::Failed(_) => &mut outcomes.failed,
-            Outcome::Lost(_) => &mut outcomes.lost,
-            Outcome::Timeout(_) => &mut outcomes.timeout,
-        };
-        *counter += 1;
+        part.counts.add(&iteration.outcome, iteration.warm_up);
         run
     }
 

@@ -12,10 +12,11 @@ mod summaries;
 use std::collections::{BTreeSet, HashMap, HashSet};
 
 use bytes::Bytes;
+use peernet_analysis::outcomes::Counts;
 use peernet_clock::WallTime;
 use peernet_logger::{HostId, RunId};
 use peernet_stream::codec::{self, CodecError};
-use peernet_stream::{BatchHead, Event, EventOrigin, OutcomeCounts};
+use peernet_stream::{BatchHead, Event, EventOrigin};
 
 use self::names::LocalNames;
 pub(super) use self::names::NameKey;
@@ -71,8 +72,7 @@ pub(super) enum Step {
 #[derive(Debug)]
 pub(super) struct RunPart {
     pub(super) id: RunId,
-    pub(super) outcomes: OutcomeCounts,
-    pub(super) warm_up: u64,
+    pub(super) counts: Counts,
     /// Number of starts that were skipped before these iterations. Starts before warm-up iterations do not count.
     pub(super) skipped_starts: u64,
     /// Start of the newest iteration.
