@@ -26,6 +26,12 @@ pub const ACTION_REPORTS: [&str; 2] = ["success", "episode-ended"];
 /// Text that joins two numbers of episodes: "12 and 13".
 pub const EPISODES_SEPARATOR: &str = " and ";
 
+/// Returns whether statistics include the value that an iteration has under this name: the iteration is in the
+/// statistics, or the value is one of the [`EPISODE_VALUES`].
+pub fn is_value_in_statistics(name: &str, is_iteration_in_statistics: bool) -> bool {
+    is_iteration_in_statistics || EPISODE_VALUES.contains(&name)
+}
+
 /// Results of the actuator of one or several runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]

@@ -6,7 +6,9 @@ use peernet_statistics::{Moments, Summary};
 use crate::accuracy::detection::DETECTION_SCORES;
 use crate::accuracy::segmentation::SEGMENTATION_SCORE;
 use crate::accuracy::{ACCURACIES, Accuracy, MeanScore, was_right};
-use crate::actuator_results::{ActuatorResults, EPISODE_RETURN, EPISODE_SUCCESS, return_decimals};
+use crate::actuator_results::{
+    ActuatorResults, EPISODE_RETURN, EPISODE_SUCCESS, is_value_in_statistics, return_decimals,
+};
 use crate::rows::RowRef;
 
 /// Quantity, other than latency, that says how good a configuration is.
@@ -126,8 +128,8 @@ impl Quality {
 /// the statistics, only the values of its episode count.
 fn value(row: RowRef<'_>, name: &str) -> Option<f64> {
     match name {
+        _ if !is_value_in_statistics(name, row.is_in_statistics()) => None,
         EPISODE_SUCCESS | EPISODE_RETURN => row.value(name).filter(|value| Summary::accepts(*value)),
-        _ if !row.is_in_statistics() => None,
         _ if ACCURACIES.contains(&name) => was_right(row, name).map(|is_right| f64::from(u8::from(is_right))),
         _ => row.value(name).filter(|score| (0.0..=1.0).contains(score)),
     }

@@ -59,14 +59,9 @@ impl PipelineLiveState {
         self.lock().placement = placement;
     }
 
-    /// Adds an iteration that is not warm-up. It ended within the second `unix_second` (Unix time).
-    pub(crate) fn record(&self, unix_second: i64, outcome: &Outcome, tree: &Tree) {
-        self.lock().ring.record(unix_second, outcome, tree);
-    }
-
-    /// Adds an iteration of the warm-up. It ended within the second `unix_second` (Unix time).
-    pub(crate) fn record_warm_up(&self, unix_second: i64, tree: &Tree) {
-        self.lock().ring.record_warm_up(unix_second, tree);
+    /// Adds an iteration that ended within the second `unix_second` (Unix time).
+    pub(crate) fn record(&self, unix_second: i64, outcome: &Outcome, warm_up: bool, tree: &Tree) {
+        self.lock().ring.record(unix_second, outcome, warm_up, tree);
     }
 
     fn live(&self) -> (PipelineLive, SentSeconds) {

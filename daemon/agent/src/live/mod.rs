@@ -8,7 +8,6 @@ mod ring;
 mod second_statistics;
 
 pub(crate) use live_statistics::{LiveStatistics, PipelineLiveState, Receipt};
-pub(crate) use second_statistics::{DEADLINE_MISSED, EPISODE_RETURN, EPISODE_SUCCESS};
 
 use std::time::Duration;
 

@@ -28,27 +28,18 @@ pub(super) struct Ring {
 pub(crate) struct SentSeconds(Vec<(i64, u64)>);
 
 impl Ring {
-    /// Adds an iteration that ended within the second `at` (Unix time) and is not warm-up.
-    pub(super) fn record(&mut self, at: i64, outcome: &Outcome, tree: &Tree) {
-        self.change_second(at).record(outcome, tree);
-    }
-
-    /// Adds an iteration of the warm-up that ended within the second `at` (Unix time).
-    pub(super) fn record_warm_up(&mut self, at: i64, tree: &Tree) {
+    /// Adds an iteration that ended within the second `at` (Unix time).
+    pub(super) fn record(&mut self, at: i64, outcome: &Outcome, warm_up: bool, tree: &Tree) {
         // A second in which only iterations of the warm-up end has no statistics.
-        if has_episode_result(tree) {
-            self.change_second(at).record_episode_result(tree);
+        if warm_up && !has_episode_result(tree) {
+            return;
         }
-    }
-
-    /// Returns the statistics of the second `at` for a change, and gives them a new version.
-    fn change_second(&mut self, at: i64) -> &mut SecondStatistics {
         // The version orders changes and updates: a second that changes while an update is sent is sent again.
         self.version += 1;
         let version = self.version;
         let second = self.second_at(at);
         second.version = version;
-        second
+        second.record(outcome, warm_up, tree);
     }
 
     /// Returns the statistics of the second `at`, which are created if necessary.

@@ -1,22 +1,13 @@
 //! The statistics of one second.
 
+use peernet_analysis::actuator_results::is_value_in_statistics;
+use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::delays::VerdictCounts;
 use peernet_analysis::outcomes::Counts;
 use peernet_clock::Span;
 use peernet_logger::{Measure, Name, Node, Tree, stage};
 use peernet_statistics::Summary;
 use peernet_stream::{Outcome, Second, bound_names};
-
-/// Name of the value that is 1 if an iteration missed its deadline or failed, and 0 otherwise. Absent if the
-/// pipeline has no deadline.
-pub(crate) const DEADLINE_MISSED: Name = Name::from_static("deadline-missed");
-
-/// Name of the value that is 1 if the episode that ended with an iteration was a success, else 0. It belongs to the
-/// episode, so it counts even if the last answer of the episode is lost, and if the episode ends within its warm-up.
-pub(crate) const EPISODE_SUCCESS: Name = Name::from_static("episode-success");
-/// Name of the return of the episode that ended with an iteration: the sum of its rewards. It counts in the same cases
-/// as [`EPISODE_SUCCESS`].
-pub(crate) const EPISODE_RETURN: Name = Name::from_static("episode-return");
 
 /// Stages whose delays have verdicts.
 const DIRECTIONS: [Name; 2] = [stage::UPLOAD, stage::DOWNLOAD];
@@ -56,37 +47,24 @@ impl SecondStatistics {
         }
     }
 
-    /// Adds an iteration that is not warm-up.
-    pub(super) fn record(&mut self, outcome: &Outcome, tree: &Tree) {
-        self.counts.add(outcome, false);
-        // The durations of a failed iteration are left out, because they say nothing about the durations of successful
-        // iterations. The name of the deadline's value is added, so that a second without answers still shows that
-        // there is a deadline. Values that do not depend on the answer are added, too: skipped starts and the results
-        // of an episode.
-        if *outcome != Outcome::Ok {
-            if tree.find(&[DEADLINE_MISSED.as_str()]).is_some() {
-                self.values.find_or_add(0, &DEADLINE_MISSED);
-            }
-            if let Some(value) = value_of(tree, &stage::SKIPPED_STARTS) {
-                self.values.record(0, &stage::SKIPPED_STARTS, value);
-            }
-            self.record_episode_result(tree);
-            return;
-        }
+    /// Adds an iteration.
+    pub(super) fn record(&mut self, outcome: &Outcome, warm_up: bool, tree: &Tree) {
+        self.counts.add(outcome, warm_up);
+        let is_in_statistics = *outcome == Outcome::Ok && !warm_up;
         let mut hint = 0;
         for (_, node, value) in tree.counted_nodes().iter() {
-            if let Some(value) = value {
-                hint = self.values.record(hint, &node.name, value);
+            let name = &node.name;
+            // Skipped starts do not depend on the answer.
+            let is_counted =
+                is_value_in_statistics(name, is_in_statistics) || !warm_up && *name == stage::SKIPPED_STARTS;
+            if is_counted && let Some(value) = value {
+                hint = self.values.record(hint, name, value);
+            } else if !warm_up && *name == DEADLINE_MISSED {
+                // The name without a value shows that there is a deadline, even in a second without answers.
+                self.values.find_or_add(hint, name);
             }
-            self.record_delay(node);
-        }
-    }
-
-    /// Adds the result of the episode that ended with an iteration, if one did.
-    pub(super) fn record_episode_result(&mut self, tree: &Tree) {
-        for name in [EPISODE_SUCCESS, EPISODE_RETURN] {
-            if let Some(value) = value_of(tree, &name) {
-                self.values.record(0, &name, value);
+            if is_in_statistics {
+                self.record_delay(node);
             }
         }
     }
@@ -125,13 +103,10 @@ impl SecondStatistics {
     }
 }
 
-/// Returns whether an episode ended with an iteration.
+/// Returns whether an iteration of the warm-up has a value that statistics include: the result of an episode.
 pub(super) fn has_episode_result(tree: &Tree) -> bool {
-    [EPISODE_SUCCESS, EPISODE_RETURN].iter().any(|name| value_of(tree, name).is_some())
-}
-
-fn value_of(tree: &Tree, name: &Name) -> Option<f64> {
-    tree.find(&[name.as_str()])?.1.measure.value()
+    let nodes = tree.counted_nodes();
+    nodes.iter().any(|(_, node, value)| value.is_some() && is_value_in_statistics(&node.name, false))
 }
 
 /// Summaries by name, in the order in which the names first occurred.

@@ -1,10 +1,9 @@
 //! Records whether an iteration missed its deadline.
 
+use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_clock::Span;
-use peernet_logger::{Measure, NodeId, Tree, Unit, stage};
+use peernet_logger::{Measure, Name, NodeId, Tree, Unit, stage};
 use peernet_stream::Outcome;
-
-use crate::live::DEADLINE_MISSED;
 
 /// Adds the value `deadline-missed`, 0 or 1, to a closed tree. A failed iteration misses every deadline.
 pub(super) fn record_deadline(tree: &mut Tree, outcome: &Outcome, deadline: Span) {
@@ -12,7 +11,8 @@ pub(super) fn record_deadline(tree: &mut Tree, outcome: &Outcome, deadline: Span
     let is_in_time = *outcome == Outcome::Ok && total.is_some_and(|total| total <= deadline.seconds());
     let missed = if is_in_time { 0.0 } else { 1.0 };
     let end = total.map_or(Span::ZERO, Span::from_seconds_f64);
-    tree.add(NodeId::ROOT, DEADLINE_MISSED, end, Measure::Value(missed, Unit::NONE));
+    let measure = Measure::Value(missed, Unit::NONE);
+    tree.add(NodeId::ROOT, Name::from_static(DEADLINE_MISSED), end, measure);
 }
 
 #[cfg(test)]

@@ -1,10 +1,9 @@
 //! Success and return of the episodes of a run, from the feedback of the actuator. No I/O.
 
 use peernet_actuators::Feedback;
+use peernet_analysis::actuator_results::{EPISODE_RETURN, EPISODE_SUCCESS};
 use peernet_clock::Span;
-use peernet_logger::{Measure, NodeId, Slug, Tree, Unit};
-
-use crate::live::{EPISODE_RETURN, EPISODE_SUCCESS};
+use peernet_logger::{Measure, Name, NodeId, Slug, Tree, Unit};
 
 /// Feedback on the episodes whose iterations are not all complete.
 #[derive(Debug, Default)]
@@ -94,7 +93,9 @@ impl EpisodeResult {
     /// Adds the result to the tree of the episode's last iteration, at the time `end` after the start of that
     /// iteration.
     pub(super) fn record(&self, tree: &mut Tree, end: Span) {
-        let mut add = |name, value| tree.add(NodeId::ROOT, name, end, Measure::Value(value, Unit::NONE));
+        let mut add = |name: &'static str, value| {
+            tree.add(NodeId::ROOT, Name::from_static(name), end, Measure::Value(value, Unit::NONE));
+        };
         if let Some(success) = self.success {
             add(EPISODE_SUCCESS, if success { 1.0 } else { 0.0 });
         }

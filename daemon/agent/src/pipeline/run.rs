@@ -170,14 +170,8 @@ impl Run {
         if let Some(deadline) = self.deadline {
             deadline::record_deadline(&mut tree, &outcome, deadline);
         }
-        // Warm-up iterations are stored, but statistics leave them out. The results of episodes are the exception: an
-        // episode that ends during its own warm-up has a result like any other episode.
-        if position.warm_up {
-            live_state.record_warm_up(ended.wall.unix_seconds(), &tree);
-        } else {
-            live_state.record(ended.wall.unix_seconds(), &outcome, &tree);
-        }
         let Position { number, episode, step, warm_up } = position;
+        live_state.record(ended.wall.unix_seconds(), &outcome, warm_up, &tree);
         for line in self.failures.record(number, &outcome, ended.mono) {
             tracing::warn!(pipeline = %self.pipeline, "{line}");
         }

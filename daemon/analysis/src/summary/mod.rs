@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use peernet_statistics::{self as statistics, Moments};
 
 use crate::accuracy::{Accuracy, UnknownLabels};
-use crate::actuator_results::{ActuatorResults, EPISODE_VALUES};
+use crate::actuator_results::{ActuatorResults, is_value_in_statistics};
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::delays::median_bounds;
 use crate::order::SortedValues;
@@ -93,9 +93,8 @@ impl Summary {
                     without_warm_up.filter_map(|row| row.value(name)),
                 );
             }
-            // The value of an episode is stored with the last iteration of the episode. The value counts even if this
-            // iteration is not in the statistics, because it describes the whole episode.
-            if EPISODE_VALUES.contains(&name.as_ref()) {
+            // The values of episodes count in all iterations.
+            if is_value_in_statistics(name, false) {
                 return Quantity::from_values(name.clone(), rows.iter().filter_map(|row| row.value(name)));
             }
             let quantity = Quantity::from_values(name.clone(), rows.values_in_statistics(name))?;

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
+use peernet_analysis::actuator_results::{EPISODE_RETURN, EPISODE_SUCCESS};
 use peernet_clock::{ClockIdentity, Interval, ManualClock, OneWayDelay, Span, Verdict, WallTime};
 use peernet_logger::{HostId, Measure, Recorder, stage};
 
 use super::*;
-use crate::live::{EPISODE_RETURN, EPISODE_SUCCESS};
 
 fn tree(millis: i64) -> Tree {
     let clock =
@@ -23,9 +23,9 @@ fn tree(millis: i64) -> Tree {
 #[test]
 fn sent_second_is_repeated_only_after_change() {
     let mut ring = Ring::default();
-    ring.record(10, &Outcome::Ok, &tree(4));
-    ring.record(11, &Outcome::Ok, &tree(6));
-    ring.record(11, &Outcome::Timeout(String::new()), &tree(500));
+    ring.record(10, &Outcome::Ok, false, &tree(4));
+    ring.record(11, &Outcome::Ok, false, &tree(6));
+    ring.record(11, &Outcome::Timeout(String::new()), false, &tree(500));
 
     let (seconds, sent) = ring.changed_seconds();
     assert_eq!(seconds.iter().map(|second| second.at).collect::<Vec<_>>(), [11, 10]);
@@ -36,7 +36,7 @@ fn sent_second_is_repeated_only_after_change() {
     assert_eq!(seconds[0].verdicts, [("upload".into(), "ok".into(), 1)]);
 
     assert_eq!(ring.changed_seconds().0.len(), 2, "not marked as sent, so they are returned again");
-    ring.record(11, &Outcome::Ok, &tree(8));
+    ring.record(11, &Outcome::Ok, false, &tree(8));
     ring.mark_sent(&sent);
     let (seconds, _) = ring.changed_seconds();
     assert_eq!((seconds.len(), seconds[0].at, seconds[0].counts.ok), (1, 11, 2));
@@ -51,10 +51,10 @@ fn second_without_answers_shows_that_deadline_exists() {
         tree.add(peernet_logger::NodeId::ROOT, "deadline-missed".into(), Span::ZERO, measure);
         tree
     };
-    ring.record(10, &Outcome::Ok, &with_deadline(0.0));
-    ring.record(10, &Outcome::Ok, &with_deadline(1.0));
-    ring.record(11, &Outcome::Timeout(String::new()), &with_deadline(1.0));
-    ring.record(12, &Outcome::Timeout(String::new()), &tree(4));
+    ring.record(10, &Outcome::Ok, false, &with_deadline(0.0));
+    ring.record(10, &Outcome::Ok, false, &with_deadline(1.0));
+    ring.record(11, &Outcome::Timeout(String::new()), false, &with_deadline(1.0));
+    ring.record(12, &Outcome::Timeout(String::new()), false, &tree(4));
     let deadline_summary = |second: &Second| {
         let summary = second.values.iter().find(|(name, _)| name == "deadline-missed");
         summary.map(|(_, summary)| (summary.count(), summary.moments.mean))
@@ -71,7 +71,7 @@ fn skipped_starts_of_unanswered_iteration_are_counted() {
     let mut timed_out = tree(4);
     let measure = Measure::Value(5.0, peernet_logger::Unit::NONE);
     timed_out.add(peernet_logger::NodeId::ROOT, "skipped-starts".into(), Span::ZERO, measure);
-    ring.record(10, &Outcome::Timeout(String::new()), &timed_out);
+    ring.record(10, &Outcome::Timeout(String::new()), false, &timed_out);
     let second = &ring.changed_seconds().0[0];
     assert_eq!(second.values.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["skipped-starts"]);
     assert_eq!(second.values[0].1.moments.mean, 5.0);
@@ -80,13 +80,13 @@ fn skipped_starts_of_unanswered_iteration_are_counted() {
 #[test]
 fn result_of_episode_that_ends_in_warm_up_is_counted() {
     let mut ring = Ring::default();
-    ring.record_warm_up(9, &tree(4));
+    ring.record(9, &Outcome::Ok, true, &tree(4));
     assert_eq!(ring.changed_seconds().0, [], "warm-up has no statistics");
     let iteration = |number: u64, is_success: bool| {
         let mut tree = tree(4);
         for (name, value) in [(EPISODE_SUCCESS, f64::from(u8::from(is_success))), (EPISODE_RETURN, -3.0)] {
             let measure = Measure::Value(value, peernet_logger::Unit::NONE);
-            tree.add(peernet_logger::NodeId::ROOT, name, Span::ZERO, measure);
+            tree.add(peernet_logger::NodeId::ROOT, name.into(), Span::ZERO, measure);
         }
         peernet_stream::Iteration {
             run: peernet_logger::RunId::random(),
@@ -101,10 +101,7 @@ fn result_of_episode_that_ends_in_warm_up_is_counted() {
     // Episodes 1 and 3 end in their first step, which is warm-up.
     let iterations = [1, 2, 3].map(|number| iteration(number, number == 2));
     for iteration in &iterations {
-        match iteration.warm_up {
-            true => ring.record_warm_up(10, &iteration.tree),
-            false => ring.record(10, &iteration.outcome, &iteration.tree),
-        }
+        ring.record(10, &iteration.outcome, iteration.warm_up, &iteration.tree);
     }
     let second = &ring.changed_seconds().0[0];
     let mean = |name: &str| {
@@ -135,7 +132,7 @@ fn stage_of_several_nodes_equals_column_of_results() {
     tree.add(root, stage::SEND_QUEUE, Span::ZERO, timer(1));
     tree.add(root, stage::SEND_QUEUE, Span::ZERO, timer(2));
     let mut ring = Ring::default();
-    ring.record(10, &Outcome::Ok, &tree);
+    ring.record(10, &Outcome::Ok, false, &tree);
     let second = &ring.changed_seconds().0[0];
     let iteration = peernet_stream::Iteration {
         run: peernet_logger::RunId::random(),
@@ -157,7 +154,7 @@ fn stage_of_several_nodes_equals_column_of_results() {
 #[test]
 fn delays_without_value_are_counted_and_not_averaged() {
     let mut ring = Ring::default();
-    ring.record(10, &Outcome::Ok, &tree(4));
+    ring.record(10, &Outcome::Ok, false, &tree(4));
     let mut inconsistent = tree(0);
     let upload = inconsistent.find(&["upload"]).expect("recorded").0;
     let delay = OneWayDelay {
@@ -169,8 +166,8 @@ fn delays_without_value_are_counted_and_not_averaged() {
     if let Some(Measure::Transit(transit)) = inconsistent.measure_mut(upload) {
         transit.delay = Some(delay);
     }
-    ring.record(10, &Outcome::Ok, &inconsistent);
-    ring.record(10, &Outcome::Ok, &tree(-1));
+    ring.record(10, &Outcome::Ok, false, &inconsistent);
+    ring.record(10, &Outcome::Ok, false, &tree(-1));
 
     let second = &ring.changed_seconds().0[0];
     assert_eq!(second.counts.ok, 3);
@@ -187,7 +184,7 @@ fn delays_without_value_are_counted_and_not_averaged() {
 fn updates_and_memory_are_bounded_without_reader() {
     let mut ring = Ring::default();
     for at in 0..1000 {
-        ring.record(at, &Outcome::Ok, &tree(1));
+        ring.record(at, &Outcome::Ok, false, &tree(1));
     }
     assert_eq!(ring.seconds.len(), MAX_SECONDS);
     let mut sent_times = Vec::new();
@@ -210,9 +207,9 @@ fn updates_and_memory_are_bounded_without_reader() {
 fn repeated_seconds_of_wall_clock_are_not_summed() {
     let mut ring = Ring::default();
     for at in 4990..=5000 {
-        ring.record(at, &Outcome::Ok, &tree(1));
+        ring.record(at, &Outcome::Ok, false, &tree(1));
     }
-    ring.record(4999, &Outcome::Ok, &tree(1));
+    ring.record(4999, &Outcome::Ok, false, &tree(1));
     assert_eq!(
         ring.seconds.len(),
         11,
@@ -221,9 +218,9 @@ fn repeated_seconds_of_wall_clock_are_not_summed() {
     let counts_by_second = |ring: &Ring| {
         ring.seconds.iter().map(|second| (second.at, second.to_message().counts.ok)).collect::<Vec<_>>()
     };
-    ring.record(4995, &Outcome::Ok, &tree(1));
-    ring.record(4996, &Outcome::Ok, &tree(1));
+    ring.record(4995, &Outcome::Ok, false, &tree(1));
+    ring.record(4996, &Outcome::Ok, false, &tree(1));
     assert_eq!(counts_by_second(&ring), (4990..=4996).map(|at| (at, 1)).collect::<Vec<_>>());
-    ring.record(1400, &Outcome::Ok, &tree(1));
+    ring.record(1400, &Outcome::Ok, false, &tree(1));
     assert_eq!(counts_by_second(&ring), [(1400, 1)]);
 }

@@ -1,6 +1,6 @@
 //! Conversion of a tree to rows and statistics.
 
-use peernet_analysis::actuator_results::EPISODE_VALUES;
+use peernet_analysis::actuator_results::is_value_in_statistics;
 use peernet_analysis::outcomes::Counts;
 use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::{HostId, Measure, NodeId, Transit, stage};
@@ -50,9 +50,8 @@ impl BatchBuilder {
         }
         for (id, node, value) in counted_nodes.iter() {
             let name = self.batch.nodes[first_node + id.index()].name;
-            // The values of an episode count even if the last iteration of the episode has no answer.
             if let Some(value) = value
-                && (is_in_statistics || EPISODE_VALUES.contains(&node.name.as_str()))
+                && is_value_in_statistics(&node.name, is_in_statistics)
             {
                 self.summaries.record(run, name, Quantity::Value, second_s, value);
                 if is_in_statistics && let Some((lo, hi)) = bounds(&node.measure) {
