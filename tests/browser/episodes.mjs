@@ -12,7 +12,7 @@ describe("runs over time", () => {
         const panel = page.getByRole("region", { name: "Over time" }), runs = panel.locator("figure");
         assert.equal(await runs.count(), 2);
         for (const run of await runs.all()) {
-          assert.match(await run.locator("figcaption").innerText(), /^(local|cloud) #\d+ 3 episodes of 40 steps/);
+          assert.match(await run.locator("figcaption").innerText(), /^(local|cloud) #\d+ 3 episodes of 40 steps began/);
           const path = (name) => run.locator(`path.${name}`).getAttribute("d");
           assert.equal((await path("border")).match(/M/g).length, 2, "the first episode has no border");
           assert.match(await path("median"), /^M[\d.]+ [\d.]+L/);
@@ -28,7 +28,7 @@ describe("runs over time", () => {
         await runs.first().locator("figcaption a").click();
         await page.waitForURL("**/runs/*#course");
         const course = page.locator("#course");
-        assert.match(await course.locator(".sub").innerText(), /^3 episodes of 40 steps/);
+        assert.match(await course.locator(".sub").innerText(), /^3 episodes of 40 steps began/);
         if (script) {
           await waitForCharts(page);
           const marks = await page.evaluate(() => globalThis.echarts.getInstanceByDom(document.getElementById("run-chart")).getOption().series.find((one) => one.name === "run-marks").data);

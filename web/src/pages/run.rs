@@ -227,7 +227,7 @@ struct ActuatorNumbers {
 
 impl ActuatorNumbers {
     fn new(results: &ActuatorResults, answered: u64) -> Self {
-        let episodes = |number: u64| counted(number, "episode");
+        let episodes = |number: u64| format!("{} with a result", counted(number, "episode"));
         Self {
             success: results.success.map(|found| {
                 let (lo, hi) = found.interval;
@@ -385,8 +385,8 @@ mod tests {
         };
         let found = ActuatorNumbers::new(&ActuatorResults::from_statistics(statistics_of), 1_000);
         let text = |text: &str, words: &str| Some((text.to_owned(), words.to_owned()));
-        assert_eq!(found.success, text("30.8", "25.5 – 36.6, 263 episodes"));
-        assert_eq!(found.episode_return, text("2.50", "1 episode"));
+        assert_eq!(found.success, text("30.8", "25.5 – 36.6, 263 episodes with a result"));
+        assert_eq!(found.episode_return, text("2.50", "1 episode with a result"));
         assert_eq!(found.superseded, text("12", "of 1,000 answers were not acted on"));
     }
 }

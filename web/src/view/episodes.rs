@@ -3,7 +3,8 @@
 use peernet_statistics::number::{self, count};
 use peernet_store::{Episodes, RunSummary};
 
-/// Returns `4 episodes of 100 steps`; `None` for a run with at most one episode.
+/// Returns `4 episodes of 100 steps began`; `None` for a run with at most one episode. Episodes of the warm-up and the
+/// episode in progress, which have no result, are counted, too.
 pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
     let all = format!("{} episodes", count(episodes.count));
     let text = match episodes.steps.filter(|_| episodes.count > 1) {
@@ -13,7 +14,7 @@ pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
     };
     // One border less than episodes: the first episode begins with the run.
     let too_many = episodes.count > u64::from(Episodes::MAX_BORDERS) + 1;
-    Some(if too_many { format!("{text}, too many to mark") } else { text })
+    Some(format!("{text} began{}", if too_many { ", too many to mark" } else { "" }))
 }
 
 /// Returns `3 iterations failed`, `3 iterations failed, 2 iterations of the warm-up failed`, or
@@ -47,10 +48,13 @@ mod tests {
     fn episodes_are_counted_and_too_many_have_no_marks() {
         let text_of = |count, steps| episode_count_text(&Episodes { count, steps, ..Episodes::default() });
         assert_eq!((text_of(0, None), text_of(1, None)), (None, None));
-        assert_eq!(text_of(4, Some(100)).as_deref(), Some("4 episodes of 100 steps"));
-        assert_eq!(text_of(31, Some(1)).as_deref(), Some("31 episodes of 1 step"));
-        assert_eq!(text_of(1_200, Some(10)).as_deref(), Some("1,200 episodes of 10 steps, too many to mark"));
-        assert_eq!(text_of(3, None).as_deref(), Some("3 episodes"));
+        assert_eq!(text_of(4, Some(100)).as_deref(), Some("4 episodes of 100 steps began"));
+        assert_eq!(text_of(31, Some(1)).as_deref(), Some("31 episodes of 1 step began"));
+        assert_eq!(
+            text_of(1_200, Some(10)).as_deref(),
+            Some("1,200 episodes of 10 steps began, too many to mark")
+        );
+        assert_eq!(text_of(3, None).as_deref(), Some("3 episodes began"));
     }
 
     #[test]

@@ -24,7 +24,7 @@ async fn runs_with_episodes_are_drawn_over_time() {
     // Four iterations failed, one of them during the warm-up.
     assert!(
         panel.contains(
-            "4 episodes of 100 steps, 3 iterations failed, 1 iteration of the warm-up failed, points of "
+            "4 episodes of 100 steps began, 3 iterations failed, 1 iteration of the warm-up failed, points of "
         ),
         "{panel}"
     );
@@ -37,7 +37,7 @@ async fn runs_with_episodes_are_drawn_over_time() {
     assert!(run.text().contains("id=\"course\""), "{}", run.text());
     assert!(
         run.text().contains(
-            "<span class=\"sub\">4 episodes of 100 steps, 3 iterations failed, 1 iteration of the warm-up failed</span>"
+            "<span class=\"sub\">4 episodes of 100 steps began, 3 iterations failed, 1 iteration of the warm-up failed</span>"
         )
     );
     let data = run.text().split("id=\"data\">").nth(1).and_then(|rest| rest.split('<').next()).expect("data");

@@ -32,8 +32,13 @@ async fn each_run_is_drawn_with_episodes_and_losses() {
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
     let [first, second] = [1, 2].map(|at| panel.split("<figure>").nth(at).expect("a picture").to_owned());
     assert!(first.contains("<b>A</b> <a href=\"/runs/1#course\">#1</a>"), "{first}");
-    assert!(first.contains("4 episodes of 900 steps, 3 iterations failed, points of 1\u{202f}s<"), "{first}");
-    assert!(second.contains("4 episodes of 900 steps, points of") && !second.contains("class=\"lost\""));
+    assert!(
+        first.contains("4 episodes of 900 steps began, 3 iterations failed, points of 1\u{202f}s<"),
+        "{first}"
+    );
+    assert!(
+        second.contains("4 episodes of 900 steps began, points of") && !second.contains("class=\"lost\"")
+    );
     for picture in [&first, &second] {
         let path = |class: &str| picture.split(&format!("class=\"{class}\" d=\"")).nth(1).expect("a path");
         assert_eq!(path("border").split('"').next().expect("its end").matches('M').count(), 3);
