@@ -79,21 +79,49 @@ pub struct EdgeMeasurements<T> {
     pub totals: T,
 }
 
-/// Values of which the median is known.
-pub trait WithMedian {
-    /// Returns the median; `None` without values.
+/// Totals of an edge: single values, or a summary with quantiles within 1 %.
+pub trait EdgeTotals {
+    /// Returns the median; `None` without totals.
     fn median(&self) -> Option<f64>;
+
+    /// Returns the summary of the totals of several edges together.
+    fn summarise<'a>(edges: impl Iterator<Item = &'a Self>) -> Totals
+    where
+        Self: 'a;
 }
 
-impl WithMedian for SortedValues {
+impl EdgeTotals for SortedValues {
     fn median(&self) -> Option<f64> {
         Self::median(self)
     }
+
+    fn summarise<'a>(edges: impl Iterator<Item = &'a Self>) -> Totals {
+        let totals: Self = edges.flat_map(Self::values).copied().collect();
+        Totals {
+            count: totals.len(),
+            mean: mean(totals.values().iter().copied()),
+            median: totals.median(),
+            p95: totals.p95(),
+            p99: totals.p99(),
+        }
+    }
 }
 
-impl WithMedian for Summary {
+impl EdgeTotals for Summary {
     fn median(&self) -> Option<f64> {
         self.quantile(0.5)
+    }
+
+    fn summarise<'a>(edges: impl Iterator<Item = &'a Self>) -> Totals {
+        let mut totals = Self::default();
+        edges.for_each(|edge| totals.merge(edge));
+        Totals {
+            count: usize::try_from(totals.count()).unwrap_or(usize::MAX),
+            mean: (totals.count() > 0).then_some(totals.moments.mean),
+            median: totals.median(),
+            p95: totals.p95(),
+            p99: totals.p99(),
+        }
     }
 }
 
@@ -178,34 +206,36 @@ impl Users {
             let groups: Vec<Vec<&Loaded>> = groups.iter().map(edges_of).collect();
             let repeats: Vec<Repeat<SortedValues>> =
                 groups.iter().map(|edges| repeat_from_edges(edges)).collect();
-            // If each repeat has a single edge, all totals of this edge are used, so that the numbers are those of the
-            // comparison of all configurations.
-            let totals: SortedValues = if groups[0].len() == 1 {
-                groups.iter().flat_map(|edges| edges[0].rows.values_in_statistics("total")).collect()
-            } else {
-                let edges = repeats.iter().flat_map(|repeat| &repeat.edges);
-                edges.flat_map(|edge| edge.totals.values()).copied().collect()
+            let runs = || groups.iter().flatten();
+            let all_totals = || {
+                runs().flat_map(|edge| edge.rows.values_in_statistics(TotalColumn::Measured.name())).collect()
             };
-            let runs = groups.iter().flat_map(|edges| edges.iter());
+            let line = UsersLine::new(line_labels, groups[0].len(), &repeats, all_totals);
             let replayed =
-                runs.filter_map(|edge| ReplayedLatencies::from_run(&edge.record.facts, &edge.rows));
-            let replayed = ReplayedLatencies::describe_all(replayed);
-            let line = UsersLine::new(line_labels, groups[0].len(), &repeats, Totals::from_values(&totals));
-            UsersLine { replayed, ..line }
+                runs().filter_map(|edge| ReplayedLatencies::from_run(&edge.record.facts, &edge.rows));
+            UsersLine { replayed: ReplayedLatencies::describe_all(replayed), ..line }
         };
         Some(Self { axes, lines: group_by_labels(&labels).into_iter().map(line).collect() })
     }
 }
 
 impl UsersLine {
-    /// Returns the line of a configuration with `edges` edges, from its repeats. The field `replayed` is `None`: the
-    /// repeats do not tell which latencies are replayed.
-    pub fn new<T: WithMedian>(
+    /// Returns the line of a configuration with `edges` edges, from its repeats. `all_totals` returns the measured
+    /// totals of all its iterations in the statistics. The field `replayed` is `None`: the repeats do not tell which
+    /// latencies are replayed.
+    pub fn new<T: EdgeTotals>(
         labels: Vec<String>,
         edges: usize,
         repeats: &[Repeat<T>],
-        totals: Totals,
+        all_totals: impl FnOnce() -> T,
     ) -> Self {
+        // A single edge shares its time with nobody, so all its totals count, and the numbers are those of the
+        // comparison of all configurations.
+        let totals = if edges == 1 {
+            T::summarise(std::iter::once(&all_totals()))
+        } else {
+            T::summarise(repeats.iter().flat_map(|repeat| &repeat.edges).map(|edge| &edge.totals))
+        };
         let performances_of = |repeat: &Repeat<T>| -> Vec<EdgePerformance> {
             let Some(seconds) = repeat.common_seconds else { return Vec::new() };
             let performance = |edge: &EdgeMeasurements<T>| EdgePerformance {
@@ -237,29 +267,6 @@ impl UsersLine {
     pub fn rate_range(&self) -> Option<(f64, f64)> {
         let rates = self.edge_performances.iter().map(|edge| (edge.rate, edge.rate));
         rates.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
-    }
-}
-
-impl Totals {
-    /// Returns the summary of totals from roll-ups, with quantiles within 1 %.
-    pub fn from_summary(totals: &Summary) -> Self {
-        Self {
-            count: usize::try_from(totals.count()).unwrap_or(usize::MAX),
-            mean: (totals.count() > 0).then_some(totals.moments.mean),
-            median: totals.quantile(0.5),
-            p95: totals.p95(),
-            p99: totals.p99(),
-        }
-    }
-
-    fn from_values(totals: &SortedValues) -> Self {
-        Self {
-            count: totals.len(),
-            mean: mean(totals.values().iter().copied()),
-            median: totals.median(),
-            p95: totals.p95(),
-            p99: totals.p99(),
-        }
     }
 }
 

@@ -88,7 +88,7 @@ fn repeats_are_averaged() {
         let edge = |starts| EdgeMeasurements { starts, totals: SortedValues::default() };
         Repeat { common_seconds: Some(2.0), edges: starts.map(edge).to_vec() }
     };
-    let line = UsersLine::new(Vec::new(), 2, &[repeat([2, 2]), repeat([8, 0])], Totals::default());
+    let line = UsersLine::new(Vec::new(), 2, &[repeat([2, 2]), repeat([8, 0])], SortedValues::default);
     assert_eq!((line.rate, line.fairness, line.rate_range()), (Some(3.0), Some(0.75), Some((0.0, 4.0))));
 }
 
@@ -103,7 +103,7 @@ fn common_time_is_that_of_all_edges() {
 fn curves(axes: &[&str], lines: &[(&[&str], usize)]) -> Vec<(String, Vec<usize>)> {
     let owned = |all: &[&str]| all.iter().map(|text| (*text).to_owned()).collect::<Vec<_>>();
     let line = |(labels, edges): &(&[&str], usize)| {
-        UsersLine::new::<SortedValues>(owned(labels), *edges, &[], Totals::default())
+        UsersLine::new::<SortedValues>(owned(labels), *edges, &[], SortedValues::default)
     };
     let users = Users { axes: owned(axes), lines: lines.iter().map(line).collect() };
     let points = |curve: &Curve<'_>| curve.points.iter().map(|line| line.edges).collect();

@@ -3,7 +3,7 @@
 use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::concurrent_edges::complete_groups;
 use peernet_analysis::users::{
-    COUNTED_TIME, Curve, EdgeMeasurements, FAIRNESS_MEANING, Repeat, Totals, Users, UsersLine, common_time,
+    COUNTED_TIME, Curve, EdgeMeasurements, FAIRNESS_MEANING, Repeat, Users, UsersLine, common_time,
 };
 use peernet_clock::WallTime;
 use peernet_figures::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};
@@ -146,15 +146,9 @@ pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option
 /// Returns the answers per second of each user of a configuration, and the totals of all its users.
 fn users_line(configuration: &Configuration, repeats: &[Repeat<Summary>]) -> UsersLine {
     let edges = complete_repeats(configuration).first().map_or(0, Vec::len);
-    let mut totals = Summary::default();
-    if edges == 1 {
-        // A single user shares its time with nobody, so all its totals count. As for several users, these are the
-        // measured totals, even if the table compares sums of stages.
-        configuration.summary(&stage::TOTAL).into_iter().for_each(|total| totals.merge(total));
-    } else {
-        repeats.iter().flat_map(|repeat| &repeat.edges).for_each(|edge| totals.merge(&edge.totals));
-    }
-    UsersLine::new(configuration.values.clone(), edges, repeats, Totals::from_summary(&totals))
+    // As for several users, these are the measured totals, even if the table compares sums of stages.
+    let all_totals = || configuration.summary(&stage::TOTAL).cloned().unwrap_or_default();
+    UsersLine::new(configuration.values.clone(), edges, repeats, all_totals)
 }
 
 /// Draws latency and fairness against the number of users, at most [`MAX_CURVES`] curves in a picture.
