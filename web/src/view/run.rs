@@ -200,7 +200,7 @@ impl StoredRun<'_> {
             .into_iter()
             .filter_map(|(direction, name)| Some((direction, name, direction.transfer(&transfers)?)));
         sent.flat_map(|(direction, name, transfer)| {
-            let traffic = self.measured_seconds().and_then(|seconds| transfer.traffic(seconds));
+            let traffic = self.starts.measured_seconds().and_then(|seconds| transfer.traffic(seconds));
             let delay = stages.iter().find(|stage| stage.stage == *direction.delay_name());
             let delay = delay.map(|stage| &stage.statistics);
             let speed = speed::text(&transfers, bounds, direction, delay);
@@ -210,12 +210,6 @@ impl StoredRun<'_> {
             ]
         })
         .collect()
-    }
-
-    /// Returns the number of iterations after the warm-up divided by the rate of the run, seconds; `None` if the rate
-    /// is unknown.
-    fn measured_seconds(&self) -> Option<f64> {
-        Some(self.run.summary.counts.total() as f64 / self.rate()?)
     }
 
     /// Returns the slowest iterations, on one scale.

@@ -63,6 +63,7 @@ mod tests {
         let times = [(2, 10.5), (1, 10.0), (4, 12.0), (3, 11.5)];
         assert_eq!(starts(&times, Some(0)).actual_hz(), Some(1.5));
         assert_eq!(starts(&times, Some(2)).actual_hz(), Some(2.5), "missing iterations count as starts, too");
+        assert_eq!(starts(&times, Some(2)).measured_seconds(), Some(1.6));
         assert_eq!(starts(&times, None).actual_hz(), None);
         assert_eq!([&[(1, 10.0)][..], &[]].map(|times| starts(times, Some(0)).actual_hz()), [None, None]);
     }

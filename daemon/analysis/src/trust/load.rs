@@ -75,6 +75,12 @@ impl Starts {
         (started > 1).then(|| (started - 1) as f64 / seconds)
     }
 
+    /// Returns the part of the run's time that belongs to the iterations in `started`, seconds: their number divided by
+    /// the rate of all iterations. `None` if the rate is not known.
+    pub fn measured_seconds(&self) -> Option<f64> {
+        Some(self.started as f64 / self.actual_hz()?)
+    }
+
     /// Returns the number of scheduled starts: the starts that took place and the starts that were skipped.
     pub const fn total(&self) -> u64 {
         self.started + self.skipped
