@@ -4,7 +4,8 @@
 //! quantile sketch with a guaranteed error. [`Summary`] combines moments and sketch. [`RecentSeconds`] is a ring of
 //! one-second cells.
 //! [`histogram`] computes the range and the bins of a histogram. [`TwoModes`] is the result of a test for two modes.
-//! [`number`] formats numbers for people. [`SplitMix64`] generates reproducible random numbers.
+//! [`mean_rate`] and [`remaining_seconds`] describe the progress of work. [`number`] formats numbers for people.
+//! [`SplitMix64`] generates reproducible random numbers.
 //!
 //! All statistics can be merged. The merged statistics of several hosts, seconds or buckets equal the statistics of all
 //! their numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored. Both are checked when they
@@ -15,6 +16,7 @@ mod merge;
 mod modality;
 mod moments;
 pub mod number;
+mod progress;
 mod recent_seconds;
 mod sketch;
 mod splitmix;
@@ -23,6 +25,7 @@ mod summary;
 pub use merge::Merge;
 pub use modality::TwoModes;
 pub use moments::Moments;
+pub use progress::{mean_rate, remaining_seconds};
 pub use recent_seconds::RecentSeconds;
 pub use sketch::{PackedError, Sketch};
 pub use splitmix::SplitMix64;

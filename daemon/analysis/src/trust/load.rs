@@ -1,6 +1,7 @@
 //! Starts of iterations in an open loop.
 
 use peernet_clock::WallTime;
+use peernet_statistics::mean_rate;
 use peernet_statistics::number::{SPACE, count, counted, percent};
 use serde::Deserialize;
 
@@ -70,9 +71,8 @@ impl Starts {
     /// starts, or if the number or the times of the starts are not known.
     pub fn actual_hz(&self) -> Option<f64> {
         let started = self.started.saturating_add(self.missing?);
-        let seconds = self.times.seconds().filter(|seconds| *seconds > 0.0)?;
         // The time from the first to the last start contains one period less than there are starts.
-        (started > 1).then(|| (started - 1) as f64 / seconds)
+        mean_rate(started.saturating_sub(1), self.times.seconds()?)
     }
 
     /// Returns the part of the run's time that belongs to the iterations in `started`, seconds: their number divided by

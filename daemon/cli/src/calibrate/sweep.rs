@@ -3,6 +3,7 @@
 use peernet_analysis::calibration::{Sample, median_delay};
 use peernet_clock::{Direction, MonoTime};
 use peernet_statistics::number::{self, NONE, bytes, count, milliseconds};
+use peernet_statistics::{mean_rate, remaining_seconds};
 
 use super::plan::Plan;
 use crate::foreground::{Progress, estimated_duration};
@@ -56,18 +57,13 @@ impl SweepLimits {
         // The sweep ends at the limit that it reaches first, so the larger fraction counts.
         let fraction_done =
             (done_count as f64 / self.max_iterations as f64).max(elapsed / self.max_seconds).clamp(0.0, 1.0);
-        let remaining_s = if fraction_done > 0.0 {
-            elapsed * (1.0 - fraction_done) / fraction_done
-        } else {
-            self.max_seconds
-        };
-        let rate = if elapsed > 0.0 { done_count as f64 / elapsed } else { 0.0 };
+        let remaining_s = remaining_seconds(fraction_done, elapsed).unwrap_or(self.max_seconds);
         let (smallest, largest) = self.size_range;
         let text = format!(
             "{} of {}, {} /s, upload {} at {}, {} at {}, {} left",
             count(done_count),
             count(self.max_iterations),
-            number::rate(rate),
+            number::rate(mean_rate(done_count, elapsed).unwrap_or_default()),
             describe_median(samples, smallest),
             bytes(smallest as f64).plain(),
             describe_median(samples, largest),

@@ -10,7 +10,7 @@ use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
 use peernet_networks::OpenError;
 use peernet_results::RowWriter;
-use peernet_statistics::Summary;
+use peernet_statistics::{Summary, mean_rate, remaining_seconds};
 use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
 
 use super::agent_end::describe_failure;
@@ -99,10 +99,8 @@ impl RunProgress {
     fn report(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> ProgressReport {
         let (done, iterations) = (self.done(), self.iterations());
         let elapsed = self.started_at.map_or(0.0, |started_at| (now - started_at).seconds());
-        let rate = if elapsed > 0.0 { done as f64 / elapsed } else { 0.0 };
         // The run ends at the limit that it reaches first.
-        let left_by_count_s =
-            iterations.filter(|_| rate > 0.0).map(|all| all.saturating_sub(done) as f64 / rate);
+        let left_by_count_s = iterations.and_then(|all| remaining_seconds(done as f64 / all as f64, elapsed));
         let left_by_time_s = self.limit.duration_s.filter(|_| self.started_at.is_some());
         let left_by_time_s = left_by_time_s.map(|seconds| (seconds - elapsed).max(0.0));
         ProgressReport {
@@ -112,7 +110,7 @@ impl RunProgress {
             failed_in_warm_up: self.failed_in_warm_up,
             first_failure: self.first_failure.clone(),
             iterations,
-            rate,
+            rate: mean_rate(done, elapsed).unwrap_or_default(),
             totals: self.totals.clone(),
             left_s: left_by_count_s.into_iter().chain(left_by_time_s).reduce(f64::min),
             trouble,

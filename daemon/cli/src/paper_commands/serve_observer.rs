@@ -5,6 +5,7 @@ use peernet_agent::RunningAgent;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_inference::LoadError;
 use peernet_logger::Slug;
+use peernet_statistics::mean_rate;
 use peernet_statistics::number::{counted, rate};
 use peernet_stream::Event;
 use tokio::task::JoinHandle;
@@ -87,11 +88,13 @@ impl AnswerCounts {
         }
     }
 
-    /// Returns the answers per second, from the first to the last.
-    fn rate(&self) -> Option<f64> {
-        let ((first_at, first_count), last_at) = (self.first_answer?, self.last_answer?);
-        let seconds = (last_at - first_at).seconds();
-        (seconds > 0.0).then(|| (self.answered - first_count) as f64 / seconds)
+    /// Describes the answers per second, from the first to the last, if they are known.
+    fn describe_rate(&self) -> String {
+        let times = self.first_answer.zip(self.last_answer);
+        let hz = times.and_then(|((first_at, first_count), last_at)| {
+            mean_rate(self.answered - first_count, (last_at - first_at).seconds())
+        });
+        hz.map_or_else(String::new, |hz| format!(", {} /s", rate(hz)))
     }
 }
 
@@ -116,8 +119,7 @@ impl ServeObserver {
     /// Describes the result.
     pub(super) fn summary(&self) -> String {
         let Self { answers, inference, .. } = self;
-        let rate = answers.rate().map_or_else(String::new, |hz| format!(", {} /s", rate(hz)));
-        let count = counted(answers.answered, "answer");
+        let (count, rate) = (counted(answers.answered, "answer"), answers.describe_rate());
         format!("{count}{}{}{rate}{inference}", answers.describe_errors(), answers.describe_missed())
     }
 
@@ -170,7 +172,7 @@ impl ServeObserver {
             (Loading::NotStarted | Loading::InProgress(_), ..) => format!("loading {}", self.model),
             (Loading::Done, 0, 0) => "waiting for a client".to_owned(),
             (Loading::Done, sessions, answered) => {
-                let rate = self.answers.rate().map_or_else(String::new, |hz| format!(", {} /s", rate(hz)));
+                let rate = self.answers.describe_rate();
                 let clients = match sessions {
                     0 => "no client".to_owned(),
                     1 => "1 session".to_owned(),
