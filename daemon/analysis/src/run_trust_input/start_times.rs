@@ -5,14 +5,29 @@ use peernet_clock::WallTime;
 use peernet_logger::stage;
 
 use crate::record::RunRecord;
-use crate::rows::{RowRef, Rows};
+use crate::rows::{Row, RowRef, Rows};
 use crate::standstill::{RunExtent, standstill};
-use crate::trust::StartTimes;
+use crate::trust::{StartTimes, Starts};
+
+/// Returns the time of a start from the column `at`.
+fn start_time(at: f64) -> WallTime {
+    WallTime::from_unix_nanos((at * 1e9) as i64)
+}
+
+impl Starts {
+    /// Adds the start of an iteration, unless the iteration is warm-up.
+    pub fn add(&mut self, row: &Row) {
+        let Some(at) = row.value("at").filter(|_| !row.warm_up).map(start_time) else { return };
+        self.started += 1;
+        self.times.first = Some(self.times.first.unwrap_or(at).min(at));
+        self.times.last = self.times.last.max(Some(at));
+    }
+}
 
 impl StartTimes {
     /// Returns the start times of a run from its record and rows.
     pub fn from_run(record: &RunRecord, rows: &Rows) -> Self {
-        let start = |row: RowRef<'_>| WallTime::from_unix_nanos((row.at() * 1e9) as i64);
+        let start = |row: RowRef<'_>| start_time(row.at());
         let started = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0);
         // Rows are in the order in which their iterations ended, so an earlier start can follow a later one.
         let first = started().min_by_key(|row| row.iteration()).map(start);
@@ -39,9 +54,8 @@ impl StartTimes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rows::{Outcome, Row};
+    use crate::rows::Outcome;
     use crate::testing::row_of_values;
-    use crate::trust::Starts;
 
     /// Returns the record and the rows of a run. Each start is the number of an iteration and the seconds from a fixed time. The starts are in the
     /// order in which their iterations ended.

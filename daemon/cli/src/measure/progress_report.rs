@@ -25,8 +25,8 @@ pub(crate) struct ProgressReport {
     /// Total number of iterations; `None` if a time limits the run.
     #[serde(rename = "of")]
     pub(crate) iterations: Option<u64>,
-    /// Iterations per second since the first iteration.
-    pub(crate) rate: f64,
+    /// Iterations per second after the warm-up; `None` while unknown.
+    pub(crate) rate: Option<f64>,
     /// Totals of the successful iterations after the warm-up, seconds.
     pub(crate) totals: Summary,
     /// Estimated remaining time, seconds; `None` while unknown.
@@ -51,8 +51,10 @@ impl fmt::Display for ProgressReport {
         if self.failed_in_warm_up > 0 {
             write!(f, ", {} in the warm-up failed", number::count(self.failed_in_warm_up))?;
         }
-        write!(f, ", {} /s", number::rate(self.rate))?;
-        // There is no median during the warm-up.
+        // There is no rate and no median during the warm-up.
+        if let Some(rate) = self.rate {
+            write!(f, ", {} /s", number::rate(rate))?;
+        }
         if let Some(p50) = self.totals.quantile(0.5) {
             write!(f, ", total {}", describe_quantiles(p50, self.totals.p99()))?;
         }
@@ -104,7 +106,7 @@ mod tests {
             failed_in_warm_up: 0,
             first_failure: None,
             iterations: Some(10_005),
-            rate: 9.81,
+            rate: Some(9.81),
             totals,
             left_s: Some(1007.6),
             trouble: None,
@@ -112,8 +114,13 @@ mod tests {
         assert_eq!(report.to_string(), "120 of 10,005, 9.81 /s, total p50 101 ms, 17 min left");
         let failing = ProgressReport { failed: 120, totals: Summary::default(), ..report.clone() };
         assert_eq!(failing.to_string(), "120 of 10,005, 120 failed, 9.81 /s, 17 min left");
-        let warming_up =
-            ProgressReport { done: 3, failed_in_warm_up: 2, totals: Summary::default(), ..report };
-        assert_eq!(warming_up.to_string(), "3 of 10,005, 2 in the warm-up failed, 9.81 /s, 17 min left");
+        let warming_up = ProgressReport {
+            done: 3,
+            failed_in_warm_up: 2,
+            rate: None,
+            totals: Summary::default(),
+            ..report
+        };
+        assert_eq!(warming_up.to_string(), "3 of 10,005, 2 in the warm-up failed, 17 min left");
     }
 }

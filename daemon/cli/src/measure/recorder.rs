@@ -6,11 +6,12 @@ use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
 use peernet_agent::{Cloud, RunningAgent};
 use peernet_analysis::outcomes::Counts;
 use peernet_analysis::rows::{Outcome, Row, Rows, Units};
+use peernet_analysis::trust::Starts;
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
 use peernet_networks::OpenError;
 use peernet_results::RowWriter;
-use peernet_statistics::{Summary, mean_rate, remaining_seconds};
+use peernet_statistics::{Summary, remaining_seconds};
 use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
 
 use super::agent_end::describe_failure;
@@ -41,6 +42,8 @@ struct RunProgress {
     started_at: Option<MonoTime>,
     /// Numbers of finished iterations.
     counts: Counts,
+    /// Starts of the iterations after the warm-up.
+    starts: Starts,
     /// Number of failed iterations of the warm-up.
     failed_in_warm_up: u64,
     /// Description of the first failed iteration.
@@ -56,6 +59,7 @@ impl RunProgress {
             warm_up,
             started_at: None,
             counts: Counts::default(),
+            starts: Starts { missing: Some(0), ..Starts::default() },
             failed_in_warm_up: 0,
             first_failure: None,
             totals: Summary::default(),
@@ -64,6 +68,7 @@ impl RunProgress {
 
     fn add(&mut self, row: &Row) {
         self.counts.add(row.outcome, row.warm_up);
+        self.starts.add(row);
         if row.outcome != Outcome::Ok {
             self.failed_in_warm_up += u64::from(row.warm_up);
             self.first_failure
@@ -110,7 +115,7 @@ impl RunProgress {
             failed_in_warm_up: self.failed_in_warm_up,
             first_failure: self.first_failure.clone(),
             iterations,
-            rate: mean_rate(done, elapsed).unwrap_or_default(),
+            rate: self.starts.actual_hz(),
             totals: self.totals.clone(),
             left_s: left_by_count_s.into_iter().chain(left_by_time_s).reduce(f64::min),
             trouble,
@@ -309,5 +314,41 @@ impl RunObserver for RunRecorder<'_> {
     fn end_decided(&mut self) {
         let report = ProgressReport { phase: Phase::Writing, ..self.report(None) };
         self.progress_display.show(&report);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_analysis::record::RunRecord;
+    use peernet_analysis::trust::StartTimes;
+
+    use super::*;
+
+    #[test]
+    fn progress_and_results_have_same_rate() {
+        let row = |iteration, seconds: f64, warm_up| Row {
+            iteration,
+            at: 1e9 + seconds,
+            episode: 0,
+            step: 0,
+            warm_up,
+            outcome: Outcome::Ok,
+            reason: None,
+            values: Vec::new(),
+            upload: None,
+            download: None,
+        };
+        // Iteration 3 ends before iteration 2.
+        let rows = [row(1, 0.0, true), row(3, 10.5, false), row(2, 10.0, false), row(4, 12.0, false)];
+        let mut progress = RunProgress::new(Limit::default(), 1);
+        let rates = rows.each_ref().map(|row| {
+            progress.add(row);
+            progress.report(Phase::Measuring, None, MonoTime::from_nanos(0)).rate
+        });
+        let rows: Rows = rows.into_iter().collect();
+        let times = StartTimes::from_run(&RunRecord::default(), &rows);
+        let results = Starts { times, ..Starts::from_rows(&rows) };
+        assert_eq!((rates[0], rates[3]), (None, results.actual_hz()));
+        assert_eq!(rates[3], Some(1.0));
     }
 }
