@@ -35,6 +35,13 @@ pub(crate) struct ProgressReport {
     pub(crate) trouble: Option<String>,
 }
 
+impl ProgressReport {
+    /// Returns the fraction of the iterations that are finished, 0 to 1; 0 if only a time limits the run.
+    pub(crate) fn fraction_done(&self) -> f64 {
+        self.iterations.map_or(0.0, |count| self.done as f64 / count.max(1) as f64)
+    }
+}
+
 impl fmt::Display for ProgressReport {
     /// Writes the progress in words: `120 of 10,005, 3 failed, 9.81 /s, total p50 101 ms, p99 104 ms, 17 min left`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

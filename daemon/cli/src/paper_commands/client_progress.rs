@@ -36,8 +36,7 @@ impl ProgressDisplay for ClientProgress {
             self.progress.end();
             return;
         }
-        let share = report.iterations.map_or(0.0, |count| report.done as f64 / count.max(1) as f64);
-        let state = || (report.to_string(), share);
+        let state = || (report.to_string(), report.fraction_done());
         self.progress.show(self.clock.mono(), report.trouble.clone(), state);
     }
 }

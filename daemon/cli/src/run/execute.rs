@@ -85,8 +85,6 @@ impl Execution<'_> {
             if let Some(failure) = report.first_failure.as_ref().filter(|_| !quiet) {
                 progress.print_once(format_args!("{name}: {failure}"));
             }
-            let fraction_of_run =
-                report.iterations.map_or(0.0, |count| report.done as f64 / count.max(1) as f64);
             let left =
                 report.left_s.zip(later_runs_s).map(|(run_s, later_s)| estimated_duration(run_s + later_s));
             let left = left.map_or_else(String::new, |left| format!(", {left} left in total"));
@@ -94,7 +92,7 @@ impl Execution<'_> {
             let state = || {
                 (
                     format!("{name}: {}{left}", ProgressReport { left_s: None, ..report.clone() }),
-                    share_before + fraction_of_run * run_share,
+                    share_before + report.fraction_done() * run_share,
                 )
             };
             progress.show(self.clock.mono(), trouble, state);
