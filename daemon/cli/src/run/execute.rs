@@ -1,13 +1,13 @@
 //! Execution of the runs, one after the other.
 
 use crate::exit::Failure;
+use peernet_analysis::duration_estimates::DurationEstimates;
 use peernet_analysis::record::User;
 use peernet_clock::SharedClock;
 use peernet_results::Overwrite;
 use peernet_statistics::Summary;
 
 use super::children::{self, ChildEvent, ProcessResults};
-use super::estimate::Estimates;
 use super::external_files::ExternalFiles;
 use super::finished_runs::load_results;
 use super::folder::Folder;
@@ -22,7 +22,7 @@ use crate::short::shorten_label;
 pub(super) struct Execution<'a> {
     pub(super) folder: &'a Folder,
     pub(super) record: &'a mut Record,
-    pub(super) estimates: Estimates,
+    pub(super) estimates: DurationEstimates,
     pub(super) clock: &'a SharedClock,
     pub(super) external_files: &'a ExternalFiles,
     pub(super) quiet: bool,

@@ -13,9 +13,9 @@ mod check;
 mod children;
 mod delivery;
 mod end_requests;
-mod estimate;
 mod execute;
 mod exit_reason;
+mod expected_duration;
 mod external_files;
 mod file;
 mod finished_runs;
@@ -41,6 +41,7 @@ use crate::experiment::RunStatus;
 use crate::output::{print_to_stderr, print_to_stdout};
 use crate::{VERSION, clock};
 use anyhow::{Context, anyhow};
+use peernet_analysis::duration_estimates::DurationEstimates;
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_networks::Address;
 use peernet_sample::printable_line;
@@ -50,8 +51,8 @@ use crate::foreground::{Signals, dashboard_hint, describe_condition};
 use agent_state_dirs::{AgentStateDirs, undelivered_events};
 use arguments::RunSelection;
 use children::ProcessResult;
-use estimate::{Estimates, expected_duration};
 use execute::Execution;
+use expected_duration::expected_duration;
 use external_files::ExternalFiles;
 use file::File;
 use finished_runs::{check_finished_runs, version_change_note};
@@ -240,9 +241,9 @@ fn clear(folder: &Folder) -> Result<(), Failure> {
 }
 
 /// Estimates the durations of the runs. All durations are unknown if a trial failed, because then no run starts.
-fn estimates(record: &Record, trial_results: &TrialResults) -> Estimates {
+fn estimates(record: &Record, trial_results: &TrialResults) -> DurationEstimates {
     if !trial_results.unavailable.is_empty() {
-        return Estimates::new(vec![None; record.plan.configurations.len()]);
+        return DurationEstimates::new(vec![None; record.plan.configurations.len()]);
     }
     let expected_durations = record
         .plan
@@ -250,7 +251,7 @@ fn estimates(record: &Record, trial_results: &TrialResults) -> Estimates {
         .iter()
         .zip(&trial_results.paces)
         .map(|(configuration, pace)| expected_duration(&configuration.agent, configuration.users, *pace));
-    let mut estimates = Estimates::new(expected_durations.collect());
+    let mut estimates = DurationEstimates::new(expected_durations.collect());
     // Measured durations of finished runs are better than estimates from trials.
     for (run, state) in record.runs().filter(|(_, state)| state.status == RunStatus::Finished) {
         state.seconds.into_iter().for_each(|seconds| estimates.record_duration(run.configuration, seconds));

@@ -1,9 +1,9 @@
 //! Table of the runs.
 
+use peernet_analysis::duration_estimates::DurationEstimates;
 use peernet_analysis::table::Table;
 use peernet_statistics::number::{count, counted};
 
-use super::estimate::Estimates;
 use super::plan::Run;
 use super::state::Record;
 use crate::experiment::RunStatus;
@@ -14,7 +14,7 @@ use crate::short::shorten_label;
 const UNKNOWN: &str = "unknown";
 
 /// Returns the table of all runs in their order: configuration, state and duration.
-pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
+pub(super) fn runs(record: &Record, estimates: &DurationEstimates) -> String {
     let plan = &record.plan;
     let axes = plan.configurations.first().map(|configuration| &configuration.labels);
     let mut header = vec!["run".to_owned()];
@@ -49,7 +49,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
 }
 
 /// Describes the number of runs to do and their duration.
-pub(super) fn describe_plan(to_do: &[Run], record: &Record, estimates: &Estimates) -> String {
+pub(super) fn describe_plan(to_do: &[Run], record: &Record, estimates: &DurationEstimates) -> String {
     let known_durations: Vec<f64> =
         to_do.iter().filter_map(|run| estimates.duration_s(run.configuration)).collect();
     let sum = estimated_duration(known_durations.iter().sum());

@@ -10,8 +10,8 @@ use peernet_actuators::ActuatorKind;
 use peernet_agent::config::{Limit, LoadConfig, PlacementConfig, WarmUp};
 use peernet_analysis::compare::describe_labels;
 use peernet_analysis::loaded::Loaded;
+use peernet_analysis::pace::Pace;
 use peernet_analysis::record::RunRecord;
-use peernet_analysis::rows::Rows;
 use peernet_clock::SharedClock;
 use peernet_inference::LockedTempDir;
 use peernet_networks::Address;
@@ -19,7 +19,6 @@ use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::{Condition, Grade};
 
 use super::children::{self, ChildEvent, ProcessResult};
-use super::estimate::Pace;
 use super::file::Configuration;
 use super::plan::Plan;
 use crate::foreground::{Progress, Signals, long_duration};
@@ -116,8 +115,7 @@ pub(super) async fn configurations(
                         "{state}: {reason}; runs count failed iterations and go on"
                     ));
                 }
-                let no_rows = Rows::default();
-                let pace = pace(loaded.as_ref().map_or(&no_rows, |loaded| &loaded.rows), duration_s);
+                let pace = loaded.as_ref().and_then(|loaded| Pace::from_trial(&loaded.rows, duration_s));
                 configurations.iter().for_each(|index| results.paces[*index] = pace);
             }
             Some(result) => {
@@ -237,24 +235,6 @@ fn has_answer(result: &ProcessResult, loaded: Option<&Loaded>) -> bool {
     is_incomplete && loaded.is_some_and(|loaded| loaded.rows.iter().any(|row| row.is_in_statistics()))
 }
 
-/// Calculates the pace from the iterations of a trial and the duration of its process.
-fn pace(rows: &Rows, duration_s: f64) -> Option<Pace> {
-    let starts: Vec<f64> = rows.iter().map(|row| row.at()).collect();
-    let intervals = starts.windows(2).map(|pair| pair[1] - pair[0]);
-    // The smallest values are taken: the first iterations may include the loading of a model or a new connection.
-    let iteration_s = intervals.filter(|interval| *interval > 0.0).reduce(f64::min)?;
-    let sum_of = |stages: &[&str]| {
-        let sums = rows.iter().map(|row| stages.iter().filter_map(|stage| row.value(stage)).sum::<f64>());
-        sums.filter(|sum| sum.is_finite()).reduce(f64::min).unwrap_or_default()
-    };
-    Some(Pace {
-        iteration_s,
-        overhead_s: (duration_s - iteration_s * starts.len() as f64).max(0.0),
-        sensing_s: sum_of(&["sensing"]),
-        computing_s: sum_of(&["preprocessing", "inference", "postprocessing"]),
-    })
-}
-
 /// Adds the conditions of a run's hosts that impair measurements, unless they are already in the list.
 fn add_conditions(record: &RunRecord, conditions: &mut Vec<Condition>) {
     let hosts = std::iter::once(&record.edge).chain(&record.cloud);
@@ -270,8 +250,6 @@ fn add_conditions(record: &RunRecord, conditions: &mut Vec<Condition>) {
 
 #[cfg(test)]
 mod tests {
-    use peernet_analysis::rows::{Outcome, Row};
-
     use super::*;
     use crate::run::tests::plan;
 
@@ -316,29 +294,5 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
         assert_eq!(described(&[0, 1, 2]), "Length = 1, Rate = closed (and 2 configurations like it)");
         let single = plan(folder.path(), FILE.split("[[axis]]").next().expect("the text before the axes"));
         assert_eq!(describe_configuration(&single, 0), "e");
-    }
-
-    #[test]
-    fn pace_ignores_first_iteration() {
-        let rows = |starts: &[(f64, f64)]| -> Rows {
-            let row = |(at, stage_s): &(f64, f64)| Row {
-                iteration: 1,
-                at: *at,
-                episode: 0,
-                step: 0,
-                warm_up: false,
-                outcome: Outcome::Ok,
-                reason: None,
-                values: ["sensing", "preprocessing", "inference"].map(|name| (name.into(), *stage_s)).into(),
-                upload: None,
-                download: None,
-            };
-            starts.iter().map(row).collect()
-        };
-        let pace =
-            super::pace(&rows(&[(10.0, 1.0), (12.0, 0.125), (12.5, 0.125)]), 4.0).expect("three iterations");
-        let expected = Pace { iteration_s: 0.5, overhead_s: 2.5, sensing_s: 0.125, computing_s: 0.25 };
-        assert_eq!(pace, expected);
-        assert_eq!(super::pace(&rows(&[(10.0, 1.0)]), 1.0), None);
     }
 }

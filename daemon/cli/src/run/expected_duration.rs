@@ -1,63 +1,9 @@
-//! Estimates of the duration of runs.
+//! Expected duration of a run, from its configuration.
 
 use std::num::NonZeroU64;
 
 use peernet_agent::config::{AgentConfig, PipelineConfig, PlacementConfig};
-
-/// Durations that a trial of a configuration has measured.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Pace {
-    /// Duration of an iteration in seconds, if only one iteration is in flight.
-    pub(super) iteration_s: f64,
-    /// Duration of a run besides its iterations, seconds.
-    pub(super) overhead_s: f64,
-    /// Time that the sensor takes for a sample, seconds; 0 if unknown.
-    pub(super) sensing_s: f64,
-    /// Time that a worker of the model takes for a sample, seconds; 0 if unknown.
-    pub(super) computing_s: f64,
-}
-
-/// Estimated duration of a run of each configuration, seconds.
-#[derive(Clone, Debug)]
-pub(super) struct Estimates {
-    /// Estimates from the trials.
-    expected: Vec<Option<f64>>,
-    /// Durations of finished runs: sum and count.
-    finished_durations: Vec<(f64, u32)>,
-}
-
-impl Estimates {
-    /// Makes estimates from the expected duration of each configuration.
-    pub(super) fn new(expected: Vec<Option<f64>>) -> Self {
-        let finished_durations = vec![(0.0, 0); expected.len()];
-        Self { expected, finished_durations }
-    }
-
-    /// Adds the duration of a finished run.
-    pub(super) fn record_duration(&mut self, configuration: usize, seconds: f64) {
-        if let Some((sum, count)) = self.finished_durations.get_mut(configuration) {
-            *sum += seconds;
-            *count += 1;
-        }
-    }
-
-    /// Returns the estimate for a run of a configuration: the mean of its finished runs or, without any, the expected
-    /// duration times the ratio of measured to expected durations so far. `None` if neither is known.
-    pub(super) fn duration_s(&self, configuration: usize) -> Option<f64> {
-        let (sum, count) = self.finished_durations.get(configuration).copied().unwrap_or_default();
-        if count > 0 {
-            return Some(sum / f64::from(count));
-        }
-        let pairs = || {
-            let pairs = self.finished_durations.iter().zip(&self.expected);
-            pairs.filter_map(|((sum, count), expected)| Some((*sum, expected.as_ref()? * f64::from(*count))))
-        };
-        let (measured, expected): (f64, f64) =
-            pairs().fold((0.0, 0.0), |sums, pair| (sums.0 + pair.0, sums.1 + pair.1));
-        let factor = if expected > 0.0 { measured / expected } else { 1.0 };
-        Some(self.expected.get(configuration).copied().flatten()? * factor)
-    }
-}
+use peernet_analysis::pace::Pace;
 
 /// Number of samples that are computed at the same time, and of users (edges at the same time) that share the
 /// computation.
@@ -164,13 +110,5 @@ mod tests {
             pipeline_duration(&rate, SharedComputation { users: 1, workers: 1 }, slow_sensor),
             Some(5.0)
         );
-    }
-
-    #[test]
-    fn measured_durations_correct_estimates() {
-        let mut estimates = Estimates::new(vec![Some(10.0), Some(20.0), None]);
-        assert_eq!([0, 1, 2].map(|index| estimates.duration_s(index)), [Some(10.0), Some(20.0), None]);
-        estimates.record_duration(0, 15.0);
-        assert_eq!([0, 1, 2].map(|index| estimates.duration_s(index)), [Some(15.0), Some(30.0), None]);
     }
 }

@@ -1,0 +1,59 @@
+//! Pace of a configuration, from the few iterations of a trial.
+
+use crate::rows::Rows;
+
+/// Durations that a trial of a configuration has measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pace {
+    /// Duration of an iteration in seconds, if only one iteration is in flight.
+    pub iteration_s: f64,
+    /// Duration of a run besides its iterations, seconds.
+    pub overhead_s: f64,
+    /// Time that the sensor takes for a sample, seconds; 0 if unknown.
+    pub sensing_s: f64,
+    /// Time that a worker of the model takes for a sample, seconds; 0 if unknown.
+    pub computing_s: f64,
+}
+
+impl Pace {
+    /// Returns the pace from the iterations of a trial and the duration of its process, seconds. `None` unless an
+    /// iteration started after another one.
+    pub fn from_trial(rows: &Rows, duration_s: f64) -> Option<Self> {
+        let starts: Vec<f64> = rows.iter().map(|row| row.at()).collect();
+        let intervals = starts.windows(2).map(|pair| pair[1] - pair[0]);
+        // The smallest values are taken: the first iterations may include the loading of a model or a new connection.
+        let iteration_s = intervals.filter(|interval| *interval > 0.0).reduce(f64::min)?;
+        let sum_of = |stages: &[&str]| {
+            let sums = rows.iter().map(|row| stages.iter().filter_map(|stage| row.value(stage)).sum::<f64>());
+            sums.filter(|sum| sum.is_finite()).reduce(f64::min).unwrap_or_default()
+        };
+        Some(Self {
+            iteration_s,
+            overhead_s: (duration_s - iteration_s * starts.len() as f64).max(0.0),
+            sensing_s: sum_of(&["sensing"]),
+            computing_s: sum_of(&["preprocessing", "inference", "postprocessing"]),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rows::{Outcome, Row};
+    use crate::testing::row_of_values;
+
+    #[test]
+    fn pace_ignores_first_iteration() {
+        let rows = |starts: &[(f64, f64)]| -> Rows {
+            let row = |(at, stage_s): &(f64, f64)| {
+                let values = ["sensing", "preprocessing", "inference"].map(|name| (name, *stage_s));
+                Row { at: *at, ..row_of_values(Outcome::Ok, &values) }
+            };
+            starts.iter().map(row).collect()
+        };
+        let pace = Pace::from_trial(&rows(&[(10.0, 1.0), (12.0, 0.125), (12.5, 0.125)]), 4.0);
+        let expected = Pace { iteration_s: 0.5, overhead_s: 2.5, sensing_s: 0.125, computing_s: 0.25 };
+        assert_eq!(pace, Some(expected));
+        assert_eq!(Pace::from_trial(&rows(&[(10.0, 1.0)]), 1.0), None);
+    }
+}
