@@ -26,7 +26,8 @@ pub fn concurrent_groups<'a, R, E: PartialEq>(
     groups
 }
 
-/// Returns the complete groups: those with as many edges as the largest group of the same configuration.
+/// Returns the complete groups: those with the number of edges that the experiment records. If it records none, those
+/// with as many edges as the largest group of the same configuration.
 // Without one of the edges, the other edges would get more of the cloud than configured.
 pub fn complete_groups<'a, R>(
     groups: Vec<Vec<&'a R>>,
@@ -41,7 +42,9 @@ pub fn complete_groups<'a, R>(
         let repeats = configurations_and_edges
             .iter()
             .filter(|(other, _)| configuration.is_some() && *other == configuration);
-        repeats.map(|(_, edges)| *edges).max().is_none_or(|largest| group.len() == largest)
+        let recorded = position_of(group[0]).and_then(|position| position.edges);
+        let edges = recorded.map(|edges| edges as usize).or_else(|| repeats.map(|(_, edges)| *edges).max());
+        edges.is_none_or(|edges| group.len() >= edges)
     };
     groups.into_iter().filter(is_complete).collect()
 }

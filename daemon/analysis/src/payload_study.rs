@@ -316,7 +316,7 @@ mod tests {
             id: "1".to_owned(),
             configuration: vec![("Users".to_owned(), users.to_owned())],
             repeat: 0,
-            configuration_index: None,
+            ..ExperimentPosition::default()
         };
         let (alone, together) = (position("1"), position("2"));
         let users = [("a-7", &alone), ("a-7-1", &together), ("a-7-2", &together)];

@@ -2,7 +2,7 @@
 //! to its end, or if the command names it. If several runs measured the same repeat of a configuration, the newest of
 //! them counts. An older run counts only if the command names it.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fmt;
 
 use peernet_clock::{Span, WallTime};
@@ -74,6 +74,14 @@ pub enum Exclusion {
     /// The run with this index was not measured to its end. It is the run of another edge, which measured the same
     /// repeat at the same time.
     OtherEdgeUnfinished(usize),
+    /// Fewer edges have a run of the repeat that was measured to its end than the experiment has edges: another edge
+    /// failed before its run began.
+    EdgeMissing {
+        /// Number of edges with such a run.
+        measured: usize,
+        /// Number of edges that should measure the repeat at the same time.
+        edges: usize,
+    },
     /// The run with this index measured the same repeat again later.
     MeasuredAgain(usize),
     /// The results are a copy of the results with this index, which belong to the same run.
@@ -87,6 +95,9 @@ impl Exclusion {
             Self::Unfinished(state) => state.to_string(),
             Self::OtherEdgeUnfinished(other) => {
                 format!("measured together with {}, which was not measured to its end", run_name(*other))
+            }
+            Self::EdgeMissing { measured, edges } => {
+                format!("measured by only {measured} of {edges} edges")
             }
             Self::MeasuredAgain(later) => format!("measured again as {}", run_name(*later)),
             Self::CopyOf(original) => format!("a copy of {}", run_name(*original)),
@@ -103,6 +114,8 @@ pub struct Candidate {
     pub state: Option<RunState>,
     /// Repeat that the run measured; `None` outside of experiments.
     pub repeat: Option<Repeat>,
+    /// Number of edges that measure the repeat at the same time; `None` if it is not recorded.
+    pub edges: Option<u32>,
     /// Start and end on the edge's wall clock; `None` if the start is not recorded. If the end is not recorded, the
     /// last known time stands for the end.
     pub times: Option<(WallTime, WallTime)>,
@@ -160,6 +173,7 @@ impl Candidate {
             repeat: position
                 .zip(record.edge.id)
                 .map(|(position, edge)| Repeat::new(position, edge, &record.name)),
+            edges: position.and_then(|position| position.edges),
             times: times
                 .map(|(start, end)| (WallTime::from_unix_nanos(start), WallTime::from_unix_nanos(end))),
             sequence: started.unwrap_or_default(),
@@ -192,6 +206,17 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
         (!run.is_named).then_some(())?;
         let other = unfinished_runs.iter().find(|other| run.is_together_with(&runs[**other]))?;
         Some(Exclusion::OtherEdgeUnfinished(*other))
+    });
+    // An edge that failed before its run began has no run, but the other edges had less competition all the same. The
+    // times are not compared: edges with few iterations can end before the others begin.
+    let included = runs.iter().zip(&exclusions).filter(|(_, exclusion)| exclusion.is_none());
+    let repeats: Vec<&Repeat> = included.filter_map(|(run, _)| run.repeat.as_ref()).collect();
+    exclude(runs, &mut exclusions, |run| {
+        let (repeat, edges) = run.repeat.as_ref().zip(run.edges).filter(|_| !run.is_named)?;
+        let same_repeat = repeats.iter().filter(|other| other.position() == repeat.position());
+        let measured = same_repeat.map(|other| other.edge).collect::<HashSet<_>>().len();
+        let edges = edges as usize;
+        (measured < edges).then_some(Exclusion::EdgeMissing { measured, edges })
     });
     // Copies are excluded before repeats are compared: copies of one run belong to one repeat, and if the comparison of
     // repeats came first, the time would choose among the copies instead of the rank.

@@ -18,6 +18,10 @@ pub struct ExperimentPosition {
     /// Index of the configuration in the experiment's file, from 0; `None` if an earlier version ran the experiment.
     #[serde(default, rename = "position", skip_serializing_if = "Option::is_none")]
     pub configuration_index: Option<u32>,
+    /// Number of edges that measure the repeat at the same time; `None` if an earlier version ran the experiment.
+    // The wire form lists values without names, so a value that is present follows only values that are present.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub edges: Option<u32>,
 }
 
 /// A finding about a host that affects how far a measurement on it can be trusted.

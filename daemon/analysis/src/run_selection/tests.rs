@@ -14,6 +14,7 @@ fn run(repeat: u32, edge: HostId, state: RunState, sequence: i64) -> Candidate {
         id: Some(RunId::random()),
         state: Some(state),
         repeat: Some(Repeat::new(&position, edge, "line")),
+        edges: None,
         times: Some([sequence, sequence + 1].map(WallTime::from_unix_nanos).into()),
         sequence,
         is_named: false,
@@ -61,6 +62,36 @@ fn edge_beside_failed_edge_does_not_count() {
     assert_eq!(exclusions(&runs), [other_unfinished, unfinished.clone(), None, None, None]);
     runs[0].is_named = true;
     assert_eq!(exclusions(&runs), [None, unfinished, None, None, None]);
+}
+
+#[test]
+fn repeat_without_run_of_edge_does_not_count() {
+    let (edge, other) = (HostId::random(), HostId::random());
+    let one =
+        |repeat, edge, state, sequence| Candidate { edges: Some(2), ..run(repeat, edge, state, sequence) };
+    let alone = one(0, edge, RunState::Finished, 10);
+    let missing = Some(Exclusion::EdgeMissing { measured: 1, edges: 2 });
+    let copy = alone.clone();
+    let second_pipeline = Candidate {
+        id: Some(RunId::random()),
+        repeat: alone.repeat.clone().map(|repeat| Repeat { pipeline: "second".to_owned(), ..repeat }),
+        ..alone.clone()
+    };
+    let of_another_repeat = one(1, other, RunState::Finished, 10);
+    let runs = [alone.clone(), copy, second_pipeline, of_another_repeat];
+    assert_eq!(exclusions(&runs), vec![missing.clone(); 4]);
+    // The failed edge of an earlier attempt is not the missing edge.
+    let failed = one(0, other, RunState::Failed(None), 1);
+    let unfinished = Some(Exclusion::Unfinished(RunState::Failed(None)));
+    assert_eq!(exclusions(&[failed, alone.clone()]), [unfinished, missing]);
+    let together = one(0, other, RunState::Finished, 20);
+    assert_eq!(exclusions(&[alone.clone(), together]), [None, None], "few iterations need not overlap");
+    assert_eq!(exclusions(&[Candidate { is_named: true, ..alone.clone() }]), [None]);
+    assert_eq!(
+        exclusions(&[Candidate { edges: None, ..alone }]),
+        [None],
+        "earlier versions record no number"
+    );
 }
 
 #[test]

@@ -69,6 +69,7 @@ mod tests {
                 configuration: vec![("load".to_owned(), label.to_owned())],
                 repeat,
                 configuration_index,
+                edges: None,
             });
             let record = RunRecord { experiment: position, ..RunRecord::default() };
             Loaded { folder: folder.clone(), record, rows: Rows::default() }

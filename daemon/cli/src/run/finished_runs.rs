@@ -57,10 +57,10 @@ pub(super) fn load_results(
     let planned = record.plan.experiment_position(run, &record.id);
     let load_user = |path: PathBuf| {
         let run_record = load_finished_results(&path)?;
-        // An earlier version recorded no index, and the labels identify the configuration.
-        let configuration_index = planned.configuration_index;
+        // An earlier version recorded neither index nor edges, and the labels identify the configuration.
+        let ExperimentPosition { configuration_index, edges, .. } = planned;
         let recorded = run_record.experiment.clone();
-        let recorded = recorded.map(|position| ExperimentPosition { configuration_index, ..position });
+        let recorded = recorded.map(|position| ExperimentPosition { configuration_index, edges, ..position });
         if recorded.as_ref() != Some(&planned) {
             return Err(UnusableResults::Mismatched { folder: path, mismatch: Mismatch::OtherRun });
         }

@@ -155,6 +155,7 @@ impl Plan {
             configuration: self.configuration(run).labels.clone(),
             repeat: run.repeat,
             configuration_index: u32::try_from(run.configuration).ok(),
+            edges: Some(self.configuration(run).users),
         }
     }
 

@@ -1,6 +1,9 @@
 use std::path::Path;
 
 use clap::Parser;
+use peernet_analysis::run_selection::{Candidate, exclusions};
+use peernet_logger::HostId;
+use peernet_results::ResultFolder;
 use peernet_stream::ExperimentPosition;
 use serde_json::{Value, json};
 
@@ -106,9 +109,12 @@ fn incomplete_results_are_measured_again() {
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n");
     assert_eq!(message(), None);
     let mut earlier = whole.clone();
-    earlier["experiment"].as_object_mut().expect("a position").remove("position").expect("it is recorded");
+    let position = earlier["experiment"].as_object_mut().expect("a position");
+    for key in ["position", "edges"] {
+        position.remove(key).expect("it is recorded");
+    }
     write_record(&earlier);
-    assert_eq!(message(), None, "an earlier version recorded no index");
+    assert_eq!(message(), None, "an earlier version recorded neither");
     write_record(&json!({ "format": 1 }));
     assert!(message().is_some_and(|why| why.ends_with("does not say that the run was finished")));
     let another = record.plan.experiment_position(&record.plan.runs[1], &record.id);
@@ -400,11 +406,34 @@ fn run_stopped_after_its_results_is_finished() {
     assert_eq!(status(), RunStatus::Finished);
 }
 
+#[test]
+fn edge_without_run_excludes_others_as_dashboard_does() {
+    let temporary = tempfile::tempdir().expect("a folder");
+    let folder = Folder::open(&temporary.path().join("results")).expect("is new");
+    let mut record = record(temporary.path());
+    let run = record.plan.runs[0].clone();
+    record.plan.configurations[run.configuration].users = 2;
+    let paths = folder.results(&record.plan, &run);
+    let failed = ProcessResult { code: Some(69), reason: None };
+    let process_results = ProcessResults { results: vec![failed.clone(), failed], interrupted: false };
+    for path in &paths {
+        write_results(path, &record.plan.experiment_position(&run, &record.id));
+        let is_finished =
+            run_result(&folder, &record, &run, &process_results, 1.0).status == RunStatus::Finished;
+        // The aggregator receives the same position and the same reason of the end.
+        let measured = paths.iter().filter_map(|path| ResultFolder::open(path).ok());
+        let exclusions = exclusions(&measured.map(|run| Candidate::from_results(&run)).collect::<Vec<_>>());
+        assert!(exclusions.iter().all(|exclusion| exclusion.is_none() == is_finished), "{exclusions:?}");
+        assert_eq!(is_finished, *path == paths[1]);
+    }
+}
+
 /// Writes the results of a finished run of two iterations.
 fn write_results(path: &Path, experiment: &ExperimentPosition) {
     std::fs::create_dir_all(path).expect("writable");
-    let record_json =
-        json!({ "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": experiment });
+    let record_json = json!({
+        "format": 1, "reason": "finished", "counts": { "ok": 2 }, "edge": { "id": HostId::random() }, "experiment": experiment,
+    });
     std::fs::write(path.join("run.json"), record_json.to_string()).expect("writable");
     std::fs::write(path.join("data.csv"), "iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n")
         .expect("writable");

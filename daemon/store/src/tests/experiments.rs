@@ -20,6 +20,7 @@ fn experiment_position(id: &str, size: &str, repeat: u32) -> ExperimentPosition 
         configuration: vec![("size".to_owned(), size.to_owned()), ("where".to_owned(), "cloud".to_owned())],
         repeat,
         configuration_index: Some(3),
+        edges: Some(1),
     }
 }
 
@@ -111,17 +112,21 @@ fn results_in_files(run: &RunSummary, rows: Rows) -> Loaded {
 #[tokio::test]
 async fn same_runs_are_excluded_in_store_and_in_files() {
     let mut test_store = TestStore::new().await;
-    // The same repeat twice; a repeat that was stopped and started again, one that failed, and one in progress.
+    // The same repeat twice; a repeat that was stopped and started again, one that failed, one that only one of two edges
+    // measured, and one in progress.
     let plan = [
         ("1 kB", Some("finished")),
         ("2 kB", Some("stopped")),
         ("2 kB", Some("finished")),
         ("1 kB", Some("finished")),
         ("3 kB", Some("the server went")),
-        ("4 kB", None),
+        ("4 kB", Some("finished")),
+        ("5 kB", None),
     ];
     for (index, (size, reason)) in plan.iter().enumerate() {
-        let run_started = run_started(Some(experiment_position("a", size, 0)), Vec::new());
+        let edges = Some(if *size == "4 kB" { 2 } else { 1 });
+        let position = ExperimentPosition { edges, ..experiment_position("a", size, 0) };
+        let run_started = run_started(Some(position), Vec::new());
         let Event::RunStarted(RunDescription { run, .. }) = &run_started else { panic!("a run begins") };
         let ended = generate::at(index as f64 + 1.0);
         let end = reason.map(|reason| Event::RunEnded(RunEnded { run: *run, ended, reason: reason.into() }));
@@ -142,6 +147,7 @@ async fn same_runs_are_excluded_in_store_and_in_files() {
         None,
         None,
         Some("failed (the server went)"),
+        Some("measured by only 1 of 2 edges"),
         Some("in progress or killed"),
     ];
     assert_eq!(descriptions.iter().map(Option::as_deref).collect::<Vec<_>>(), expected);

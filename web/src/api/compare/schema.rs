@@ -62,7 +62,7 @@ pub(crate) struct Comparison {
     pub differences: Vec<Difference>,
     /// Caveats about the figures, as sentences; for example that starts were skipped.
     pub doubts: Vec<String>,
-    /// Excluded runs of the experiment: runs that were not measured to their end, and runs that were measured again.
+    /// Excluded runs of the experiment: runs that were not measured to their end by all edges, and runs that were measured again.
     pub left_out: Vec<LeftOut>,
     /// `true` if there are more runs than the maximum, and the further runs are not compared.
     pub cut: bool,

@@ -85,8 +85,7 @@ pub(crate) struct ExperimentPosition {
 
 impl From<&stream::ExperimentPosition> for ExperimentPosition {
     fn from(position: &stream::ExperimentPosition) -> Self {
-        let stream::ExperimentPosition { name, id, configuration, repeat, configuration_index: _ } =
-            position.clone();
+        let stream::ExperimentPosition { name, id, configuration, repeat, .. } = position.clone();
         let fact = |(name, value)| Fact { name, value };
         Self { name, id, configuration: configuration.into_iter().map(fact).collect(), repeat }
     }

@@ -153,8 +153,7 @@ mod tests {
                 name: "sizes".to_owned(),
                 id: ["0123456789", "9876543210"][at].to_owned(),
                 configuration: Vec::new(),
-                repeat: 0,
-                configuration_index: None,
+                ..ExperimentPosition::default()
             });
         });
         let expected = (vec!["execution".to_owned()], labels(["01234567", "98765432"]));
@@ -171,8 +170,7 @@ mod tests {
                 .zip(labels)
                 .map(|(axis, label)| (axis.to_owned(), (*label).to_owned()))
                 .collect(),
-            repeat: 0,
-            configuration_index: None,
+            ..ExperimentPosition::default()
         };
         let mut details: Vec<RunDetail> = (0..labels.len()).map(|at| detail(at as i64, &[])).collect();
         for (detail, labels) in details.iter_mut().zip(labels) {

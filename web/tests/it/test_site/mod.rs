@@ -137,6 +137,7 @@ impl TestSite {
                 configuration,
                 repeat: 0,
                 configuration_index: *configuration_index,
+                edges: None,
             };
             self.store_at_position(index, iterations, position).await;
         }
