@@ -1,5 +1,7 @@
 //! Choice of the latency by which runs are compared: the measured total or the sum of the stages.
 
+use peernet_logger::{Name, stage};
+
 use crate::rows::RowRef;
 
 /// Latency of a whole iteration by which runs are compared.
@@ -41,6 +43,12 @@ impl TotalColumn {
             Self::Measured => "total",
             Self::SumOfStages => "stages-total",
         }
+    }
+
+    /// Returns the nodes with the latency of a run's iterations, the preferred node first: a pipeline that only senses
+    /// has `sensing` instead of a total.
+    pub const fn latency_names(self) -> [Name; 2] {
+        [Name::from_static(self.name()), stage::SENSING]
     }
 
     /// Returns `measured total` or `sum of stages`.

@@ -17,6 +17,7 @@ use crate::order::SortedValues;
 use crate::outcomes::Counts;
 use crate::rows::{RowRef, Rows};
 use crate::stage_split::StageSplit;
+use crate::total_column::TotalColumn;
 
 /// Function that returns the delay of a row's message in one direction.
 type DelayReader = fn(&RowRef<'_>) -> Option<OneWayDelay>;
@@ -103,7 +104,7 @@ impl TrustInput {
             conditions: conditions.to_vec(),
             counts: Counts::from_rows(rows, 0),
             starts: Starts::from_rows(rows),
-            total: time_series(&stage::TOTAL).or_else(|| time_series(&stage::SENSING)),
+            total: TotalColumn::Measured.latency_names().iter().find_map(|name| time_series(name)),
             stages: stages.collect(),
             split: StageSplit::from_rows(rows),
             drawn,
@@ -148,7 +149,7 @@ impl TrustInput {
 /// Returns the names of the distributions that may have two modes: the total, or `sensing` if the pipeline only senses, and the length of answers
 /// in tokens. `names` are the names of all quantities.
 pub fn names_of_distributions<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Vec<&'a str> {
-    let mut latency = [stage::TOTAL, stage::SENSING].into_iter();
+    let mut latency = TotalColumn::Measured.latency_names().into_iter();
     let latency = latency.find_map(|name| names.clone().find(|other| name == **other));
     latency.into_iter().chain(answer_tokens(names)).collect()
 }

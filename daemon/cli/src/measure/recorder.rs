@@ -6,6 +6,7 @@ use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
 use peernet_agent::{Cloud, RunningAgent};
 use peernet_analysis::outcomes::Counts;
 use peernet_analysis::rows::{Outcome, Row, Rows, Units};
+use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::trust::Starts;
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
@@ -74,8 +75,8 @@ impl RunProgress {
             self.first_failure
                 .get_or_insert_with(|| describe_failure(row.iteration, row.outcome, row.reason.as_deref()));
         }
-        // A pipeline that only senses has no total.
-        if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.is_in_statistics()) {
+        let total = TotalColumn::Measured.latency_names().iter().find_map(|name| row.value(name));
+        if let Some(total) = total.filter(|_| row.is_in_statistics()) {
             self.totals.record(total);
         }
     }

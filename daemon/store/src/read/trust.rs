@@ -4,6 +4,7 @@ use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLab
 use peernet_analysis::outcomes::Counts;
 use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::standstill::{RunExtent, standstill};
+use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::trust::{
     DRAWN_LATENCY, DelayQuality, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts,
     StartTimes, Starts, TimeSeries, TrustInput, names_of_distributions,
@@ -89,12 +90,13 @@ async fn two_modes(
 ///
 /// A run that only reads a sensor has no total. For such a run, the function reads the time series of sensing.
 async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBuckets>, StoreError> {
-    let mut stages = stage_buckets(readers, run, &[stage::TOTAL], MAX_BUCKETS).await?;
+    let [total, sensing] = TotalColumn::Measured.latency_names();
+    let mut stages = stage_buckets(readers, run, &[total], MAX_BUCKETS).await?;
     let has_notable_change = |stage: &StageBuckets| {
         TimeSeries::from_summaries(&stage.buckets).is_some_and(|series| series.has_notable_change())
     };
     if stages.is_empty() {
-        stages = stage_buckets(readers, run, &[stage::SENSING], MAX_BUCKETS).await?;
+        stages = stage_buckets(readers, run, &[sensing], MAX_BUCKETS).await?;
     } else if stages.iter().any(has_notable_change) {
         stages.extend(stage_buckets(readers, run, &stage::ORDER, MAX_BUCKETS).await?);
     }
@@ -122,14 +124,7 @@ fn collect_input(
     };
     let statistics_of =
         |name: &str| statistics.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics);
-    let mut stages: Vec<(String, TimeSeries)> = stages_over_time
-        .iter()
-        .filter_map(|stage| Some((stage.stage.to_string(), TimeSeries::from_summaries(&stage.buckets)?)))
-        .collect();
-    let total =
-        stages.iter().position(|(name, _)| name == stage::TOTAL.as_str()).map(|index| stages.remove(index).1);
-    let sensing =
-        || stages.iter().find(|(name, _)| name == stage::SENSING.as_str()).map(|(_, series)| series.clone());
+    let stages = stages_over_time.iter().filter(|stage| stage.stage != stage::TOTAL);
     // An agent of another version may write the configuration in another form. The trust findings then do not mention
     // the run's limit and rate.
     let configured: Option<ConfiguredLimitAndLoad> = toml::from_str(&run.configuration).ok();
@@ -150,7 +145,7 @@ fn collect_input(
             .iter()
             .map(|gap| MissingEvents { count: gap.count, reason: gap.reason.clone() })
             .collect(),
-        total: total.or_else(sensing),
+        total: stages_over_time.first().and_then(|latency| TimeSeries::from_summaries(&latency.buckets)),
         split: StageSplit::new(DelayAccuracy::sent_messages(bounds), |name| {
             statistics_of(name).map(|statistics| (statistics.count, statistics.mean))
         }),
@@ -181,7 +176,9 @@ fn collect_input(
                 }
             })
             .collect(),
-        stages,
+        stages: stages
+            .filter_map(|stage| Some((stage.stage.to_string(), TimeSeries::from_summaries(&stage.buckets)?)))
+            .collect(),
         accuracy: ACCURACIES
             .into_iter()
             .filter_map(|name| {

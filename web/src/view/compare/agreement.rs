@@ -7,7 +7,7 @@ use peernet_analysis::quality::Quality;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, Row, RowRef};
 use peernet_clock::Span;
-use peernet_logger::Name;
+use peernet_logger::{Name, stage};
 use peernet_statistics::Sketch;
 use peernet_store::{MeanBucket, RunStatistics, StageMeans};
 use peernet_stream::{OutcomeCounts, PlacementKind};

@@ -47,7 +47,6 @@ use peernet_analysis::concurrent_edges::concurrent_groups;
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::trust::{ReplayedLatencies, Report, Starts};
-use peernet_logger::stage;
 use peernet_statistics::Summary;
 use peernet_statistics::number::column_decimals;
 use peernet_store::{DelayAccuracy, MergeableStatistics, QuantityStatistics, RunSummary, StageStatistics};
@@ -175,9 +174,7 @@ impl Comparison {
     /// Returns the statistics of the latency by which configurations are compared, seconds. For a pipeline that only
     /// senses, these are the statistics of `sensing`.
     pub(crate) fn total<'a>(&self, configuration: &'a Configuration) -> Option<&'a QuantityStatistics> {
-        configuration
-            .statistics(self.total_column.name())
-            .or_else(|| configuration.statistics(&stage::SENSING))
+        self.total_column.latency_names().iter().find_map(|name| configuration.statistics(name))
     }
 
     /// Returns the number of decimals of the means in one column, ms. Pictures and tables of the page show equally many

@@ -71,7 +71,7 @@ pub(crate) struct RunPicture {
 /// model. If not all runs with data are drawn, also returns the number of all runs with data.
 fn drawn_runs(comparison: &Comparison) -> (Vec<ChosenRun<'_, Name>>, Option<usize>) {
     choose_runs(comparison, |run| {
-        let names = [Name::from_static(total_column(comparison, run).name()), stage::SENSING];
+        let names = total_column(comparison, run).latency_names();
         names.into_iter().find(|name| comparison.summary(run.number, name).is_some())
     })
 }

@@ -1,11 +1,11 @@
 //! Judgement of distributions with two modes. Mean and standard deviation do not describe such distributions.
 
-use peernet_logger::stage;
 use peernet_statistics::TwoModes;
 use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
 
 use super::{finding, ms, percent, with_advice};
+use crate::total_column::TotalColumn;
 use crate::trust::{Finding, TrustInput};
 
 /// Returns a finding for each distribution with two modes.
@@ -14,7 +14,7 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
 }
 
 fn judge(name: &str, TwoModes { medians, upper_share }: &TwoModes) -> Finding {
-    let is_time = [stage::TOTAL, stage::SENSING].iter().any(|time| time == name);
+    let is_time = TotalColumn::Measured.latency_names().iter().any(|time| time == name);
     let quantity = |value: f64| if is_time { ms(value) } else { fixed(value, 0) };
     let (lower, upper) = (quantity(medians.0), quantity(medians.1));
     let text = format!(
