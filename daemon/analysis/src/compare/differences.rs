@@ -22,7 +22,7 @@ pub(super) fn stage_names() -> impl Iterator<Item = &'static str> {
 }
 
 /// Stages, totals and further times whose differences are computed if both lines of a comparison have them.
-pub(super) static STAGES: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
+pub static STAGES: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
     let further_times = ["stages-total", "unattributed", "total", "lateness"];
     stage_names().chain(further_times).collect()
 });

@@ -31,7 +31,7 @@ pub use caveats::{replayed_configurations, skipped_starts};
 pub use columns::{ChosenColumns, Column, choose_columns, choose_further_columns};
 pub use configuration::{Configurations, group_by_labels};
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
-pub use differences::{Differences, StageDifference};
+pub use differences::{Differences, STAGES, StageDifference};
 pub use labels::{
     RunFacts, describe_labels, distinguishing_pairs, experiment_columns, readable_names, tabulate,
 };
@@ -300,7 +300,7 @@ fn accepted_values(rows: &Rows, column: &str) -> Vec<f64> {
 /// Returns whether a comparison needs a column. `peernet_results::ResultFolder::open_columns` reads only such columns.
 pub fn needs_column(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
-    let columns = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
+    let columns = STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
     let columns = columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, FIRST_TOKEN]);
     // Starts of iterations: the last one stands for the end of a run whose end is not recorded.
     let columns = columns.chain(&[DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, "at"]);

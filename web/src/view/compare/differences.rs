@@ -3,9 +3,9 @@
 use std::collections::HashMap;
 
 use futures::{StreamExt, TryStreamExt};
-use peernet_analysis::compare::{ConfigurationTotal, Difference, MeanEstimate, Ranking};
+use peernet_analysis::compare::{ConfigurationTotal, Difference, MeanEstimate, Ranking, STAGES};
 use peernet_analysis::total_column::TotalColumn;
-use peernet_logger::{Name, stage};
+use peernet_logger::Name;
 use peernet_store::{RunSummary, StageMeans, Store};
 
 use super::{Comparison, Configuration};
@@ -19,9 +19,9 @@ pub(super) const CONCURRENT_READS: usize = 4;
 /// Means of the stages of each run, by its number.
 pub(crate) type RunMeans = HashMap<i64, Vec<StageMeans>>;
 
-/// Returns the stages that are compared.
-fn compared_stages() -> Vec<Name> {
-    [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stage::ORDER).collect()
+/// Returns the nodes whose times are compared: the stages, their sum, the total and further times.
+pub(super) fn compared_stages() -> Vec<Name> {
+    STAGES.iter().copied().map(Name::from_static).collect()
 }
 
 /// Reads the means of the stages over the time of each run.

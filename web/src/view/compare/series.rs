@@ -4,7 +4,6 @@ use std::collections::HashMap;
 
 use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::compare::{Latency, LatencyBar};
-use peernet_analysis::rows::LATENESS;
 use peernet_analysis::stage_split::sent_in_part;
 use peernet_analysis::total_column::TotalColumn;
 use peernet_clock::WallTime;
@@ -16,7 +15,7 @@ use peernet_store::{
 };
 
 use super::choice::{ChosenRun, choose_runs, unsuccessful_runs_sentence};
-use super::differences::CONCURRENT_READS;
+use super::differences::{CONCURRENT_READS, compared_stages};
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 use crate::picture::Picture;
@@ -92,8 +91,7 @@ pub(crate) async fn run_time_series(
     store: &Store,
     comparison: &Comparison,
 ) -> Result<TimeSeriesByRun, WebError> {
-    let totals = [stage::TOTAL, stage::STAGES_TOTAL, stage::UNATTRIBUTED, Name::from_static(LATENESS)];
-    let names: &Vec<Name> = &totals.into_iter().chain(stage::ORDER).collect();
+    let names = &compared_stages();
     let request = |(_, run, name): ChosenRun<'_, Name>| {
         let iterations = comparison.summary(run.number, &name).map_or(0, |summary| summary.count());
         let points = (iterations / ITERATIONS_PER_POINT).clamp(MIN_POINTS, MAX_POINTS as u64) as usize;

@@ -1,7 +1,8 @@
 //! Table with a row for each configuration, and table of the differences between two configurations.
 
-use peernet_analysis::compare::Difference;
+use peernet_analysis::compare::{Difference, LATENCIES};
 use peernet_analysis::quality::Quality;
+use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::stage;
 use peernet_statistics::number::{
     NONE, bytes, column_decimals, count, duration, fixed, fixed_or_less_than, percent, share,
@@ -13,15 +14,11 @@ use crate::look;
 use crate::view::accuracy;
 use crate::view::pipeline_table::Cell;
 
-/// The columns of the table in the paper, the sum of the stages, and the total: node and title.
-const COLUMNS: [(&str, &str); 6] = [
-    ("sensing", "sensing"),
-    ("upload", "upload"),
-    ("inference", "inference"),
-    ("download", "download"),
-    ("stages-total", "sum of stages"),
-    ("total", "total"),
-];
+/// Returns the title of a stage or a total.
+fn title(name: &str) -> &str {
+    let sum = TotalColumn::SumOfStages;
+    if name == sum.name() { sum.description() } else { look::label(name) }
+}
 
 /// Table with a row for each configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -67,9 +64,8 @@ impl Table {
     pub(crate) fn of(comparison: &Comparison, differences: &Differences) -> Self {
         let is_measured =
             |name: &str| comparison.configurations.iter().any(|one| one.statistics(name).is_some());
-        let columns = COLUMNS.into_iter().filter(|(name, _)| is_measured(name));
-        let columns: Vec<_> =
-            columns.map(|(name, title)| (name, title, comparison.mean_decimals(name))).collect();
+        let columns = LATENCIES.into_iter().filter(|name| is_measured(name));
+        let columns: Vec<_> = columns.map(|name| (name, comparison.mean_decimals(name))).collect();
         let is_known =
             |column: &QualityColumn| comparison.configurations.iter().any(|one| column.cell(one).is_some());
         let quality_columns: Vec<QualityColumn> = QualityColumn::all().filter(is_known).collect();
@@ -81,7 +77,7 @@ impl Table {
             iterations: count(one.iterations()),
             cells: columns
                 .iter()
-                .map(|(name, _, decimals)| match one.statistics(name) {
+                .map(|(name, decimals)| match one.statistics(name) {
                     Some(QuantityStatistics { mean, std, .. }) => mean_and_std(*mean, *std, *decimals),
                     None => (NONE.to_owned(), None),
                 })
@@ -100,7 +96,7 @@ impl Table {
             rows: comparison.configurations.iter().enumerate().map(row).collect(),
             header: Header {
                 axes: if has_axes { comparison.axes.clone() } else { vec![String::new()] },
-                columns: columns.into_iter().map(|(_, title, _)| title).collect(),
+                columns: columns.into_iter().map(|(name, _)| title(name)).collect(),
                 qualities: quality_columns.iter().map(QualityColumn::title).collect(),
                 has_uploads: is_measured(&stage::UPLOAD_BYTES),
                 has_deadlines: comparison.configurations.iter().any(|one| one.misses().is_some()),
@@ -196,11 +192,10 @@ impl DifferenceRow {
     fn new(stage: &StageDifference, decimals: usize) -> Self {
         let ms = |mean: f64| fixed_or_less_than(mean * 1e3, decimals);
         let mean = |mean: Option<f64>| mean.map_or_else(|| NONE.to_owned(), ms);
-        let column = COLUMNS.iter().find(|(name, _)| stage.name == **name);
         let texts = stage.mean_difference.map(|difference| difference.texts(decimals));
         let (difference, interval) = texts.unwrap_or_else(|| (NONE.to_owned(), None));
         Self {
-            name: column.map_or(&*stage.name, |(_, title)| title).to_owned(),
+            name: title(&stage.name).to_owned(),
             look: look::class(&stage.name),
             baseline_mean: mean(stage.means.0),
             other_mean: mean(stage.means.1),
