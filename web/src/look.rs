@@ -23,10 +23,6 @@ pub(crate) fn part_names() -> String {
     parts().collect::<Vec<_>>().join(",")
 }
 
-/// The accuracies of a model: name in the statistics, and title on pages. An accuracy is the mean of scores that are 0
-/// or 1.
-pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
-
 /// Returns the entries of the colour key. Stages of the same colour, such as `queue` and `send-queue`, share an entry.
 pub(crate) fn key_entries() -> impl Iterator<Item = &'static str> {
     parts().filter(|name| class(name) == *name)

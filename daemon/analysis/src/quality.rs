@@ -5,7 +5,7 @@ use peernet_statistics::{Moments, Summary};
 
 use crate::accuracy::detection::DETECTION_SCORES;
 use crate::accuracy::segmentation::SEGMENTATION_SCORE;
-use crate::accuracy::{ACCURACIES, Accuracy, MeanScore, was_right};
+use crate::accuracy::{ACCURACIES, ACCURACY_TITLES, Accuracy, MeanScore, was_right};
 use crate::actuator_results::{
     ActuatorResults, EPISODE_RETURN, EPISODE_SUCCESS, is_value_in_statistics, return_decimals,
 };
@@ -70,6 +70,17 @@ impl Quality {
             Self::MeanIou => SEGMENTATION_SCORE,
             Self::Success => EPISODE_SUCCESS,
             Self::Return => EPISODE_RETURN,
+        }
+    }
+
+    /// Returns the title of a column with the estimates, and their unit: shares are shown in percent.
+    pub const fn title(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Top1 => (ACCURACY_TITLES[0], "%"),
+            Self::Map50 => ("mAP@0.5", "%"),
+            Self::MeanIou => ("mean IoU", "%"),
+            Self::Success => ("success", "%"),
+            Self::Return => ("return", ""),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use peernet_analysis::accuracy::{ACCURACIES, ACCURACY_TITLES, UNKNOWN_LABEL};
 use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_SUCCESS, SUPERSEDED};
 use peernet_analysis::compare::replayed_configurations;
 use peernet_analysis::deadline::DEADLINE_MISSED;
@@ -217,7 +217,7 @@ fn accuracies(summary: &Summary) -> String {
         let accuracy = summary.accuracy.get(column)?;
         Some(format!("{name}: {accuracy}."))
     };
-    ACCURACIES.into_iter().zip(["Top-1", "Top-5"]).filter_map(sentence).collect::<Vec<_>>().join("\n")
+    ACCURACIES.into_iter().zip(ACCURACY_TITLES).filter_map(sentence).collect::<Vec<_>>().join("\n")
 }
 
 /// Returns the sentence about skipped starts; empty if no start was skipped.

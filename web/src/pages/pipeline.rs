@@ -8,6 +8,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_aggregator::{LiveState, PipelineSnapshot, Window};
+use peernet_analysis::accuracy::{ACCURACIES, ACCURACY_TITLES};
 use peernet_logger::{Slug, stage};
 use peernet_statistics::number::{
     NONE, SPACE, count, duration, long_duration, percent, rate, share, total_ms,
@@ -198,7 +199,7 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
     };
     let traffic = speed::traffic(kind, window);
     let failed = window.failed_fraction.map_or_else(|| NONE.to_owned(), percent);
-    let accuracies = look::ACCURACIES.into_iter().filter_map(|(name, label)| {
+    let accuracies = ACCURACIES.into_iter().zip(ACCURACY_TITLES).filter_map(|(name, label)| {
         let number = share(window.value(name)?.mean);
         let title = "accuracy: how often the model was right, where samples have labels".to_owned();
         Some(Stat { name: label, number, unit: "%", title })

@@ -5,6 +5,7 @@ use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
+use peernet_analysis::accuracy::{ACCURACIES, ACCURACY_TITLES};
 use peernet_analysis::actuator_results::ActuatorResults;
 use peernet_analysis::outcomes::failed_share;
 use peernet_analysis::trust::{MissingCount, Report, TrustInput};
@@ -354,7 +355,7 @@ fn assemble(
 
 /// Returns the accuracies of the model; empty if samples had no labels.
 fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String, Option<String>)> {
-    let accuracies = look::ACCURACIES.into_iter().filter_map(|(name, label)| {
+    let accuracies = ACCURACIES.into_iter().zip(ACCURACY_TITLES).filter_map(|(name, label)| {
         let statistics = stages.iter().find(|stage| stage.stage == *name)?.statistics;
         Some((label, share(statistics.mean), accuracy::interval(&statistics)))
     });

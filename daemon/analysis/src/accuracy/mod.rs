@@ -22,6 +22,8 @@ use crate::rows::{RowRef, Rows};
 /// Names of the columns with scores. The value is 1 if the labelled class is the best answer (`top-1`) or among the best five (`top-5`),
 /// else 0.
 pub const ACCURACIES: [&str; 2] = ["top-1", "top-5"];
+/// Titles of the accuracies, in the order of [`ACCURACIES`].
+pub const ACCURACY_TITLES: [&str; 2] = ["Top-1", "Top-5"];
 
 /// Share of iterations in which a model was right, from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

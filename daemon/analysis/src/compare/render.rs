@@ -7,16 +7,15 @@ use peernet_statistics::number::{
 
 use super::difference_table::{MAX_MS_DECIMALS, in_milliseconds};
 use super::{Comparison, EMPTY_CELL, LATENCIES, Latency, Line, MIN_KNOWN_SHARE, MIN_VALUES, SCORES};
-use crate::accuracy::{ACCURACIES, Accuracy, UnknownLabels};
+use crate::accuracy::{ACCURACIES, ACCURACY_TITLES, Accuracy, UnknownLabels};
 use crate::actuator_results::EPISODES_SEPARATOR;
 use crate::deadline::Misses;
+use crate::quality::Quality;
 use crate::table::Table;
 use crate::total_column::TotalColumn;
 
 const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
-const ACCURACY_HEADINGS: [&str; ACCURACIES.len()] = ["Top-1 (%)", "Top-5 (%)"];
-const SCORE_HEADINGS: [&str; SCORES.len()] = ["mAP@0.5 (%)", "mean IoU (%)"];
 
 impl Comparison {
     /// Returns the text for a terminal.
@@ -58,14 +57,18 @@ impl Comparison {
         }
         let decimals = self.decimals(|line| line.first_token);
         columns.add_known("first token", |line| Some(latency_cell(line.first_token?, decimals)));
-        for (index, heading) in ACCURACY_HEADINGS.into_iter().enumerate() {
-            columns.add_known(heading, |line| {
+        let heading = |(title, unit): (&str, &str)| match unit {
+            "" => title.to_owned(),
+            unit => format!("{title} ({unit})"),
+        };
+        for (index, title) in ACCURACY_TITLES.into_iter().enumerate() {
+            columns.add_known(&heading((title, "%")), |line| {
                 let accuracy = line.accuracies[index]?;
                 Some(share_text(accuracy.share, accuracy.interval))
             });
         }
-        for (index, heading) in SCORE_HEADINGS.into_iter().enumerate() {
-            columns.add_known(heading, |line| {
+        for (index, score) in SCORES.into_iter().enumerate() {
+            columns.add_known(&heading(score.title()), |line| {
                 let score = line.scores[index]?;
                 let value = share(score.value);
                 Some(score.known_interval().map_or(value, |interval| share_text(score.value, interval)))
@@ -81,11 +84,12 @@ impl Comparison {
             "episodes",
             |line| line.actuator.episodes_text(),
         );
-        columns.add_known("success (%)", |line| {
+        columns.add_known(&heading(Quality::Success.title()), |line| {
             let success = line.actuator.success?;
             Some(share_text(success.rate, success.interval))
         });
-        columns.add_known("return", |line| Some(line.actuator.episode_return?.text()));
+        columns
+            .add_known(&heading(Quality::Return.title()), |line| Some(line.actuator.episode_return?.text()));
         let (header, cells): (Vec<String>, Vec<Vec<String>>) = columns.columns.into_iter().unzip();
         let row = |index: usize| cells.iter().map(|column| column[index].clone()).collect();
         let rows = (0..self.lines.len()).map(row).collect();
@@ -123,7 +127,7 @@ impl Comparison {
         }
         let is_known =
             |(index, _): &(usize, &str)| self.lines.iter().any(|line| line.accuracies[*index].is_some());
-        let accuracies = ["Top-1", "Top-5"].into_iter().enumerate().filter(is_known);
+        let accuracies = ACCURACY_TITLES.into_iter().enumerate().filter(is_known);
         let accuracies: Vec<&str> = accuracies.map(|(_, name)| name).collect();
         if !accuracies.is_empty() {
             notes.push(format!(

@@ -108,7 +108,7 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
     let panel = panel.expect("a panel");
     assert!(panel.contains(">ms, logarithmic<"), "one configuration takes sixteen times as long: {panel}");
     assert_eq!(panel.matches("class=\"f-ink\"").count(), 2, "{panel}");
-    let row = "<td class=\"num\" data-h=\"number\">2</td><th scope=\"row\">B</th><td class=\"num\" data-h=\"accuracy, %\">84.0</td>";
+    let row = "<td class=\"num\" data-h=\"number\">2</td><th scope=\"row\">B</th><td class=\"num\" data-h=\"Top-1, %\">84.0</td>";
     assert!(panel.contains(row), "{panel}");
     let html = page_of(vec![with(0, 0.7), configuration(1, Local, 2.0, 1e3)], false).await;
     assert!(!html.contains("Accuracy against latency"), "one point makes no plot");

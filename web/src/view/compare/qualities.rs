@@ -29,17 +29,6 @@ pub(super) fn estimate(configuration: &Configuration, quality: Quality) -> Optio
     })
 }
 
-/// Returns the title of a quality in tables, and its unit.
-pub(super) const fn title(quality: Quality) -> (&'static str, &'static str) {
-    match quality {
-        Quality::Top1 => ("Top-1", "%"),
-        Quality::Map50 => ("mAP@0.5", "%"),
-        Quality::MeanIou => ("Mean IoU", "%"),
-        Quality::Success => ("Success", "%"),
-        Quality::Return => ("Return", ""),
-    }
-}
-
 /// Formats an estimate and its interval; shares are in percent.
 pub(super) fn texts(quality: Quality, estimate: &QualityEstimate) -> (String, Option<String>) {
     let form = |value: f64| estimate.format(quality, value);
@@ -63,7 +52,7 @@ fn plot(comparison: &Comparison, quality: Quality) -> Option<QualityPlot> {
     (all >= 2).then_some(())?;
     points.truncate(MAX_QUALITY_POINTS);
     let point_text = |point: &QualityPoint| {
-        let ((value, _), unit) = (texts(quality, &point.estimate), title(quality).1);
+        let ((value, _), unit) = (texts(quality, &point.estimate), quality.title().1);
         let unit = if unit.is_empty() { String::new() } else { format!("{SPACE}{unit}") };
         format!("{} {value}{unit} at {}", point.label, duration(point.median))
     };

@@ -1,5 +1,6 @@
 //! Table with a row for each configuration, and table of the differences between two configurations.
 
+use peernet_analysis::accuracy::{ACCURACIES, ACCURACY_TITLES};
 use peernet_analysis::compare::{Difference, LATENCIES};
 use peernet_analysis::quality::Quality;
 use peernet_analysis::total_column::TotalColumn;
@@ -125,8 +126,8 @@ impl QualityColumn {
     /// Returns the title and the unit.
     const fn title(&self) -> (&'static str, &'static str) {
         match self {
-            Self::Quality(quality) => qualities::title(*quality),
-            Self::Top5 => ("Top-5", "%"),
+            Self::Quality(quality) => quality.title(),
+            Self::Top5 => (ACCURACY_TITLES[1], "%"),
         }
     }
 
@@ -137,7 +138,7 @@ impl QualityColumn {
                 Some(qualities::texts(*quality, &qualities::estimate(configuration, *quality)?))
             }
             Self::Top5 => {
-                let accuracy = configuration.statistics(look::ACCURACIES[1].0)?;
+                let accuracy = configuration.statistics(ACCURACIES[1])?;
                 Some((share(accuracy.mean), accuracy::interval(accuracy)))
             }
         }

@@ -46,59 +46,42 @@ impl QualityPoint {
     }
 }
 
-/// Presentation of a quality in the figure: texts, range and unit.
+/// Presentation of a quality in the figure: texts and range.
 struct Presentation {
     /// Title of the figure.
     title: &'static str,
     /// Title of the axis.
     axis_title: &'static str,
-    /// Title of the column in the table.
-    column_title: &'static str,
     /// Author after whom the method of the intervals is named, such as `Wilson`.
     interval_author: &'static str,
     /// Factor from a value to the number shown: 100 for shares, which are shown in per cent.
     factor: f64,
     /// Lowest and highest possible value, after multiplication by `factor`.
     range: (f64, f64),
-    /// Symbol of the unit on the axis.
-    symbol: &'static str,
 }
 
 impl Presentation {
     fn of(quality: Quality) -> Self {
-        let of_share = |title, axis_title, column_title, interval_author| Self {
+        let of_share = |title, axis_title, interval_author| Self {
             title,
             axis_title,
-            column_title,
             interval_author,
             factor: 100.0,
             range: (0.0, 100.0),
-            symbol: "%",
         };
         match quality {
-            Quality::Top1 => {
-                of_share("Accuracy against latency", "Top-1 accuracy, %", "accuracy, %", "Wilson")
+            Quality::Top1 => of_share("Accuracy against latency", "Top-1 accuracy, %", "Wilson"),
+            Quality::Map50 => {
+                of_share("Mean average precision against latency", "mAP@0.5 of a picture, %", "Student")
             }
-            Quality::Map50 => of_share(
-                "Mean average precision against latency",
-                "mAP@0.5 of a picture, %",
-                "mAP@0.5, %",
-                "Student",
-            ),
-            Quality::MeanIou => {
-                of_share("Mean IoU against latency", "Mean IoU of a picture, %", "mean IoU, %", "Student")
-            }
-            Quality::Success => {
-                of_share("Success against latency", "Successful episodes, %", "success, %", "Wilson")
-            }
+            Quality::MeanIou => of_share("Mean IoU against latency", "Mean IoU of a picture, %", "Student"),
+            Quality::Success => of_share("Success against latency", "Successful episodes, %", "Wilson"),
             Quality::Return => Self {
                 title: "Return against latency",
                 axis_title: "Return of an episode",
-                column_title: "return",
                 interval_author: "Student",
                 factor: 1.0,
                 range: (f64::NEG_INFINITY, f64::INFINITY),
-                symbol: "",
             },
         }
     }
@@ -218,7 +201,7 @@ impl QualityAgainstLatency {
         } else {
             Scale::from_zero((0.0, slowest * 1.04))
         };
-        let y_axis = Axis::new(y_scale, presentation.axis_title, presentation.symbol);
+        let y_axis = Axis::new(y_scale, presentation.axis_title, self.quality.title().1);
         Some(Plot::new(self.latency_unit.axis(x_scale).with_grid(), y_axis.with_grid()))
     }
 
@@ -241,11 +224,11 @@ impl QualityAgainstLatency {
             [quality, median].into_iter().chain(has_p95.then_some(p95)).collect::<Vec<_>>()
         };
         let symbol = &self.latency_unit.symbol;
-        let titles = cells([
-            Presentation::of(self.quality).column_title.to_owned(),
-            format!("median, {symbol}"),
-            format!("p95, {symbol}"),
-        ]);
+        let quality_title = match self.quality.title() {
+            (title, "") => title.to_owned(),
+            (title, unit) => format!("{title}, {unit}"),
+        };
+        let titles = cells([quality_title, format!("median, {symbol}"), format!("p95, {symbol}")]);
         let lines = self.shown_points().map(|(point, _)| {
             let p95 = point.drawable_p95().map_or_else(|| "—".to_owned(), latency_text);
             let value = point.estimate.format(self.quality, point.estimate.value);
