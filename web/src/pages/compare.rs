@@ -19,7 +19,7 @@ use crate::view::chip::Chip;
 use crate::view::compare::{
     Address, Axes, BoxRow, CompareSelection, Comparison, Configuration, DifferenceRow, Differences,
     Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, OverTime, PairwiseRow, PayloadPlots,
-    PlaceComparison, QualityPlot, RunMeans, Setting, StackRow, StageDifference, Table, UsersPlot, answers,
+    PlaceComparison, QualityPlot, RunMeans, Setting, StackRow, StageDifference, Table, UsersTable, answers,
     boxes, caveats, commands, distributions, lengths, load_comparison, measured_users, over_time, pairwise,
     payload, place_comparisons, qualities, run_means, run_time_series, stacks, title, unknown_labels, users,
 };
@@ -81,7 +81,7 @@ struct Compare {
     payload: Vec<PayloadPlots>,
     /// Latency by length of the answer.
     lengths: Option<Lengths>,
-    users: Option<UsersPlot>,
+    users: Option<UsersTable>,
     qualities: Vec<QualityPlot>,
     /// Commands that compare the runs by all their iterations.
     commands: Option<String>,

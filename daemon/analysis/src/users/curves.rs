@@ -43,6 +43,11 @@ impl<'a> Curve<'a> {
         }
         curves
     }
+
+    /// Returns whether the curve has points for different numbers of edges. Only then is there a curve to draw.
+    pub fn is_over_edges(&self) -> bool {
+        self.points.windows(2).any(|pair| pair[0].edges != pair[1].edges)
+    }
 }
 
 /// Returns the index of the axis whose labels are the numbers of edges, such as `4`, or contain them, such as `4 robots`. `None` if no axis

@@ -15,8 +15,7 @@ const MAX_NAMED: usize = 3;
 
 /// Returns whether some configuration was measured with different numbers of edges.
 pub(super) fn have_curves(runs: &[Loaded]) -> bool {
-    Users::from_runs(runs)
-        .is_some_and(|users| Curve::from_users(&users).iter().any(|curve| curve.points.len() > 1))
+    Users::from_runs(runs).is_some_and(|users| Curve::from_users(&users).iter().any(Curve::is_over_edges))
 }
 
 /// Returns figures with one curve for each configuration, at most [`MAX_CURVES`] in a figure.

@@ -145,7 +145,10 @@ async fn latency_is_drawn_against_number_of_users() {
     assert!(html.contains(">10.2</td>") && html.contains(">5.08</td>"), "{html}");
     assert!(html.contains("data-h=\"fairness\">1.000</td>"), "{html}");
     let html = page_of(vec![with_users(0, 1), with_users(1, 1)], false).await;
-    assert!(!html.contains("number of edges"), "no edges ran at the same time");
+    assert!(!html.contains("id=\"cu-h\""), "no edges ran at the same time");
+    let html = page_of(vec![with_users(0, 2), with_users(1, 2)], false).await;
+    assert!(!html.contains("number of edges"), "equal numbers are no curve: {html}");
+    assert_eq!(html.matches("data-h=\"fairness\">1.000</td>").count(), 2, "but a table, as in files: {html}");
 }
 
 #[tokio::test]

@@ -37,7 +37,7 @@ pub(crate) use series::{OverTime, over_time, run_time_series};
 pub(crate) use spread::{BoxRow, boxes};
 pub(crate) use table::{DifferenceRow, Table};
 pub(crate) use title::title;
-pub(crate) use users::{UsersPlot, measured_users, users};
+pub(crate) use users::{UsersTable, measured_users, users};
 
 use std::collections::HashMap;
 use std::sync::Arc;

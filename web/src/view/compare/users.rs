@@ -1,4 +1,4 @@
-//! Latency against the number of users (edges that use the cloud at the same time), and the fairness between them.
+//! Rates, latency and fairness of users (edges that use the cloud at the same time).
 
 use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::concurrent_edges::complete_groups;
@@ -35,23 +35,23 @@ pub(crate) struct UsersRow {
 /// Measurements of the users of each configuration, from the time in which all users of a repeat measured.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct MeasuredUsers {
-    /// Repeats of each configuration, without repeats that lack a user. Empty if all configurations have the same
-    /// number of users.
+    /// Repeats of each configuration, without repeats that lack a user. Empty if no configuration has several users.
     pub repeats: Vec<Vec<Repeat<Summary>>>,
     /// Width of the buckets in which starts are counted, seconds; 0 if single iterations are counted.
     pub resolution_s: u32,
 }
 
-/// Plot of latency and fairness against the number of users, with its numbers.
-pub(crate) struct UsersPlot {
-    pub plot: Picture,
+/// Results of the users of each configuration.
+pub(crate) struct UsersTable {
+    /// Latency and fairness against the number of users; `None` without different numbers of users.
+    pub plot: Option<Picture>,
     pub rows: Vec<UsersRow>,
     /// Sentence about the iterations that are counted.
     pub method: String,
 }
 
 /// Reads the measurements of the users of each configuration, from the time in which all users of a repeat measured.
-/// Reads nothing unless an experiment is compared whose configurations have different numbers of users.
+/// Reads nothing unless an experiment with several users is compared.
 ///
 /// # Errors
 /// Returns an error when the store cannot be read.
@@ -61,9 +61,8 @@ pub(crate) async fn measured_users(
 ) -> Result<MeasuredUsers, WebError> {
     let configurations: Vec<Vec<Vec<&RunSummary>>> =
         comparison.configurations.iter().map(complete_repeats).collect();
-    let numbers = || configurations.iter().filter_map(|repeats| repeats.first().map(Vec::len));
-    // With equal numbers of users there is no curve to draw, so no measurement is read.
-    if comparison.experiment.is_none() || numbers().min() == numbers().max() {
+    let has_several_users = configurations.iter().flatten().any(|users| users.len() > 1);
+    if comparison.experiment.is_none() || !has_several_users {
         return Ok(MeasuredUsers::default());
     }
     let read = |users: Vec<&RunSummary>| {
@@ -114,17 +113,14 @@ async fn measured_repeat(store: &Store, users: &[RunSummary]) -> Result<(Repeat<
     Ok((Repeat { common_seconds: Some((to - from).seconds()), edges }, resolution_s))
 }
 
-/// Returns the plot and its numbers. `None` unless an experiment is compared and its configurations have different numbers of users.
-pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option<UsersPlot> {
+/// Returns the results of the users. `None` unless an experiment with several users is compared.
+pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option<UsersTable> {
     comparison.experiment.as_ref()?;
     let lines = comparison.configurations.iter().zip(&measured.repeats);
     let lines = lines.map(|(one, repeats)| users_line(one, repeats));
     let users = Users { axes: comparison.axes.clone(), lines: lines.collect() };
+    users.lines.iter().any(|line| line.edges > 1).then_some(())?;
     let curves = Curve::from_users(&users);
-    let users_of_line = |line: Option<&&UsersLine>| line.map(|line| line.edges);
-    let differ =
-        |curve: &Curve<'_>| users_of_line(curve.points.first()) != users_of_line(curve.points.last());
-    curves.iter().any(differ).then_some(())?;
     // The configurations of an experiment differ in their values, so the values identify a configuration.
     let configuration_of =
         |line: &UsersLine| comparison.configurations.iter().find(|one| one.values == line.labels);
@@ -140,7 +136,8 @@ pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option
             long_duration(f64::from(width_s))
         ),
     };
-    Some(UsersPlot { plot: plot(&curves, &points), rows, method: format!("{method} {FAIRNESS_MEANING}") })
+    let plot = curves.iter().any(Curve::is_over_edges).then(|| plot(&curves, &points));
+    Some(UsersTable { plot, rows, method: format!("{method} {FAIRNESS_MEANING}") })
 }
 
 /// Returns the answers per second of each user of a configuration, and the totals of all its users.
