@@ -21,7 +21,6 @@ use super::registration::{LiveTopic, PageRegistration};
 use super::shell::Shell;
 use super::{Page, Update, page, path};
 use crate::error::WebError;
-use crate::look;
 use crate::parameters::Parameters;
 use crate::picture::Picture;
 use crate::state::{App, AppState};

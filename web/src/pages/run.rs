@@ -21,7 +21,6 @@ use super::registration::PageRegistration;
 use super::shell::Shell;
 use super::{Page, page, path};
 use crate::error::WebError;
-use crate::look;
 use crate::parameters::Parameters;
 use crate::picture::Picture;
 use crate::state::{App, AppState};
