@@ -62,8 +62,8 @@ fn main() -> BenchResult<()> {
         let trips = (20_000_000 / (size + 20_000)).clamp(20, 500);
         let (mut bare_times, mut session_times) = (Vec::new(), Vec::new());
         for round in 0..=rounds {
-            let bare_round = bare.round(size, trips)?;
-            let task = round_session(session.clone(), payload.clone(), trips);
+            let bare_round = bare.run_round(size, trips)?;
+            let task = run_session_round(session.clone(), payload.clone(), trips);
             let session_round = runtime.block_on(async { tokio::spawn(task).await })??;
             // The first round only warms up both contenders.
             if round > 0 {
@@ -132,7 +132,7 @@ impl BareUdp {
         Ok(socket)
     }
 
-    fn round(&self, size: usize, trips: usize) -> BenchResult<Vec<Span>> {
+    fn run_round(&self, size: usize, trips: usize) -> BenchResult<Vec<Span>> {
         let clock = clock();
         let mut buffer = vec![7; self.datagram_bytes];
         let datagram_count = size.div_ceil(self.datagram_bytes).max(1);
@@ -202,7 +202,7 @@ async fn open(address: Address, settings: SessionSettings) -> BenchResult<Sessio
     Ok(Session::open(&address, hello, settings, clock()).await?)
 }
 
-async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchResult<Vec<Span>> {
+async fn run_session_round(session: Session, payload: Bytes, trips: usize) -> BenchResult<Vec<Span>> {
     let (clock, host) = (clock(), HostId::random());
     let mut spans = Vec::new();
     for _ in 0..trips {

@@ -131,7 +131,7 @@ fn start_cloud(arguments: &Arguments) -> BenchResult<(String, Address)> {
     let bare_address = listener.local_addr()?.to_string();
     std::thread::spawn(move || {
         for stream in listener.incoming() {
-            // The edge closes the connection when it is done.
+            // `serve_bare` always ends with an error, at the latest when the edge closes the connection.
             let _ = stream.map_err(Into::into).and_then(serve_bare);
         }
     });
@@ -139,8 +139,8 @@ fn start_cloud(arguments: &Arguments) -> BenchResult<(String, Address)> {
     let arguments = arguments.clone();
     std::thread::spawn(move || -> BenchResult<()> {
         let runtime = arguments.runtime()?;
-        // The server runs in a task, as in an agent: the main future of a multi-thread runtime does not run on a worker
-        // thread.
+        // The server runs in a task, as in an agent, so that it runs on a worker thread: the main future of a
+        // multi-thread runtime does not.
         runtime.block_on(async { tokio::spawn(serve_session(arguments, address_sender)).await })?
     });
     Ok((bare_address, address_receiver.recv()?))
@@ -159,6 +159,7 @@ fn serve_bare(mut stream: TcpStream) -> BenchResult<()> {
         payload.resize(payload_bytes, 0);
         stream.read_exact(&mut payload)?;
         let arrival_nanos = clock.wall().unix_nanos();
+        // The answer is the beginning of the payload. A longer answer is filled with zeros.
         payload.resize(payload_bytes.max(answer_bytes), 0);
         let mut reply = arrival_nanos.to_le_bytes().to_vec();
         reply.extend_from_slice(&payload[..answer_bytes]);
@@ -266,8 +267,8 @@ fn run_edge(arguments: &Arguments, bare_address: &str, address: &Address) -> Ben
         let (mut tcp_times, mut session_times) = (ContenderTimes::default(), ContenderTimes::default());
         for round in 0..=arguments.rounds {
             let mut bare_round = ContenderTimes::default();
-            round_bare(&mut stream, &payload, arguments.answer_bytes(size), trips, &mut bare_round)?;
-            let task = round_session(session.clone(), payload.clone(), trips);
+            run_bare_round(&mut stream, &payload, arguments.answer_bytes(size), trips, &mut bare_round)?;
+            let task = run_session_round(session.clone(), payload.clone(), trips);
             let mut session_round = runtime.block_on(async { tokio::spawn(task).await })??;
             // The first round only warms up both contenders.
             if round > 0 {
@@ -287,7 +288,7 @@ fn run_edge(arguments: &Arguments, bare_address: &str, address: &Address) -> Ben
     Ok(())
 }
 
-fn round_bare(
+fn run_bare_round(
     stream: &mut TcpStream,
     payload: &[u8],
     answer_bytes: usize,
@@ -310,7 +311,7 @@ fn round_bare(
     Ok(())
 }
 
-async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchResult<ContenderTimes> {
+async fn run_session_round(session: Session, payload: Bytes, trips: usize) -> BenchResult<ContenderTimes> {
     let (clock, host, mut times) = (clock(), HostId::random(), ContenderTimes::default());
     for _ in 0..trips {
         let sample = Sample::from_part(Description::bytes(), payload.clone());

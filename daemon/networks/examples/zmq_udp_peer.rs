@@ -1,5 +1,6 @@
-//! An edge and a cloud of `zmq-udp` with a relay of another project between them, for the test with libzmq
-//! (`tests/interop/zmq-udp`). Fails unless every request is answered with its own bytes or recorded as lost.
+//! An edge and a cloud of `zmq-udp` with a relay between them that uses libzmq (`tests/interop/zmq-udp`). Fails unless
+//! every request is answered with its own bytes or recorded as lost. Also fails if no request of a length up to 1 MB is
+//! answered.
 //!
 //! Usage: `zmq_udp_peer RELAY`. The relay is a program that gets the cloud's address as its argument and prints its
 //! own address.
@@ -86,7 +87,8 @@ async fn exchange(session: &Session, size: usize, count: usize) -> Result<(usize
 }
 
 async fn run(relay: &str, datagram_bytes: u64) -> Result<(), Box<dyn Error>> {
-    // libzmq leaves socket buffers at the system's default size.
+    // The relay's sockets have buffers of the system's default size, because libzmq does not change the size. The
+    // number of bytes in flight follows the buffers of edge and cloud, so these buffers are small, too.
     let settings =
         SessionSettings { datagram_bytes, socket_buffer_bytes: 64 << 10, ..SessionSettings::default() };
     let host = HostId::random();
@@ -125,6 +127,7 @@ async fn run(relay: &str, datagram_bytes: u64) -> Result<(), Box<dyn Error>> {
     for (size, count) in REQUESTS {
         let (answered, lost) = exchange(&session, size, count).await?;
         println!("{size:>12} {count:>9} {answered:>9} {lost:>6}");
+        // The relay may lose a part of each longer message.
         if answered == 0 && size <= 1_000_000 {
             return Err(format!("no request of {size} bytes was answered").into());
         }
