@@ -26,14 +26,15 @@ const TUNNELS: [u32; 5] = [
 ];
 
 /// Returns the interface over which the packets of a connection leave the host: the interface that has the connection's
-/// local address. `None` if no interface has that address any more.
+/// local address, or the loopback interface if the remote address belongs to this host. `None` if there is no such
+/// interface any more.
 ///
 /// # Errors
 /// If the system cannot list its interfaces.
 pub fn outgoing_interface(addresses: &ConnectionAddresses) -> io::Result<Option<NetworkInterface>> {
     // A socket for IPv4 and IPv6 shows IPv4 addresses as IPv6 addresses (`::ffff:…`). Interfaces have IPv4 addresses.
     let (local, remote) = (addresses.local.ip().to_canonical(), addresses.remote.ip().to_canonical());
-    let mut name_by_address = None;
+    let mut interface_with_local_address = None;
     let mut loopback = None;
     let mut remote_is_this_host = remote.is_loopback();
     for entry in getifaddrs()? {
@@ -43,12 +44,12 @@ pub fn outgoing_interface(addresses: &ConnectionAddresses) -> io::Result<Option<
         let Some(address) = entry.address.as_ref().and_then(to_ip) else { continue };
         remote_is_this_host |= address == remote;
         if address == local {
-            name_by_address.get_or_insert(entry.interface_name);
+            interface_with_local_address.get_or_insert(entry.interface_name);
         }
     }
     // Linux sends packets to the host's own addresses over the loopback interface, even if another interface has the
     // address.
-    let name = if remote_is_this_host { loopback } else { name_by_address };
+    let name = if remote_is_this_host { loopback } else { interface_with_local_address };
     Ok(name.map(|name| describe_interface(Path::new(SYSFS), name)))
 }
 
@@ -119,6 +120,7 @@ mod tests {
         // A connected datagram socket knows its local address without sending anything.
         let socket = UdpSocket::bind("0.0.0.0:0").expect("a socket");
         if socket.connect("192.0.2.1:9").is_err() {
+            // A host without a route has no address that could be tested.
             return;
         }
         let own_address = socket.local_addr().expect("connected");

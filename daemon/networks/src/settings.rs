@@ -21,9 +21,9 @@ const MAX_IN_FLIGHT_BYTES: u64 = 1 << 40;
 /// Largest allowed value of `max_sessions`.
 const MAX_SESSIONS: u32 = 65_536;
 
-// Smallest and largest value of each key that has no constant above.
-const POSITIVE_TIME_MS_RANGE: (u64, u64) = (1, MAX_TIME_MS);
-const TIME_MS_RANGE: (u64, u64) = (10, MAX_TIME_MS);
+// Smallest and largest values of keys. `max_in_flight` and `max_sessions` begin at 1 and end at the constants above.
+const TIME_RANGE_FROM_1_MS: (u64, u64) = (1, MAX_TIME_MS);
+const TIME_RANGE_FROM_10_MS: (u64, u64) = (10, MAX_TIME_MS);
 const CLOSE_TIMEOUT_MS_RANGE: (u64, u64) = (0, MAX_TIME_MS);
 const IN_FLIGHT_BYTES_RANGE: (u64, u64) = (4 << 10, MAX_IN_FLIGHT_BYTES);
 const UNFINISHED_BYTES_RANGE: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
@@ -68,7 +68,7 @@ pub struct SessionSettings {
     /// Rate at which datagrams are sent; 0 adapts the rate to what the other end receives. Bits per second. For
     /// networks over datagrams only.
     pub max_send_bits_per_second: u64,
-    /// Time that the receiver waits for the missing fragments of a message after the last fragment was sent.
+    /// Time that the receiver waits for the missing fragments of a message once it knows that all fragments were sent.
     /// Milliseconds. For networks over datagrams only.
     pub reassembly_timeout_ms: u64,
     /// Size of the system's buffers of each socket. Bytes. For networks over datagrams and for ROS 2.
@@ -130,10 +130,10 @@ impl SessionSettings {
     /// If a value is out of range, or the heartbeat timeout is shorter than two heartbeat intervals. The error names
     /// the key and what is allowed.
     pub fn check(&self) -> Result<(), InvalidSettings> {
-        check_range("open_timeout_ms", self.open_timeout_ms, POSITIVE_TIME_MS_RANGE)?;
-        check_range("hello_timeout_ms", self.hello_timeout_ms, TIME_MS_RANGE)?;
-        check_range("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_MS_RANGE)?;
-        check_range("heartbeat_timeout_ms", self.heartbeat_timeout_ms, TIME_MS_RANGE)?;
+        check_range("open_timeout_ms", self.open_timeout_ms, TIME_RANGE_FROM_1_MS)?;
+        check_range("hello_timeout_ms", self.hello_timeout_ms, TIME_RANGE_FROM_10_MS)?;
+        check_range("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_RANGE_FROM_10_MS)?;
+        check_range("heartbeat_timeout_ms", self.heartbeat_timeout_ms, TIME_RANGE_FROM_10_MS)?;
         check_range("close_timeout_ms", self.close_timeout_ms, CLOSE_TIMEOUT_MS_RANGE)?;
         check_range("max_message_bytes", self.max_message_bytes, Self::MESSAGE_BYTES_RANGE)?;
         check_range("max_in_flight", u64::from(self.max_in_flight), (1, u64::from(MAX_IN_FLIGHT)))?;
@@ -141,7 +141,7 @@ impl SessionSettings {
         check_range("max_unfinished_bytes", self.max_unfinished_bytes, UNFINISHED_BYTES_RANGE)?;
         check_range("max_sessions", u64::from(self.max_sessions), (1, u64::from(MAX_SESSIONS)))?;
         check_range("datagram_bytes", self.datagram_bytes, DATAGRAM_BYTES_RANGE)?;
-        check_range("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_MS_RANGE)?;
+        check_range("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_RANGE_FROM_10_MS)?;
         check_range("socket_buffer_bytes", self.socket_buffer_bytes, SOCKET_BUFFER_BYTES_RANGE)?;
         self.ros2.check()?;
         // With a shorter timeout, a single late heartbeat would end the connection.
@@ -163,14 +163,14 @@ impl SessionSettings {
         let clamped = |value: u64, (min, max): (u64, u64)| value.clamp(min, max);
         // The interval is at most half of the longest time, so that twice the interval is an allowed timeout.
         let heartbeat_interval_ms =
-            clamped(self.heartbeat_interval_ms, (TIME_MS_RANGE.0, TIME_MS_RANGE.1 / 2));
+            clamped(self.heartbeat_interval_ms, (TIME_RANGE_FROM_10_MS.0, TIME_RANGE_FROM_10_MS.1 / 2));
         Self {
-            open_timeout_ms: clamped(self.open_timeout_ms, POSITIVE_TIME_MS_RANGE),
-            hello_timeout_ms: clamped(self.hello_timeout_ms, TIME_MS_RANGE),
+            open_timeout_ms: clamped(self.open_timeout_ms, TIME_RANGE_FROM_1_MS),
+            hello_timeout_ms: clamped(self.hello_timeout_ms, TIME_RANGE_FROM_10_MS),
             heartbeat_interval_ms,
             heartbeat_timeout_ms: clamped(
                 self.heartbeat_timeout_ms,
-                (2 * heartbeat_interval_ms, TIME_MS_RANGE.1),
+                (2 * heartbeat_interval_ms, TIME_RANGE_FROM_10_MS.1),
             ),
             close_timeout_ms: clamped(self.close_timeout_ms, CLOSE_TIMEOUT_MS_RANGE),
             max_message_bytes: clamped(self.max_message_bytes, Self::MESSAGE_BYTES_RANGE),
@@ -180,7 +180,7 @@ impl SessionSettings {
             max_sessions: self.max_sessions.clamp(1, MAX_SESSIONS),
             datagram_bytes: clamped(self.datagram_bytes, DATAGRAM_BYTES_RANGE),
             max_send_bits_per_second: self.max_send_bits_per_second,
-            reassembly_timeout_ms: clamped(self.reassembly_timeout_ms, TIME_MS_RANGE),
+            reassembly_timeout_ms: clamped(self.reassembly_timeout_ms, TIME_RANGE_FROM_10_MS),
             socket_buffer_bytes: clamped(self.socket_buffer_bytes, SOCKET_BUFFER_BYTES_RANGE),
             ros2: self.ros2.clamped(),
         }

@@ -1,8 +1,8 @@
 //! Counters of the messages of a connection or a listener, and the statistics made of them.
 //!
 //! Messages and their bytes are counted alike for every transport. Datagrams, losses, duplicates, reordering,
-//! retransmissions and round trips come from the transport. All values are totals since the connection was opened;
-//! readers compute rates from them.
+//! retransmissions and round trips come from the transport. All values are totals since the connection was opened or
+//! the port was bound; readers compute rates from them.
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -138,8 +138,9 @@ pub(crate) struct Departure {
     /// departure of the reply.
     #[serde(rename = "start")]
     pub(crate) sent_since_anchor: Span,
-    /// Sender's epoch, read after `sent` was stamped. It is [`peernet_clock::Clock::epoch`]; in versions before
-    /// [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE) it is [`peernet_clock::Clock::wall_epoch`].
+    /// Sender's epoch. In a reply, it is read after `sent` was stamped. The epochs of other messages are not compared.
+    /// It is [`peernet_clock::Clock::epoch`]; in versions before [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE) it is
+    /// [`peernet_clock::Clock::wall_epoch`].
     pub(crate) epoch: u32,
     /// Sender's free-running clock at `sent`. Exists since [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE).
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -170,7 +171,7 @@ pub(crate) struct Reply {
     /// neither.
     pub(crate) departure: Option<Departure>,
     /// Cloud's epoch, read right before the arrival of the request was stamped. If it differs from the epoch of the
-    /// departure, the cloud's clock was stepped between the two stamps.
+    /// departure, the cloud's clock was interrupted or stepped between the two stamps.
     pub(crate) arrival_epoch: u32,
     pub(crate) outcome: Outcome,
     /// Cloud's free-running clock at the arrival of the request. Present if `departure` is present, since version
@@ -278,7 +279,7 @@ impl Header {
     /// Decodes a header from an untrusted peer.
     ///
     /// # Errors
-    /// If the bytes are not exactly one header of this version of the protocol.
+    /// If the bytes are not exactly one header of a version that this release speaks.
     pub(crate) fn decode(wire: &[u8]) -> Result<Self, HeaderError> {
         if wire.len() > MAX_HEADER_BYTES {
             return Err(HeaderError::ReceivedTooLong(wire.len()));
@@ -385,7 +386,6 @@ mod tests {
             prop_assert!(Header::decode(&wire[..position]).is_err());
             let mut longer = wire.to_vec();
             longer.push(byte);
-            // A header with one more byte may be valid in another version; the error then names that version.
             prop_assert!(Header::decode(&longer).is_err());
             let mut damaged = wire.to_vec();
             damaged[position] = byte;

@@ -176,8 +176,8 @@ fn outcome() -> impl Strategy<Value = Outcome> {
     ]
 }
 
-/// Returns any message of one of the given sessions, or of an unknown session if none is given. Request numbers are 0
-/// to 15.
+/// Returns the header of any message of one of the given sessions, or of a session with a random id if none is given.
+/// Request numbers are 0 to 15.
 pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> {
     let session = any::<prop::sample::Index>()
         .prop_map(move |index| if sessions.is_empty() { SessionId::random() } else { *index.get(&sessions) });
@@ -195,6 +195,7 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
         .prop_flat_map(
             |((session, request, departure), sample, reply_departure, outcome, (hello, accepted, clock), other_fields)| {
                 let (kind, reason, max_message_bytes, planned_iterations, arrived_raw) = other_fields;
+                // Some random values serve for several fields.
                 let (versions, arrival_epoch) = (hello.versions, clock.epoch);
                 let (number, partial_answer) = (arrival_epoch, sample.clone());
                 let protocol = versions.oldest();

@@ -3,7 +3,7 @@
 use peernet_ros::ros2::{QosProfile, Reliability};
 use serde::{Deserialize, Serialize};
 
-use super::{InvalidSettings, POSITIVE_TIME_MS_RANGE, check_range};
+use super::{InvalidSettings, TIME_RANGE_FROM_1_MS, check_range};
 
 /// Smallest and largest value of `depth`.
 const DEPTH_RANGE: (u64, u64) = (1, QosProfile::MAX_DEPTH as u64);
@@ -35,16 +35,14 @@ impl Default for Ros2SessionSettings {
 impl Ros2SessionSettings {
     pub(super) fn check(&self) -> Result<(), InvalidSettings> {
         check_range("ros2.depth", u64::from(self.depth), DEPTH_RANGE)?;
-        self.deadline_ms.map_or(Ok(()), |ms| check_range("ros2.deadline_ms", ms, POSITIVE_TIME_MS_RANGE))
+        self.deadline_ms.map_or(Ok(()), |ms| check_range("ros2.deadline_ms", ms, TIME_RANGE_FROM_1_MS))
     }
 
     /// Returns the settings with every value brought into the range that [`check`](Self::check) allows.
     pub(super) fn clamped(self) -> Self {
         Self {
             depth: self.depth.clamp(1, QosProfile::MAX_DEPTH),
-            deadline_ms: self
-                .deadline_ms
-                .map(|ms| ms.clamp(POSITIVE_TIME_MS_RANGE.0, POSITIVE_TIME_MS_RANGE.1)),
+            deadline_ms: self.deadline_ms.map(|ms| ms.clamp(TIME_RANGE_FROM_1_MS.0, TIME_RANGE_FROM_1_MS.1)),
             ..self
         }
     }

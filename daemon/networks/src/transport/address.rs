@@ -173,6 +173,7 @@ pub struct UnsupportedEventStreamNetwork(pub Address);
 impl Address {
     /// Returns the address `tcp://ip:port`.
     pub const fn from_ip(ip: IpAddr, port: u16) -> Self {
+        // `ALL[0]` is `zmq-tcp`, the default network. `NetworkKind::default()` is not `const`.
         Self { scheme: Scheme::from_network(NetworkKind::ALL[0]), host: Host::Ip(ip), port, name: None }
     }
 
@@ -325,6 +326,7 @@ fn parse_domain(text: &str) -> Result<u16, AddressProblem> {
 }
 
 fn has_port(authority: &str) -> bool {
+    // In an IPv6 host without a port, such as `[::1]`, the text after the last colon contains the bracket.
     authority.rsplit_once(':').is_some_and(|(_, port)| !port.contains(']'))
 }
 
