@@ -69,11 +69,11 @@ impl RequestBudget {
     /// If the frames would exceed the budget now.
     pub(super) fn reserve_frames(self: &Arc<Self>, frames: Frames) -> Result<Frames, BudgetExceeded> {
         let bytes: u64 = frames.iter().map(|frame| frame.len() as u64).sum();
-        let fits =
+        let sum_if_within_budget =
             |used: u64| (used == 0 || used.saturating_add(bytes) <= self.max_bytes).then(|| used + bytes);
         self.used_bytes
             // Relaxed is enough: only the sum counts, and no other memory depends on it.
-            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, sum_if_within_budget)
             .map_err(|used_bytes| BudgetExceeded { used_bytes, bytes, max_bytes: self.max_bytes })?;
         let reservation = Arc::new(Reservation { budget: Arc::clone(self), bytes });
         let reserve =

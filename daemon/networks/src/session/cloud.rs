@@ -142,9 +142,9 @@ impl Listener {
                     tracing::debug!(?connection, %loss, "a message of an edge was lost on the way");
                 }
                 ListenerEvent::OutgoingLost(connection, loss) => {
-                    tracing::debug!(?connection, %loss, "an answer was lost on the way");
+                    tracing::debug!(?connection, %loss, "a message to an edge was lost on the way");
                     if loss.tag.is_none() {
-                        // Partial answers have no tag, so the lost message may be one.
+                        // Partial answers have no tag, so the lost message may be a partial answer.
                         self.shared.lock_server().note_lost_partial_answer(connection);
                     }
                     self.shared.output.counters.count_lost(1);
@@ -167,7 +167,7 @@ impl Listener {
                 }
                 ListenerEvent::Refused(host, text) => return Some(Incoming::Refused { host, text }),
                 ListenerEvent::InvalidData(address, problem) => {
-                    // The transport has already logged it with its reason.
+                    // `zmq-tcp` has logged the reason as a warning already, at most once a minute.
                     tracing::debug!(?address, problem, "dropped invalid data from a peer");
                     self.shared.output.counters.count_malformed();
                 }

@@ -27,7 +27,8 @@ pub struct CompletedRequest {
     pub upload: Option<NodeId>,
     /// The `download` node; `None` if no model answered.
     pub download: Option<NodeId>,
-    /// The [`FIRST_PART_DOWNLOAD`](crate::FIRST_PART_DOWNLOAD) node; `None` if the answer came in one piece.
+    /// The [`FIRST_PART_DOWNLOAD`](crate::FIRST_PART_DOWNLOAD) node; `None` if no partial answer
+    /// arrived, or if no model answered.
     pub first_partial_answer: Option<NodeId>,
     /// The four stamps of `upload` and `download`, from which the clock relation of the two hosts is estimated.
     ///
@@ -126,7 +127,8 @@ impl MessageSizes {
         self.metadata + self.payload
     }
 
-    /// Adds the two sizes as values to the edge's tree. These nodes fit even into a tree that accepts no other nodes.
+    /// Adds the two sizes as values to the edge's tree. These nodes fit even into a tree that accepts no other nodes,
+    /// because a recorder leaves [`RESERVED_NODES`](peernet_logger::limits::RESERVED_NODES) free for such values.
     pub(crate) fn record(self, recorder: &mut Recorder, payload: Name, metadata: Name) {
         let start = recorder.offset(recorder.clock().mono());
         for (name, bytes) in [(payload, self.payload), (metadata, self.metadata)] {
@@ -196,8 +198,9 @@ pub(crate) fn absorb(
     }
     let host_count =
         u8::try_from(recorder.tree().anchors().len()).map_err(|_| TreeDeltaError::TooManyHosts)?;
-    let host = HostIndex(host_count);
-    if delta.nodes.iter().any(|node| node.host < host) {
+    // The delta's anchor is appended to the anchors of the tree.
+    let cloud_index = HostIndex(host_count);
+    if delta.nodes.iter().any(|node| node.host < cloud_index) {
         return Err(TreeDeltaError::EarlierHost);
     }
     let (received, replied) = match (has_raw_stamps, arrived.reply.arrived_raw, departure.sent_raw) {
@@ -209,13 +212,13 @@ pub(crate) fn absorb(
     let raw_stamps = Some(RawStamps { sent: replied, received: arrived.stamp.raw });
     let transit =
         Transit { sent: departure.sent, received: Some(arrived.stamp.wall), delay: None, raw_stamps };
-    let first_partial_answer = arrived.partial_answers.first_partial_answer_download(host);
+    let first_partial_answer = arrived.partial_answers.first_partial_answer_download(cloud_index);
     let has_partial_answers = first_partial_answer.is_some();
     delta.nodes.extend(first_partial_answer);
     delta.nodes.push(Node {
         parent: Some(NodeId::ROOT),
         name: stage::DOWNLOAD,
-        host,
+        host: cloud_index,
         start: departure.sent_since_anchor,
         measure: Measure::Transit(Box::new(transit)),
     });

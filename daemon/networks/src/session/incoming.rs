@@ -52,6 +52,7 @@ pub struct OpenRequest {
     pub session: SessionId,
     /// Address of the other end of the connection, if known.
     pub address: Option<SocketAddr>,
+    /// State of the listener; `None` once the request is answered, so that `drop` does not refuse it.
     shared: Option<Weak<ListenerState>>,
 }
 
@@ -139,6 +140,7 @@ pub(crate) struct ArrivalStamp {
 #[derive(Debug)]
 pub struct Responder {
     key: RequestKey,
+    /// State of the listener; `None` once the answer is sent, so that `drop` does not send a failure.
     shared: Option<Weak<ListenerState>>,
 }
 

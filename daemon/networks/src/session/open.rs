@@ -22,7 +22,8 @@ pub enum OpenError {
         /// Cause.
         reason: String,
     },
-    /// A program accepted the connection and did not answer in time. The program may be something else than a cloud.
+    /// A program accepted the connection, and did not answer in time or closed the connection without an answer. The
+    /// program may be something else than a cloud.
     #[error(
         "something listens at {address} but does not answer like an agent's [serve]; is this the port of an aggregator or of something else?{}",
         Self::LOADING_HINT
@@ -30,7 +31,7 @@ pub enum OpenError {
     TimedOut {
         /// Address of the cloud.
         address: Address,
-        /// Time that was waited. Milliseconds.
+        /// Time limit for the answer. Milliseconds.
         waited_ms: u64,
     },
     /// The other end identified itself as a cloud and closed the connection instead of answering.
@@ -79,6 +80,7 @@ fn describe_incompatibility(address: &Address, mismatch: &VersionMismatch) -> St
 /// Returns the advice for a cloud that cannot be reached. It is empty if the reason already contains advice, as for a
 /// missing ROS master.
 fn advice(reason: &str) -> &'static str {
+    // In error texts, a semicolon separates the advice from the problem.
     if reason.contains("; ") { "" } else { "; is it running, and is the address right?" }
 }
 

@@ -12,12 +12,13 @@ use super::incoming::RequestKey;
 use super::request_control::{RequestCancelled, RequestControl};
 use crate::transport::SendFailure;
 
-/// Time after which a partial answer is handed to a full send queue again.
+/// Time after which a partial answer, or the answer that follows partial answers, is handed to a full send queue again.
 // A transport does not report that a full queue has room again. The acknowledgements of partial answers do not show it
 // either: a few large partial answers fill the queue before the edge acknowledges any of them.
 pub(super) const FULL_QUEUE_RETRY: Duration = Duration::from_millis(5);
 
-/// Reason why a partial answer was not sent. The sequence of partial answers would be incomplete without it.
+/// Reason why a partial answer was not sent. This is an error, because the edge would miss a part of the sequence if
+/// later partial answers were sent.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PartialAnswerError {
     /// The edge does not wait for the answer any more.
@@ -74,7 +75,7 @@ impl PartialAnswerSender {
         if bytes > max_bytes {
             return Err(PartialAnswerError::TooLarge { bytes, max_bytes });
         }
-        let number = self.control.next_partial_answer(bytes)?;
+        let number = self.control.next_partial_answer_number(bytes)?;
         loop {
             // The listener is not kept during the wait below, so that the port can be closed meanwhile.
             let listener = self.listener()?;
@@ -89,7 +90,7 @@ impl PartialAnswerSender {
         }
     }
 
-    /// Returns the listener of the edge's session, which is gone after the port was closed.
+    /// Returns the listener of the session. Fails after the port was closed.
     fn listener(&self) -> Result<Arc<ListenerState>, RequestCancelled> {
         self.shared.upgrade().ok_or(RequestCancelled)
     }

@@ -107,7 +107,7 @@ impl RequestControl {
     ///
     /// # Errors
     /// If the request is cancelled.
-    pub(crate) fn next_partial_answer(&self, bytes: u64) -> Result<u32, RequestCancelled> {
+    pub(crate) fn next_partial_answer_number(&self, bytes: u64) -> Result<u32, RequestCancelled> {
         let must_wait = |state: &mut ControlState| !state.is_cancelled && state.is_window_full();
         let mut state =
             self.changed.wait_while(self.state(), must_wait).unwrap_or_else(PoisonError::into_inner);
@@ -144,12 +144,12 @@ mod tests {
     fn sending_waits_until_partial_answers_are_read() {
         let control = Arc::new(RequestControl::default());
         let numbers: Vec<u32> = (0..MAX_UNREAD_PARTIAL_ANSWERS)
-            .map(|_| control.next_partial_answer(1).expect("the window is open"))
+            .map(|_| control.next_partial_answer_number(1).expect("the window is open"))
             .collect();
         assert_eq!(numbers, (0..MAX_UNREAD_PARTIAL_ANSWERS).collect::<Vec<_>>());
         let waiting_thread = thread::spawn({
             let control = Arc::clone(&control);
-            move || control.next_partial_answer(1)
+            move || control.next_partial_answer_number(1)
         });
         control.acknowledge(0);
         assert!(!waiting_thread.is_finished(), "nothing was read");
@@ -162,10 +162,10 @@ mod tests {
         let control = RequestControl::default();
         control.acknowledge(u32::MAX);
         for _ in 0..MAX_UNREAD_PARTIAL_ANSWERS {
-            control.next_partial_answer(1).expect("the window is open");
+            control.next_partial_answer_number(1).expect("the window is open");
         }
         control.acknowledge(u32::MAX);
-        assert_eq!(control.next_partial_answer(1), Ok(MAX_UNREAD_PARTIAL_ANSWERS));
+        assert_eq!(control.next_partial_answer_number(1), Ok(MAX_UNREAD_PARTIAL_ANSWERS));
         assert_eq!(control.state().read_count, MAX_UNREAD_PARTIAL_ANSWERS);
     }
 
@@ -175,11 +175,11 @@ mod tests {
         control.note_lost_partial_answer();
         // Nothing arrives any more, so nothing is acknowledged.
         for number in 0..MAX_UNREAD_PARTIAL_ANSWERS * 3 {
-            assert_eq!(control.next_partial_answer(1), Ok(number));
+            assert_eq!(control.next_partial_answer_number(1), Ok(number));
             control.note_lost_partial_answer();
         }
         for _ in 0..MAX_UNREAD_PARTIAL_ANSWERS {
-            control.next_partial_answer(1).expect("the window is open");
+            control.next_partial_answer_number(1).expect("the window is open");
         }
         control.acknowledge(MAX_UNREAD_PARTIAL_ANSWERS * 4);
         let state = control.state();
@@ -189,15 +189,15 @@ mod tests {
     #[test]
     fn sending_waits_until_bytes_are_read_or_lost() {
         let control = Arc::new(RequestControl::default());
-        assert_eq!(control.next_partial_answer(MAX_UNREAD_BYTES - 1), Ok(0));
+        assert_eq!(control.next_partial_answer_number(MAX_UNREAD_BYTES - 1), Ok(0));
         assert_eq!(
-            control.next_partial_answer(MAX_UNREAD_BYTES * 9),
+            control.next_partial_answer_number(MAX_UNREAD_BYTES * 9),
             Ok(1),
             "the last partial answer may exceed the window"
         );
         let wait_for_next = || {
             let control = Arc::clone(&control);
-            thread::spawn(move || control.next_partial_answer(MAX_UNREAD_BYTES))
+            thread::spawn(move || control.next_partial_answer_number(MAX_UNREAD_BYTES))
         };
         let waiting_thread = wait_for_next();
         control.acknowledge(1);
@@ -213,12 +213,12 @@ mod tests {
     fn cancellation_ends_every_wait() {
         let control = Arc::new(RequestControl::default());
         for _ in 0..MAX_UNREAD_PARTIAL_ANSWERS {
-            control.next_partial_answer(1).expect("the window is open");
+            control.next_partial_answer_number(1).expect("the window is open");
         }
         let waits = [
             thread::spawn({
                 let control = Arc::clone(&control);
-                move || control.next_partial_answer(1).map(drop)
+                move || control.next_partial_answer_number(1).map(drop)
             }),
             thread::spawn({
                 let control = Arc::clone(&control);

@@ -33,7 +33,7 @@ pub(super) struct Waiter {
     handler: Option<PartialAnswerHandler>,
 }
 
-/// Requests of a session in flight. When the session is over, all of them end, and no further request can start.
+/// Requests in flight of a session. When the session is over, all of them end, and no further request can start.
 #[derive(Debug)]
 pub(super) struct RequestsInFlight {
     client: Mutex<ClientSession<Waiter>>,

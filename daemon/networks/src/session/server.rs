@@ -64,8 +64,8 @@ pub(crate) enum EdgeMessage {
     Open(SessionId, Box<SessionHello>),
     /// A request of an open session. It is in flight until [`Server::finish_request`].
     Request(Request),
-    /// The edge gets this answer; nothing else is to do.
-    Answer(Header),
+    /// The caller sends this header to the edge; nothing else is to do.
+    AnswerWith(Header),
     /// The message needs no answer: it changed the state of a request, or that request has ended already.
     Handled,
     /// The edge ended its session. If its run ended as well, the number is the planned number of iterations of the run.
@@ -175,7 +175,7 @@ impl Server {
     fn handle_open(&mut self, peer: &Peer, open: Open) -> EdgeMessage {
         let version = match SESSION_VERSIONS.highest_common(&open.hello.versions) {
             Ok(version) => version,
-            Err(mismatch) => return EdgeMessage::Answer(Self::version_refusal(&mismatch)),
+            Err(mismatch) => return EdgeMessage::AnswerWith(Self::version_refusal(&mismatch)),
         };
         let connection_sessions = self.connections.get(&peer.connection).map_or(0, Vec::len);
         // Without this limit, one edge could open any number of sessions over one connection, and the limits of
@@ -184,10 +184,10 @@ impl Server {
             let reason = format!(
                 "this connection has {SESSIONS_PER_CONNECTION} sessions already; close some of them, or open another connection"
             );
-            return EdgeMessage::Answer(Self::refusal(reason));
+            return EdgeMessage::AnswerWith(Self::refusal(reason));
         }
         if let Some(reason) = self.check_session_limits(peer, open.hello.host) {
-            return EdgeMessage::Answer(Self::refusal(reason));
+            return EdgeMessage::AnswerWith(Self::refusal(reason));
         }
         // The id is random, so that nobody can guess the session of another edge.
         let session = SessionId::random();
@@ -267,7 +267,10 @@ impl Server {
         let (session, number) = (request.session, request.request);
         let Some(entry) = self.find_own_session(peer, session) else {
             // The answer tells an edge with its next request that its session is gone.
-            return EdgeMessage::Answer(Header::UnknownSession(UnknownSession { session, request: number }));
+            return EdgeMessage::AnswerWith(Header::UnknownSession(UnknownSession {
+                session,
+                request: number,
+            }));
         };
         if !entry.is_accepted {
             return EdgeMessage::Malformed("a request before the session was accepted");
@@ -275,7 +278,7 @@ impl Server {
         if entry.in_flight.0.len() >= max_in_flight {
             let outcome =
                 Outcome::Overloaded(format!("{max_in_flight} requests of this session are in flight"));
-            return EdgeMessage::Answer(Header::Reply(Reply {
+            return EdgeMessage::AnswerWith(Header::Reply(Reply {
                 session,
                 request: number,
                 departure: None,
@@ -304,7 +307,7 @@ impl Server {
         apply: impl FnOnce(&RequestControl),
     ) -> EdgeMessage {
         let Some(entry) = self.find_own_session(peer, session) else {
-            return EdgeMessage::Answer(Header::UnknownSession(UnknownSession { session, request }));
+            return EdgeMessage::AnswerWith(Header::UnknownSession(UnknownSession { session, request }));
         };
         if let Some(control) = entry.in_flight.0.get(&request) {
             apply(control);

@@ -130,7 +130,7 @@ impl SessionState {
         }
     }
 
-    /// Encodes a sample and hands it to the network. The calling task writes to the socket itself, because `upload`
+    /// Encodes a sample and hands it to the network. The calling task writes to the socket itself; otherwise `upload`
     /// would include the time of a switch to another task.
     pub(super) fn send(
         &self,

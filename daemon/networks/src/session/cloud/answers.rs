@@ -49,16 +49,17 @@ pub(super) struct AnswerContent {
     payload: Vec<Bytes>,
     /// Nodes that this host added to the tree.
     delta: Option<Bytes>,
-    /// Offset of the monotonic clock's zero from this host's anchor in the tree.
-    clock_zero: Span,
+    /// Offset of the monotonic clock's zero from this host's anchor in the tree. The recorder could compute the
+    /// departure's offset, but the recorder is consumed before the departure is stamped.
+    clock_zero_offset: Span,
 }
 
 impl AnswerContent {
     /// Returns the content of an answer with the nodes that `recorder` recorded here.
     pub(super) fn new(route: &Route, recorder: Option<Recorder>, result: Result<Sample, Failure>) -> Self {
         let (outcome, payload) = encode_outcome(result, route.max_message_bytes);
-        let (delta, clock_zero) = encode_recorded_delta(recorder);
-        Self { outcome, payload, delta, clock_zero }
+        let (delta, clock_zero_offset) = encode_recorded_delta(recorder);
+        Self { outcome, payload, delta, clock_zero_offset }
     }
 }
 
@@ -72,13 +73,13 @@ pub(super) fn encode_answer(
     key: RequestKey,
     content: AnswerContent,
 ) -> Result<Frames, HeaderError> {
-    let AnswerContent { outcome, payload, delta, clock_zero } = content;
+    let AnswerContent { outcome, payload, delta, clock_zero_offset } = content;
     let has_raw_stamps = route.version >= RAW_STAMPS_SINCE;
     let stamp = clock.stamp();
     // The epoch is read after the stamp: if it equals the epoch of the arrival, no step lies between the two stamps.
     let epoch = if has_raw_stamps { clock.epoch() } else { clock.wall_epoch() };
     let departure = delta.as_ref().map(|_| {
-        let sent_since_anchor = clock_zero + (stamp.mono - MonoTime::default());
+        let sent_since_anchor = clock_zero_offset + (stamp.mono - MonoTime::default());
         let sent_raw = has_raw_stamps.then_some(stamp.raw);
         Departure { sent: stamp.wall, sent_since_anchor, epoch, sent_raw }
     });
@@ -146,7 +147,7 @@ fn encode_outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (O
 /// Returns the wire form of the tree delta, and the offset of the monotonic clock's zero from this host's anchor.
 fn encode_recorded_delta(recorder: Option<Recorder>) -> (Option<Bytes>, Span) {
     let Some(recorder) = recorder else { return (None, Span::ZERO) };
-    let clock_zero = recorder.offset(MonoTime::default());
+    let clock_zero_offset = recorder.offset(MonoTime::default());
     let delta = recorder.into_tree_delta().and_then(|delta| match encode_tree_delta(&delta) {
         Ok(wire) => Some(wire),
         Err(error) => {
@@ -154,5 +155,5 @@ fn encode_recorded_delta(recorder: Option<Recorder>) -> (Option<Bytes>, Span) {
             None
         }
     });
-    (delta, clock_zero)
+    (delta, clock_zero_offset)
 }

@@ -152,6 +152,7 @@ impl ListenerState {
     fn send_answer(&self, route: &Route, key: RequestKey, content: AnswerContent) -> Result<(), SendFailure> {
         let frames = encode_answer(&*self.clock, route, key, content).map_err(|error| {
             tracing::warn!(%error, "cannot encode an answer; it is dropped");
+            // `Gone` is not retried: a second attempt to encode the answer would fail, too.
             SendFailure::Gone(error.to_string())
         })?;
         self.output.send(&route.peer, frames, Some(key.request), Some(&route.counters))
@@ -174,6 +175,7 @@ impl ListenerState {
         partial_answer: &Sample,
     ) -> Result<(), SendFailure> {
         let frames = encode_partial_answer(&*self.clock, key, (number, received), partial_answer)
+            // As in `send_answer`, `Gone` prevents a second attempt.
             .map_err(|error| SendFailure::Gone(error.to_string()))?;
         // The partial answer has no tag: a lost partial answer must not end its request.
         self.output.send(&route.peer, frames, None, Some(&route.counters))

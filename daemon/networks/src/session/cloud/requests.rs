@@ -18,8 +18,8 @@ use crate::session::partial_answer_sender::PartialAnswerSender;
 use crate::session::server::{EdgeMessage, Server};
 use crate::transport::{Frames, Peer};
 
-/// Handles a message that arrived. Returns the event that [`Listener::next`](super::Listener::next) returns, if the
-/// message causes one.
+/// Handles a message that arrived. `received` is the time of the arrival, and the part of it that a reply repeats.
+/// Returns the event that [`Listener::next`](super::Listener::next) returns, if the message causes an event.
 pub(super) fn handle_message(
     shared: &Arc<ListenerState>,
     peer: &Peer,
@@ -46,6 +46,8 @@ pub(super) fn handle_message(
     };
     // This is a separate statement, so that the lock is released before the branches below take it.
     let message = shared.lock_server().receive(peer, header);
+    // Only a message that opens a session or starts a request counts for its session. Other messages count for the port
+    // only.
     if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &message
         && let Some(counters) = shared.lock_server().session_counters(*session)
     {
@@ -58,7 +60,7 @@ pub(super) fn handle_message(
             Some(Incoming::Open(open))
         }
         EdgeMessage::Request(request) => incoming_request(shared, peer, request, frames, received),
-        EdgeMessage::Answer(header) => {
+        EdgeMessage::AnswerWith(header) => {
             shared.send_message(peer, &header);
             None
         }

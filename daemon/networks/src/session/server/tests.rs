@@ -99,7 +99,7 @@ fn cancelled_request_needs_no_answer() {
     let control = server.request_control(session, 7).expect("in flight");
     let cancel = |request| Header::Cancel(Cancel { session, request });
     assert!(
-        matches!(server.receive(&peer(6), cancel(7)), EdgeMessage::Answer(Header::UnknownSession(_))),
+        matches!(server.receive(&peer(6), cancel(7)), EdgeMessage::AnswerWith(Header::UnknownSession(_))),
         "only the connection of the session may cancel the request"
     );
     assert!(!control.is_cancelled());
@@ -129,7 +129,7 @@ fn refused_session_is_unknown() {
     assert!(server.accept(session, accepted()).is_none() && server.refuse(session, "no".into()).is_none());
     assert!(matches!(
         server.receive(&peer(1), request(session, 0)),
-        EdgeMessage::Answer(Header::UnknownSession(_))
+        EdgeMessage::AnswerWith(Header::UnknownSession(_))
     ));
 }
 
@@ -137,7 +137,7 @@ fn refused_session_is_unknown() {
 fn goodbye_from_own_connection_frees_session() {
     let mut server = server();
     let sessions: Vec<_> = (0..3).map(|connection| open_session(&mut server, connection)).collect();
-    assert!(matches!(server.receive(&peer(9), hello()), EdgeMessage::Answer(Header::Refused(_))));
+    assert!(matches!(server.receive(&peer(9), hello()), EdgeMessage::AnswerWith(Header::Refused(_))));
     let bye =
         |session| Header::Goodbye(Goodbye { session, reason: String::new(), planned_iterations: Some(9) });
     assert!(
@@ -154,7 +154,7 @@ fn session_limit_per_connection_is_named_in_refusal() {
     for _ in 0..SESSIONS_PER_CONNECTION {
         open_session(&mut server, 1);
     }
-    let EdgeMessage::Answer(Header::Refused(refused)) = server.receive(&peer(1), hello()) else {
+    let EdgeMessage::AnswerWith(Header::Refused(refused)) = server.receive(&peer(1), hello()) else {
         panic!("the session exceeds the limit")
     };
     assert!(
@@ -193,7 +193,7 @@ fn session_limit_per_address_counts_all_hosts_of_address() {
     let opened_count =
         (0..300).filter(|host| matches!(open("192.0.2.1:5", *host), EdgeMessage::Open(..))).count();
     assert_eq!(opened_count, 192);
-    let EdgeMessage::Answer(Header::Refused(refused)) = open("192.0.2.1:5", 301) else {
+    let EdgeMessage::AnswerWith(Header::Refused(refused)) = open("192.0.2.1:5", 301) else {
         panic!("the session exceeds the limit")
     };
     assert!(refused.reason.contains("max_sessions is 256"), "{refused:?}");
@@ -302,7 +302,7 @@ proptest! {
                         }
                         EdgeMessage::Closed(session, _) => in_flight.retain(|(request_session, _)| *request_session != session),
                         EdgeMessage::Handled => cancelled.extend(cancelled_request.filter(|key| in_flight.contains(key))),
-                        EdgeMessage::Answer(_) | EdgeMessage::Malformed(_) => {}
+                        EdgeMessage::AnswerWith(_) | EdgeMessage::Malformed(_) => {}
                     }
                 }
                 Step::Request(connection, session, number) => {
