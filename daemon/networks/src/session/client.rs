@@ -68,8 +68,8 @@ pub(crate) fn classify_hello_answer(header: Header) -> HelloOutcome {
     }
 }
 
-/// An open session at the edge. A waiter, of type `W`, is the caller's value for a request in flight. The session stores
-/// the waiter and returns it when the request ends, unless the request is cancelled.
+/// An open session at the edge. A waiter, of type `W`, is the caller's value for a request in flight. The session
+/// stores the waiter and returns it when the request ends, unless the request is cancelled.
 #[derive(Debug)]
 pub(crate) struct ClientSession<W> {
     session: SessionId,
