@@ -55,6 +55,7 @@ impl Channel {
         budget: Arc<MemoryBudget>,
         (companion_publisher, payload_topic): (Box<dyn SessionPublisher>, String),
     ) -> Self {
+        // The clock of a connection starts at zero.
         let connection =
             Connection::new(id, connection_limits(settings, &*node), budget, MonoTime::default());
         Self {
@@ -162,8 +163,8 @@ impl Channel {
         if !frames::pack(&mut companion, message, has_payload) {
             return Err(gone_failure("a frame has 4 GiB or more".into()));
         }
-        // Each fragment takes the number of the message, and the message gets the next number: numbers are in the order
-        // of sending.
+        // Each fragment takes the companion's current number, and the companion gets the next number: the companion is
+        // sent after its fragments, and numbers are in the order of sending.
         let mut companions = Vec::new();
         for frames in fragments::split_into_fragments(&mut companion.frames, self.node.max_companion_bytes())
         {
@@ -195,9 +196,9 @@ impl Channel {
         payload: &Payload<'_>,
         peer: &RemoteNode,
     ) -> Result<bool, SendFailure> {
-        let peer = (&*peer.node, state.peer());
+        let peer_and_state = (&*peer.node, state.peer());
         let mut remark = |text| self.remark(state, text);
-        self.payload_topic.publish(&*self.node, peer, payload, &mut remark)
+        self.payload_topic.publish(&*self.node, peer_and_state, payload, &mut remark)
     }
 
     /// Queues a remark: a warning about the connection for the layer above. The connection's task hands it on.
@@ -216,7 +217,7 @@ impl Channel {
         self.payload_topic.take_request().await
     }
 
-    /// Opens the payload topic. Repeats the attempt while the master is not reachable.
+    /// Opens the payload topic. Repeats the attempt until it succeeds or the connection is closed.
     pub(super) async fn open_payload_topic(&self, kind: PayloadType) {
         let mut is_reported = false;
         while !self.lock().is_closed() {

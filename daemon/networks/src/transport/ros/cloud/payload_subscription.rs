@@ -49,7 +49,7 @@ impl PayloadSubscription {
     }
 }
 
-/// Subscribes to a payload topic. Repeats the attempt while the master is not reachable.
+/// Subscribes to a payload topic. Repeats the attempt until it succeeds.
 async fn subscribe(
     node: &dyn SessionNode,
     topic: &str,
