@@ -32,12 +32,12 @@ impl MemoryBudget {
     }
 
     fn reserve(&self, bytes: u64) -> Result<(), BudgetExhausted> {
-        let fits = |reserved_bytes: u64| {
+        let add_if_it_fits = |reserved_bytes: u64| {
             reserved_bytes.checked_add(bytes).filter(|reserved_bytes| *reserved_bytes <= self.limit)
         };
         self.reserved_bytes
             // Relaxed is enough: only the sum of the reservations matters, and no other memory depends on the sum.
-            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, add_if_it_fits)
             .map(drop)
             .map_err(|_| BudgetExhausted)
     }

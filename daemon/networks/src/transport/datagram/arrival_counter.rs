@@ -13,7 +13,8 @@ pub(super) use self::gap_check::MAX_GAP;
 use self::gap_check::{GapCheck, NextNumber};
 use crate::statistics::DatagramStatistics;
 
-/// Shortest time after which a missing number counts as lost. The longest is twice that.
+/// Shortest time after which a missing number counts as lost. The longest is about twice that, because the wait for a
+/// number begins when the wait for earlier numbers ends.
 const LOSS_DELAY: Span = Span::from_seconds(1);
 
 /// Number of the latest datagram numbers that are remembered: for each, one bit says whether its datagram has arrived.
@@ -97,7 +98,7 @@ impl ArrivalCounter {
         let distance = self.distance_to(number);
         if distance >= 0 {
             let number = self.next_number + distance.unsigned_abs();
-            if self.is_plausible(NextNumber { number, has_arrived: true }, now) {
+            if self.check_and_count_confirmed(NextNumber { number, has_arrived: true }, now) {
                 self.record_next_arrival(number);
             }
             return;
@@ -125,15 +126,17 @@ impl ArrivalCounter {
         self.count_losses(now);
         // The distance is negative if an older heartbeat arrives late.
         let number = self.next_number + self.distance_to(next).max(0).unsigned_abs();
-        if self.is_plausible(NextNumber { number, has_arrived: false }, now) {
+        if self.check_and_count_confirmed(NextNumber { number, has_arrived: false }, now) {
             self.advance(number.saturating_sub(self.next_number));
         }
     }
 
     /// Returns whether a number is plausible. If the number confirms an earlier number beyond a gap, the datagram with
     /// that earlier number is counted now, because it was not counted when it arrived.
-    fn is_plausible(&mut self, candidate: NextNumber, now: MonoTime) -> bool {
+    fn check_and_count_confirmed(&mut self, candidate: NextNumber, now: MonoTime) -> bool {
         let Some(confirmed) = self.gap_check.check(self.next_number, candidate, now) else { return false };
+        // Datagrams are counted here in ascending order only, so a datagram with a higher number than the candidate is
+        // left out.
         let uncounted =
             confirmed.filter(|next_number| next_number.has_arrived && next_number.number < candidate.number);
         if let Some(uncounted) = uncounted {

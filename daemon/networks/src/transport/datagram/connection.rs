@@ -62,7 +62,7 @@ pub(crate) enum Event {
     IncomingLost(MessageLoss),
     /// A message that was sent did not arrive as a whole.
     OutgoingLost(MessageLoss),
-    /// An invalid packet arrived, for this reason.
+    /// An invalid packet arrived. The text says what is invalid.
     InvalidData(String),
     /// The connection is over, for this reason.
     Gone(String),
@@ -184,7 +184,7 @@ impl Connection {
                 ResetReason::Full => "the peer has too many connections",
                 ResetReason::LongLost => LONG_DATAGRAMS_LOST_REASON,
             }),
-            // Packets of the handshake and confirmed paths do not belong to a connection; the endpoint handles them.
+            // The endpoint handles the packets of the handshake and the responses to path challenges.
             _ => {}
         }
     }
@@ -240,7 +240,8 @@ impl Connection {
 
     fn receive_bye(&mut self, next: u64, now: MonoTime) {
         let count = self.shutdown.receive_bye();
-        // The number of goodbyes so far identifies the packet of this claim.
+        // A goodbye has no number of its own, so the number of goodbyes so far identifies it. A duplicated goodbye
+        // therefore counts as a second packet.
         let sent_claim = self.receiving.note_sent(next, count.into(), now);
         self.report_false_claim(sent_claim);
         // The other end closes the connection soon, so its unfinished messages will never be completed.
@@ -325,7 +326,7 @@ impl Connection {
     }
 
     fn ping_at(&self) -> MonoTime {
-        self.timer.ping_at(self.sending.unsettled_since())
+        self.timer.ping_at(self.sending.last_send_if_unsettled())
     }
 
     /// Returns the time of the next goodbye. All messages are sent before the first goodbye.
@@ -360,9 +361,9 @@ impl Connection {
 
     /// Reports losses to the other end and to the layer above.
     fn report_losses(&mut self, now: MonoTime) {
-        let identified = self.receiving.take_lost(now);
+        let reportable = self.receiving.take_lost(now);
         let (packets, given_up) = self.receiving.due_reports(now);
-        self.events.extend(identified.into_iter().chain(given_up).map(Event::IncomingLost));
+        self.events.extend(reportable.into_iter().chain(given_up).map(Event::IncomingLost));
         packets.into_iter().for_each(|packet| self.control.push(packet));
     }
 }

@@ -33,7 +33,7 @@ pub(crate) fn fragment_count(total_bytes: u32, stride: u16) -> u32 {
 #[derive(Debug)]
 pub(crate) struct OutgoingMessage {
     pub(crate) sequence: u64,
-    /// Tag in its wire form: the sender's number plus one, 0 for none.
+    /// Tag in its wire form: the sender's number for the message, plus one; 0 for none.
     pub(crate) tag: u64,
     /// Length of the wire form. Bytes.
     pub(crate) total_bytes: u32,

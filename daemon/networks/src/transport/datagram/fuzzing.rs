@@ -75,12 +75,14 @@ impl Port {
             unverified_address: SocketAddr::from(([198, 51, 100, 1], 2)),
         };
         let answer = port.send_packet(peer_address, &Packet::Hello { version: 1, nonce: 3, reply_port: 0 });
-        let Ok(Packet::Cookie { nonce, cookie }) = Packet::read(Role::Edge, answer.get(2..)?) else {
+        let Ok(Packet::Cookie { nonce, cookie }) = Packet::read(Role::Edge, answer.get(PREFIX.len()..)?)
+        else {
             return None;
         };
         let answer =
             port.send_packet(peer_address, &Packet::Open { nonce, cookie, reply_port: 0, terms: TERMS });
-        let Ok(Packet::Opened { connection, .. }) = Packet::read(Role::Edge, answer.get(2..)?) else {
+        let Ok(Packet::Opened { connection, .. }) = Packet::read(Role::Edge, answer.get(PREFIX.len()..)?)
+        else {
             return None;
         };
         port.connection = connection;
@@ -120,6 +122,7 @@ impl Port {
         let from = if step_kind & 0x80 == 0 { self.peer_address } else { self.unverified_address };
         let number = |index: usize| u64::from(bytes.get(index).copied().unwrap_or_default());
         let connection = self.connection;
+        // The offset is a multiple of the stride, so that the fragment can be valid.
         let fragment = Fragment {
             sequence: number(0),
             tag: number(1),
@@ -141,7 +144,7 @@ impl Port {
         };
         let packet = match step_kind & 0x0f {
             0 => {
-                self.check(from, bytes);
+                self.deliver_and_check(from, bytes);
                 return;
             }
             1 => {
@@ -179,11 +182,11 @@ impl Port {
         };
         let mut body = Vec::new();
         packet.write(Role::Edge, &mut body);
-        self.check(from, &body);
+        self.deliver_and_check(from, &body);
     }
 
     /// Delivers a datagram with this body and checks that the unverified address gets no more bytes back than it sent.
-    fn check(&mut self, from: SocketAddr, body: &[u8]) {
+    fn deliver_and_check(&mut self, from: SocketAddr, body: &[u8]) {
         let response = self.deliver(from, body);
         if from == self.unverified_address {
             assert!(

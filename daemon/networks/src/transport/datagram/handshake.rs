@@ -18,7 +18,8 @@ use super::packet::{Cookie, Packet, ResetReason, Role, Terms, VERSION};
 /// MTU of 1,280 bytes.
 pub(crate) const SAFE_DATAGRAM_BYTES: u16 = 1_200;
 
-/// Shortest time for which a cookie is accepted. The longest is twice that.
+/// Shortest time for which a cookie is accepted. The longest is twice that, because cookies of the previous period are
+/// accepted, too.
 pub(super) const COOKIE_LIFETIME: Span = Span::from_seconds(10);
 
 /// Time until the first repetition of a packet without an answer. The interval doubles with each repetition, up to
@@ -156,7 +157,7 @@ impl DialState {
     /// Handles a packet from the cloud's address.
     pub(crate) fn receive(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<HandshakeOutcome> {
         match *packet {
-            // Only the first cookie is used: a duplicated cookie would restart the count of attempts.
+            // A cookie is used only while none is stored: a duplicated cookie would restart the count of attempts.
             Packet::Cookie { nonce, cookie } if nonce == self.nonce && self.cookie.is_none() => {
                 (self.cookie, self.attempts, self.next_attempt) = (Some(cookie), 0, now);
                 None

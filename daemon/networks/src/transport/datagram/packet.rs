@@ -225,7 +225,8 @@ impl Packet<'_> {
         }
     }
 
-    /// Returns the connection of the packet; `None` for packets of the handshake.
+    /// Returns the connection of the packet; `None` for packets of the handshake. For a reset that refuses a
+    /// connection, returns the nonce of the hello.
     pub(crate) const fn connection(&self) -> Option<u64> {
         match *self {
             Self::Hello { .. } | Self::Cookie { .. } | Self::Open { .. } | Self::Opened { .. } => None,

@@ -203,7 +203,7 @@ impl Reassembly {
         } else {
             unfinished.add(fragment, &self.budget, now)
         };
-        // A message of one fragment is complete at once and does not count as unfinished.
+        // A message of one fragment is complete at once, so it does not displace an unfinished message.
         if total_fragments > 1 && self.unfinished_count >= self.limits.max_unfinished_messages {
             self.give_up_oldest();
         }
@@ -296,7 +296,7 @@ impl Reassembly {
         });
     }
 
-    /// Gives up all messages that are not settled.
+    /// Gives up all unfinished messages, and all missing messages that are known to have been sent.
     pub(crate) fn give_up_all(&mut self) {
         let next = self.sent_below;
         self.give_up(|sequence, slot| sequence < next || matches!(slot, Slot::Unfinished(_)));

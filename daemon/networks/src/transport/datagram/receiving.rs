@@ -136,26 +136,26 @@ impl ReceivingHalf {
 
     /// Returns whether all messages are settled and the other end has confirmed all losses.
     pub(crate) fn is_settled(&self) -> bool {
-        // A goodbye may be the only packet that reports the last messages. Its claim is then never confirmed, so the
-        // unconfirmed claim counts here.
+        // The first goodbye may be the only packet so far that reports the last messages. No second packet has
+        // confirmed its claim yet, so the unconfirmed claim counts here.
         let is_claim_settled = self.watermark.last_claimed_number() <= self.reassembly.floor();
         is_claim_settled && self.reassembly.is_settled() && self.reports.is_empty()
     }
 
-    /// Gives up all messages that are not settled.
+    /// Gives up all unfinished messages, and all missing messages that are known to have been sent.
     pub(crate) fn give_up_all(&mut self) {
         self.reassembly.give_up_all();
     }
 
-    /// Starts to report the losses that have occurred since the last call of this function to the other end. Returns
-    /// the losses whose tag is known, because the layer above can be informed of these losses at once.
+    /// Starts reports to the other end about the losses since the last call. Returns the losses of which the layer
+    /// above can be informed at once: their tag is known, or will never be known.
     pub(crate) fn take_lost(&mut self, now: MonoTime) -> Vec<MessageLoss> {
         let lost_messages = self.reassembly.take_lost();
-        let mut identified_losses = Vec::new();
+        let mut reportable_losses = Vec::new();
         for lost in lost_messages {
             // If no fragment has arrived, the tag is unknown here. The confirmation of the other end contains the tag.
             if let Some(tag) = lost.tag {
-                identified_losses.push(MessageLoss {
+                reportable_losses.push(MessageLoss {
                     tag: decode_tag(tag),
                     received: lost.received,
                     total: lost.total,
@@ -164,10 +164,11 @@ impl ReceivingHalf {
             if self.reports.len() < MAX_LOSS_REPORTS {
                 self.reports.push(LossReport { lost, attempts: 0, next_at: now });
             } else if lost.tag.is_none() {
-                identified_losses.push(MessageLoss { tag: None, received: 0, total: 0 });
+                // Without a report, no confirmation will state the tag.
+                reportable_losses.push(MessageLoss { tag: None, received: 0, total: 0 });
             }
         }
-        identified_losses
+        reportable_losses
     }
 
     /// Handles the confirmation of a loss, which contains the tag of the message. Returns the loss for the layer above
@@ -193,6 +194,7 @@ impl ReceivingHalf {
             }
             let LostMessage { sequence, tag, received, total } = report.lost;
             if report.attempts >= MAX_REPORT_ATTEMPTS {
+                // The layer above has already been informed of a loss whose tag is known.
                 if tag.is_none() {
                     given_up.push(MessageLoss { tag: None, received, total });
                 }

@@ -132,7 +132,7 @@ impl SendingHalf {
     }
 
     /// Returns the time at which a part of a message was last sent; `None` if all messages that were sent are settled.
-    pub(crate) fn unsettled_since(&self) -> Option<MonoTime> {
+    pub(crate) fn last_send_if_unsettled(&self) -> Option<MonoTime> {
         (self.outstanding.first_sequence() < self.next_sequence()).then_some(self.sent_at)
     }
 
@@ -219,8 +219,8 @@ impl SendingHalf {
         if below > current + u64::from(offset > 0) {
             return Err(FalseClaim::UnsentMessage);
         }
-        for message in self.outstanding.settle(below) {
-            self.long_losses.record_arrival(message.fragments);
+        for arrived in self.outstanding.settle(below) {
+            self.long_losses.record_arrival(arrived.fragments);
         }
         Ok(())
     }
@@ -261,7 +261,7 @@ impl SendingHalf {
         self.long_losses.record_loss(fragments, received, lost_datagrams, now);
         // A retransmitted message gets a new number, because the other end has settled the old number.
         if let Some(frames) = retransmission
-            && self.enqueue(frames, 0, None).is_ok()
+            && self.enqueue(frames, encode_tag(None), None).is_ok()
         {
             self.retransmitted += u64::from(fragments);
             return Ok((tag, fragments, None));

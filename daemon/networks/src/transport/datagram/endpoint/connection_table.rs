@@ -96,7 +96,8 @@ impl ConnectionTable {
         let (group_total, group_unadmitted) = groups.get(&group).copied().unwrap_or_default();
         let unadmitted: usize = groups.values().map(|(_, unadmitted)| unadmitted).sum();
         // One group may have at most half of the connections, and at most a quarter without a session. Loopback is
-        // exempt from the first limit, because all programs of this machine share the loopback address.
+        // exempt from the first limit, because all programs of this machine share the loopback address. At most
+        // half of all connections may be without a session.
         let half = (max / 2).max(1);
         let replaced_group =
             if (!group.is_loopback() && group_total >= half) || group_unadmitted >= (max / 4).max(1) {
@@ -113,7 +114,8 @@ impl ConnectionTable {
             .filter(|(_, entry)| AddressGroup::from_address(entry.source) == replaced_group)
             .filter_map(|(id, entry)| match entry.admission {
                 Admission::Unadmitted { since } => Some((since, *id)),
-                _ => None,
+                // A connection whose request for a session is being decided is not closed.
+                Admission::Greeted | Admission::Admitted => None,
             })
             .min();
         oldest.map_or(Capacity::Full, |(_, id)| Capacity::FreeAfterClosing(id))
