@@ -178,7 +178,8 @@ pub enum SendFailure {
     /// The send queue is full, because the peer receives messages more slowly than they are sent.
     #[error("the network's send queue is full")]
     Full,
-    /// The connection is gone, for this reason.
+    /// The message can never be sent: for example, the connection is gone, or the message is too long. The text states
+    /// the reason.
     #[error("{0}")]
     Gone(String),
 }
@@ -265,7 +266,7 @@ pub(crate) enum EdgeEvent {
     IncomingLost(MessageLoss),
     /// A message to the cloud did not arrive as a whole.
     OutgoingLost(MessageLoss),
-    /// Invalid data arrived and was dropped, for this reason.
+    /// Invalid data arrived and was dropped. The text says what is invalid.
     InvalidData(String),
     /// The connection works, but worse than it could. The text says why, and what to do about it.
     Remark(String),
@@ -304,7 +305,7 @@ pub(crate) trait CloudSender: Send + Sync + fmt::Debug {
     fn send(&self, peer: &Peer, frames: Frames, options: SendOptions) -> Result<(), SendFailure>;
 
     /// Notes that a connection has asked for a session and waits for the decision.
-    fn greet(&self, connection: ConnectionId);
+    fn note_session_request(&self, connection: ConnectionId);
 
     /// Notes that a connection has a session and may send requests.
     fn admit(&self, connection: ConnectionId);
@@ -339,8 +340,8 @@ pub enum ListenerEvent {
     Moved(ConnectionId, SocketAddr),
     /// A connection ended, for this reason.
     Gone(ConnectionId, String),
-    /// Bytes that violate the transport's protocol arrived from this address, for this reason. `zmq-tcp` has closed the
-    /// connection that sent the bytes.
+    /// Bytes that violate the transport's protocol arrived from this address. The text says what is invalid. `zmq-tcp`
+    /// has closed the connection that sent the bytes.
     InvalidData(Option<SocketAddr>, String),
     /// A connection works, but worse than it could. The text says why, and what to do about it.
     Remark(ConnectionId, String),

@@ -102,7 +102,8 @@ impl Endpoint {
             Ok(packet) => packet,
             Err(error) => return self.report_invalid(source, error.to_string()),
         };
-        let reply_route = Route { to: source, from: local };
+        // An answer to a packet without a reply port goes to the packet's source.
+        let source_route = Route { to: source, from: local };
         match packet {
             Packet::Hello { version, nonce, reply_port } => {
                 if version != VERSION {
@@ -127,15 +128,15 @@ impl Endpoint {
             packet => {
                 let Some(connection) = packet.connection() else { return };
                 if self.table.contains(connection) {
-                    return self.receive_from_connection(connection, reply_route, body.len(), packet, now);
+                    return self.receive_from_connection(connection, source_route, body.len(), packet, now);
                 }
                 match packet {
                     // The connection has ended here. The other end repeats its goodbye until the goodbye is confirmed.
-                    Packet::Bye { .. } => self.answers.push(reply_route, &Packet::ByeAck { connection }),
+                    Packet::Bye { .. } => self.answers.push(source_route, &Packet::ByeAck { connection }),
                     // A reset is sent only to an end that still uses the connection.
                     Packet::Data { .. } | Packet::Ping { .. } => {
                         self.answers.push(
-                            reply_route,
+                            source_route,
                             &Packet::Reset { id: connection, reason: ResetReason::Unknown },
                         );
                     }
@@ -212,22 +213,22 @@ impl Endpoint {
     fn receive_from_connection(
         &mut self,
         id: u64,
-        reply_route: Route,
+        source_route: Route,
         bytes: usize,
         packet: Packet<'_>,
         now: MonoTime,
     ) {
         let Some(entry) = self.table.get_mut(id) else { return };
         // The address of this machine may change too, for example after a route has changed.
-        if reply_route.to == entry.source {
-            entry.local = reply_route.from;
+        if source_route.to == entry.source {
+            entry.local = source_route.from;
         } else if let Packet::PathResponse { token, .. } = packet {
-            let to = reply_address(reply_route.to, entry.reply_port);
+            let to = reply_address(source_route.to, entry.reply_port);
             let is_token_of = |period: MonoTime| token == first_u64(&self.key.cookie(to, id, period));
             // The token may have been made in the previous period.
             if is_token_of(now) || is_token_of(now - COOKIE_LIFETIME) {
-                self.table.relocate(id, reply_route.to, reply_route.from);
-                self.deliveries.push(ListenerEvent::Moved(ConnectionId(id), reply_route.to), None);
+                self.table.relocate(id, source_route.to, source_route.from);
+                self.deliveries.push(ListenerEvent::Moved(ConnectionId(id), source_route.to), None);
             }
         } else if bytes >= PATH_CHALLENGE_BYTES
             && entry
@@ -235,11 +236,13 @@ impl Endpoint {
                 .is_none_or(|challenged_at| now - challenged_at >= PATH_CHALLENGE_INTERVAL)
         {
             entry.path_challenged_at = Some(now);
-            let to = reply_address(reply_route.to, entry.reply_port);
+            let to = reply_address(source_route.to, entry.reply_port);
             // The token is a cookie of the new address, so that this end stores nothing about an unverified address.
             let token = first_u64(&self.key.cookie(to, id, now));
-            self.answers
-                .push(Route { to, from: reply_route.from }, &Packet::PathChallenge { connection: id, token });
+            self.answers.push(
+                Route { to, from: source_route.from },
+                &Packet::PathChallenge { connection: id, token },
+            );
         }
         if let Some(entry) = self.table.get_mut(id) {
             entry.connection.receive(packet, now);
@@ -303,7 +306,7 @@ impl Endpoint {
     }
 
     /// Notes that the connection has asked for a session and waits for the decision.
-    pub(crate) fn greet(&mut self, id: ConnectionId) {
+    pub(crate) fn note_session_request(&mut self, id: ConnectionId) {
         if let Some(entry) = self.table.get_mut(id.0)
             && matches!(entry.admission, Admission::Unadmitted { .. })
         {

@@ -141,7 +141,7 @@ impl CloudSender for RosCloudSender {
         }
     }
 
-    fn greet(&self, connection: ConnectionId) {
+    fn note_session_request(&self, connection: ConnectionId) {
         self.0.set_admission(connection, Admission::Greeted);
     }
 

@@ -90,7 +90,7 @@ impl ConnectionTable {
     }
 
     /// Notes that the hello of a connection is being decided. The hello timeout does not apply meanwhile.
-    pub(super) fn greet(&self, id: ConnectionId) {
+    pub(super) fn note_session_request(&self, id: ConnectionId) {
         if let Some(connection) = self.get(id) {
             connection.advance(Phase::Greeted);
         }
