@@ -32,7 +32,7 @@ pub(super) trait Machine: Send + fmt::Debug + 'static {
     /// An event for the layer above.
     type Delivery: Send + 'static;
 
-    /// Handles the body of a datagram. `local` is the address of this machine at which it arrived.
+    /// Handles the body of a datagram. `local` is the address of this host at which the datagram arrived.
     fn receive(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime);
     /// Handles the report of the system that no socket is bound to the destination port.
     fn handle_port_unreachable(&mut self);
@@ -46,7 +46,7 @@ pub(super) trait Machine: Send + fmt::Debug + 'static {
     fn next_delivery(&mut self) -> Option<Self::Delivery>;
     /// Starts to say goodbye.
     fn close(&mut self, now: MonoTime);
-    /// Says goodbye once.
+    /// Says goodbye once, and does not wait for the answer.
     fn abandon(&mut self);
     /// Returns whether nothing is left to do.
     fn is_finished(&self) -> bool;
@@ -150,7 +150,7 @@ impl<M: Machine> Port<M> {
                 }
             };
             let mut result = self.socket.try_send(route, out, batch);
-            // If the source address does not belong to this machine any more, the system chooses another source
+            // If the source address does not belong to this host any more, the system chooses another source
             // address.
             if let Err(error) = &result
                 && route.from.is_some()

@@ -46,7 +46,7 @@ pub(crate) async fn dial(
     // get another address.
     let socket = UdpPort::bind(SocketAddr::new(unspecified_address(peer), 0), socket_bytes(settings));
     let socket = socket.map_err(|error| unreachable_failure(&error))?;
-    // With these reports, a closed port of the cloud ends the connection at once and not by silence.
+    // If the system reports that the cloud's port is closed, the connection ends at once and not by silence.
     socket.report_errors().map_err(|error| unreachable_failure(&error))?;
     let start = Instant::now();
     let (id, terms, remark) = open(&socket, peer, local_terms(settings, &socket), start).await?;
@@ -86,7 +86,10 @@ async fn open(
     start: Instant,
 ) -> Result<(u64, Terms, Option<String>), DialFailure> {
     let (nonce, _) = uuid::Uuid::new_v4().as_u64_pair();
-    let mut dial_state = DialState::new(nonce, 0, terms, PREFIX.len(), time_since(start, Instant::now()));
+    // With port 0, the cloud answers to the port of this socket.
+    let reply_port = 0;
+    let mut dial_state =
+        DialState::new(nonce, reply_port, terms, PREFIX.len(), time_since(start, Instant::now()));
     let mut buffers = ReceiveBuffers::new();
     let (route, mut out) = (Route { to: peer, from: None }, Vec::new());
     loop {
@@ -181,7 +184,8 @@ impl Machine for EdgeEnd {
             // ignored until it returns the token.
             Ok(packet) if is_other_address && packet.connection() == Some(self.id) => {
                 if self.path_check.is_none_or(|(_, at, _)| now - at >= PATH_CHECK_INTERVAL) {
-                    self.path_check = Some((SocketAddr::new(source.ip(), self.peer.port()), now, true));
+                    let (address, must_send) = (SocketAddr::new(source.ip(), self.peer.port()), true);
+                    self.path_check = Some((address, now, must_send));
                 }
             }
             _ if is_other_address => {}

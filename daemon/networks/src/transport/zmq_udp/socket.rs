@@ -61,10 +61,10 @@ pub(super) const fn unspecified_address(peer: SocketAddr) -> IpAddr {
 }
 
 impl UdpPort {
-    /// Binds a socket to an address of this machine, with buffers of `buffer_bytes` if the system allows this size.
+    /// Binds a socket to an address of this host, with buffers of `buffer_bytes` if the system allows this size.
     ///
     /// # Errors
-    /// If the port is in use or the address does not belong to this machine.
+    /// If the port is in use or the address does not belong to this host.
     pub(super) fn bind(address: SocketAddr, buffer_bytes: usize) -> io::Result<Self> {
         let socket = Socket::new(Domain::for_address(address), Type::DGRAM, None)?;
         socket.bind(&address.into())?;
@@ -140,7 +140,7 @@ impl UdpPort {
     }
 
     /// Receives the datagrams that have arrived and calls `handle_datagram` for every one, with its source and the
-    /// address of this machine at which it arrived. Never waits.
+    /// address of this host at which it arrived. Never waits.
     ///
     /// # Errors
     /// `WouldBlock` if no datagram has arrived. Other errors concern a datagram that was sent before.
@@ -187,6 +187,7 @@ impl UdpPort {
                 refusal =
                     refusal.take().or((error.kind() == io::ErrorKind::ConnectionRefused).then_some(error));
             }
+            // With this error, `ready` waits for the next report.
             Err(io::ErrorKind::WouldBlock.into())
         });
         match (refusal, drained) {

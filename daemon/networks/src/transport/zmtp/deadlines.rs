@@ -108,6 +108,7 @@ mod tests {
         let start = Instant::now();
         let after = |seconds| start + Duration::from_secs(seconds);
         let mut deadlines = Deadlines::new(&limits(), start);
+        // `HANDSHAKE_TIMEOUT` is 2 s.
         assert_eq!(
             (deadlines.due_action(after(1)), deadlines.next_check(after(1))),
             (DueAction::Nothing, after(2))
