@@ -124,7 +124,8 @@ impl Connection {
         self.outgoing.new_companion(kind, wall)
     }
 
-    /// Returns a companion for a fragment of a message, and gives the message the next number.
+    /// Returns a companion for a fragment of a message. The fragment takes the number of the message, and the message
+    /// gets the next number, because its last companion is sent after the fragment.
     pub(super) fn new_fragment(&mut self, message: &mut MessageInfo) -> MessageInfo {
         self.outgoing.new_fragment(message)
     }
@@ -159,7 +160,7 @@ impl Connection {
             MessageInfo::GOODBYE => {
                 self.peer.has_left = true;
                 self.phase = Phase::Leaving(peernet_sample::printable_line(&info.reason).into_owned());
-                self.end_after_payloads();
+                self.handle_overtaking_messages();
             }
             kind => self.events.push(Event::InvalidData(format!("a message of the unknown kind {kind}"))),
         }
@@ -173,12 +174,13 @@ impl Connection {
         self.heartbeats.note_received(now);
         self.confirmation.note_payload();
         self.assembly.receive_payload(stamp, payload, now, &mut self.events);
-        self.end_after_payloads();
+        self.handle_overtaking_messages();
     }
 
-    /// Ends the connection after a goodbye, once the payloads of all companions have arrived. The goodbye may overtake
-    /// the payloads, because the two topics have no common order.
-    fn end_after_payloads(&mut self) {
+    /// Handles the messages that overtook payloads, once no companion waits for its payload: delivers the messages
+    /// about the session, and ends the connection if the peer has said goodbye. A message may overtake a payload,
+    /// because the two topics have no common order.
+    fn handle_overtaking_messages(&mut self) {
         let has_all_payloads = self.assembly.deliver_overtaking_messages(&mut self.events);
         if has_all_payloads && let Phase::Leaving(reason) = &mut self.phase {
             let reason = std::mem::take(reason);
@@ -194,7 +196,7 @@ impl Connection {
     /// Handles the timers that have expired. [`next_timer`](Self::next_timer) returns the time of the next timer.
     pub(super) fn tick(&mut self, now: MonoTime) {
         self.assembly.expire(now, &mut self.events);
-        self.end_after_payloads();
+        self.handle_overtaking_messages();
         if self.heartbeats.is_peer_silent(now) {
             let silence = || "the peer has been silent for too long".to_owned();
             // A peer that has said goodbye is expected to be silent. The reason of its goodbye is more useful than a

@@ -3,7 +3,8 @@
 use peernet_clock::{MonoTime, SharedClock, Span};
 use tokio::time::Instant;
 
-/// Clock of one end of a connection. Its state machine counts time from the start of the connection.
+/// Clock of one end of a connection. The state machine of the connection counts time from the start of the
+/// connection.
 #[derive(Debug)]
 pub(super) struct ConnectionClock {
     clock: SharedClock,

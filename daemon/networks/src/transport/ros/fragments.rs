@@ -1,4 +1,4 @@
-//! Fragments of a message whose frames are too long for one companion (`mod.rs`). No I/O.
+//! Fragments of a message whose frames are too long for one companion (`ros2/mod.rs`). No I/O.
 
 use std::sync::Arc;
 

@@ -15,8 +15,8 @@ pub(super) fn refusals_topic(name: &str) -> String {
     format!("/{name}/refusals")
 }
 
-/// Returns the first part of the names of an edge's nodes for a pipeline, without namespace. The rest of such a name is
-/// the identifier of the connection.
+/// Returns the first part of the names of an edge's nodes for a pipeline, without namespace. The rest of such a name
+/// is the first eight digits of the connection's identifier.
 pub(super) fn edge_node_prefix(host: &str, pipeline: &str) -> String {
     format!("peernet_{}_{}_", to_ros_name(host), to_ros_name(pipeline))
 }

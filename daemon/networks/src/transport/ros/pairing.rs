@@ -108,10 +108,12 @@ impl Pairing {
 
     /// Notes that a message without a payload arrived on the companions' topic.
     pub(super) fn note_message_without_payload(&mut self, stamp: i64, lost: &mut Vec<MessageLoss>) {
-        self.give_up_unmatched(stamp, true, lost);
+        let is_info = true;
+        self.give_up_unmatched(stamp, is_info, lost);
     }
 
-    /// Gives up the earlier halves that wait for a partner on the topic on which a message with this stamp arrived.
+    /// Gives up halves after a message with this stamp arrived on one topic: on the companions' topic if `is_info`,
+    /// else on the payload topic. Gives up the earlier halves whose partner should have arrived on that topic before.
     fn give_up_unmatched(&mut self, stamp: i64, is_info: bool, lost: &mut Vec<MessageLoss>) {
         let is_unmatched = |pending_stamp: &i64, pending: &mut PendingHalf| {
             *pending_stamp < stamp && pending.half.is_info() != is_info
@@ -171,12 +173,12 @@ mod tests {
             self.pairing.add(stamp, half, reserved, MonoTime::default(), &mut self.lost)
         }
 
-        fn info(&mut self, stamp: i64) -> Option<Pair> {
+        fn add_companion(&mut self, stamp: i64) -> Option<Pair> {
             let request = u64::try_from(stamp).expect("positive");
             self.add(stamp, MessageHalf::Info(Box::new(MessageInfo { request, ..MessageInfo::default() })))
         }
 
-        fn payload(&mut self, stamp: i64) -> Option<Pair> {
+        fn add_payload(&mut self, stamp: i64) -> Option<Pair> {
             self.add(stamp, MessageHalf::Payload(Bytes::from_static(b"x")))
         }
     }
@@ -188,15 +190,15 @@ mod tests {
     #[test]
     fn halves_are_joined_in_either_order() {
         let mut test = PairingTest::new();
-        assert!(test.payload(1).is_none() && test.info(2).is_none());
+        assert!(test.add_payload(1).is_none() && test.add_companion(2).is_none());
         assert_eq!(
             test.lost,
             [loss(None)],
             "the companion with stamp 2 shows that the companion with stamp 1 is lost"
         );
-        assert!(test.payload(2).is_some());
-        assert!(test.payload(3).is_none());
-        let pair = test.info(3).expect("whole");
+        assert!(test.add_payload(2).is_some());
+        assert!(test.add_payload(3).is_none());
+        let pair = test.add_companion(3).expect("whole");
         assert_eq!((&pair.payload[..], pair.info.request), (&b"x"[..], 3));
         drop(pair);
         assert_eq!((test.budget.reserved_bytes(), test.lost.len()), (0, 1));
@@ -205,8 +207,8 @@ mod tests {
     #[test]
     fn later_payload_ends_waiting_for_earlier_one() {
         let mut test = PairingTest::new();
-        assert!(test.info(1).is_none() && test.info(2).is_none());
-        assert!(test.payload(2).is_some());
+        assert!(test.add_companion(1).is_none() && test.add_companion(2).is_none());
+        assert!(test.add_payload(2).is_some());
         assert_eq!(test.lost, [loss(Some(1))]);
     }
 
@@ -214,7 +216,7 @@ mod tests {
     fn waiting_halves_are_bounded_in_number_and_time() {
         let mut test = PairingTest::new();
         for stamp in 1..=4 {
-            assert!(test.info(stamp).is_none());
+            assert!(test.add_companion(stamp).is_none());
         }
         assert_eq!(test.lost, [loss(Some(1))]);
         let end = test.pairing.next_timer().expect("three halves wait");

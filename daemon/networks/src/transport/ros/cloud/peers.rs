@@ -63,7 +63,7 @@ impl Peers {
         // A message of the largest length must fit even if `max_unfinished_bytes` is smaller.
         let budget = MemoryBudget::new(settings.max_unfinished_bytes.max(settings.max_message_bytes));
         let admitted_limits = ReceiveLimits { max_message_bytes: max_topic_message_bytes(&settings), budget };
-        // Half of the places stay for edges with a session.
+        // Half of the connections are left for edges with a session.
         let max_unadmitted = (max_connections / 2)
             .min(MAX_ALL_UNADMITTED_BYTES / (MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES));
         let table = ConnectionTable::new(max_connections, max_unadmitted);
@@ -134,6 +134,7 @@ impl Peers {
         let options = unadmitted_limits.subscriber_options(&self.settings, &edge.node);
         let companion_subscriber = self.node.subscribe(&request.info, kind, options).await?;
         let node_and_clock = (Arc::clone(&self.node), SharedClock::clone(&self.clock));
+        // The edge chose the identifier, which its companions carry. `connection.id()` is a number of this cloud.
         let (identifier, sending) = (connection.identifier().to_owned(), (publisher, response.payload));
         let channel = Arc::new(Channel::new(node_and_clock, identifier, &self.settings, budget, sending));
         channel.set_peer(edge.clone());

@@ -73,6 +73,7 @@ impl Refusals {
         let host = edge.remote.ip();
         let text = format!("refused a connection to {node} on {host} for pipeline {pipeline}: {reason}");
         let refused = ListenerEvent::Refused(hello.host.parse().ok(), text.clone());
+        // The layer above records the refusal. If the queue of events is full, the refusal is logged here.
         if self.deliveries.try_send((refused, Vec::new())).is_err() {
             tracing::warn!("{text}");
         }

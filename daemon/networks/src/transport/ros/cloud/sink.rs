@@ -43,6 +43,7 @@ impl CloudSink {
     fn apply_admission(&mut self, admission: Admission, channel: &Arc<Channel>) -> Directive {
         self.deadline = (admission == Admission::Unadmitted).then(|| Instant::now() + self.hello_timeout);
         if admission != Admission::Admitted {
+            // If the connection had a session before, it stays subscribed to the payload topic.
             return Directive::SetLimits(self.unadmitted_limits.clone());
         }
         self.payloads.start(channel);

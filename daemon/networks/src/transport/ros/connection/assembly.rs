@@ -37,6 +37,7 @@ impl MessageAssembly {
     pub(super) fn new(limits: &ConnectionLimits, budget: Arc<MemoryBudget>) -> Self {
         Self {
             max_message_bytes: limits.max_message_bytes,
+            // Until this end has confirmed that payloads arrive, the other end sends each payload twice.
             may_get_payload_twice: limits.confirms_payloads,
             fragment_timeout: limits.pairing_timeout,
             budget,
@@ -70,8 +71,8 @@ impl MessageAssembly {
         now: MonoTime,
         events: &mut EventQueue,
     ) {
-        // Fragments of another message are dropped, because that message was given up. The memory of the whole message
-        // is reserved below.
+        // Fragments of another message are dropped: companions arrive in order, so the last companion of that message
+        // does not arrive any more. The memory of the whole message is reserved below.
         if let Some(fragments) = self.fragments.take().filter(|fragments| fragments.belong_to(&companion)) {
             companion.frames = fragments.join(&companion.frames);
         }
@@ -92,8 +93,8 @@ impl MessageAssembly {
             self.receive_half(stamp, MessageHalf::Info(Box::new(companion)), reserved, now, events);
             return;
         }
-        // Until the other end knows that payloads arrive on their topic, it sends each payload twice: on this topic and
-        // in the companion.
+        // Until the other end knows that payloads arrive on the payload topic, it sends each payload there and in the
+        // companion. The payload from the payload topic is dropped.
         self.last_whole_stamp = stamp.max(self.last_whole_stamp);
         self.pairing.drop_payload(stamp);
         let mut lost = Vec::new();
@@ -115,7 +116,7 @@ impl MessageAssembly {
         now: MonoTime,
         events: &mut EventQueue,
     ) {
-        // The payload was also in its companion, which has arrived.
+        // The companion of this payload has brought all frames, or the message is lost: companions arrive in order.
         if self.may_get_payload_twice && stamp <= self.last_whole_stamp && !self.pairing.awaits_payload(stamp)
         {
             return;
@@ -175,6 +176,7 @@ impl MessageAssembly {
 
     /// Returns the time at which the next companion or payload has waited too long for its partner.
     pub(super) fn next_timer(&self) -> Option<MonoTime> {
+        // Fragments have no timer, because the timers of the heartbeats cause calls of `expire` often enough.
         self.pairing.next_timer()
     }
 
@@ -214,7 +216,8 @@ mod tests {
 
     fn companion(request: u64) -> MessageInfo {
         let mut info = MessageInfo { request, ..MessageInfo::default() };
-        assert!(frames::pack(&mut info, &[Bytes::from_static(b"header")], false));
+        let has_payload = false;
+        assert!(frames::pack(&mut info, &[Bytes::from_static(b"header")], has_payload));
         info
     }
 

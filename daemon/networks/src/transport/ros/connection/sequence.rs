@@ -37,7 +37,8 @@ impl OutgoingSequence {
         MessageInfo { header, kind, sequence, request: MessageInfo::NO_REQUEST, ..MessageInfo::default() }
     }
 
-    /// Returns a companion for a fragment of a message, and gives the message the next number.
+    /// Returns a companion for a fragment of a message. The fragment takes the number of the message, and the message
+    /// gets the next number, because its last companion is sent after the fragment.
     pub(super) fn new_fragment(&mut self, message: &mut MessageInfo) -> MessageInfo {
         let sequence = std::mem::replace(&mut message.sequence, self.next_number());
         MessageInfo {
@@ -66,7 +67,7 @@ pub(super) struct IncomingSequence {
 
 impl IncomingSequence {
     /// Counts the companions that are missing before the companion that arrived. Counts none if the companion that
-    /// arrived has a lower number than expected.
+    /// arrived has a lower number than expected; such a late companion stays counted as missing.
     pub(super) fn receive(&mut self, number: u64) {
         let next_expected = self.next_expected.unwrap_or(number);
         self.missing += number.saturating_sub(next_expected);
@@ -79,7 +80,7 @@ impl IncomingSequence {
         self.next_expected.is_some()
     }
 
-    /// Returns the number of companions that never arrived.
+    /// Returns the number of companions that did not arrive, or not in order.
     pub(super) fn missing_companions(&self) -> u64 {
         self.missing
     }
