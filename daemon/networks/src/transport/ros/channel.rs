@@ -176,7 +176,7 @@ impl Channel {
             encoded.collect::<Result<_, _>>().map_err(|error| gone_failure(error.to_string()))?;
         match self
             .companion_publisher
-            .publish_to(&peer.node, &encoded)
+            .publish_fragments(&peer.node, &encoded)
             .map_err(|error| gone_failure(error.to_string()))?
         {
             Delivery::Accepted => Ok(()),

@@ -92,17 +92,17 @@ impl<S: Sink> ConnectionTask<S> {
                 permit.send(delivery);
             }
             if self.channel.lock().is_closed() && queued_deliveries.is_empty() {
-                if self.answers_goodbye() && !is_closing {
+                if self.peer_awaits_answer() && !is_closing {
                     self.channel.send_goodbye("");
                 }
                 return;
             }
-            // The views of the publishers are created before the publishers are checked, so that no change in between
-            // is missed.
-            let info_publishers = self.companion_subscriber.watch();
+            // The views of the publishers and the future of their changes are created before the publishers are
+            // checked, so that no change in between is missed.
+            let companion_publishers = self.companion_subscriber.watch();
             let payload_publishers = self.payload_subscriber.as_ref().map(|payload| payload.watch());
             let publisher_change =
-                wait_for_publisher_change(&*info_publishers, payload_publishers.as_deref());
+                wait_for_publisher_change(&*companion_publishers, payload_publishers.as_deref());
             // The deadline is not reset if the peer returns to the topic, because messages may have been lost in
             // between.
             left_topic = left_topic.or_else(|| {
@@ -141,7 +141,7 @@ impl<S: Sink> ConnectionTask<S> {
                 () = abort.cancelled() => {
                     // In ROS 2, the topics and nodes do not show the other end that this connection has ended, because
                     // a later connection may use the same topics and nodes.
-                    if channel.node.receive_buffer_bytes().is_some() {
+                    if channel.node.is_connectionless() {
                         channel.send_goodbye("the other end ended the connection without waiting");
                     }
                     return;
@@ -150,7 +150,7 @@ impl<S: Sink> ConnectionTask<S> {
                     channel.send_goodbye(goodbye);
                     // In ROS 2, topics may end without their last messages. The other end's goodbye confirms that all
                     // messages have arrived.
-                    if channel.node.receive_buffer_bytes().is_none() || channel.peer().is_none() {
+                    if !channel.node.is_connectionless() || channel.peer().is_none() {
                         return;
                     }
                     is_closing = true;
@@ -192,6 +192,7 @@ impl<S: Sink> ConnectionTask<S> {
                 }
             }
             Step::Payload(Ok(message)) => {
+                // A payload arrives only through the payload subscriber, so the other topic is never used.
                 let topic = self
                     .payload_subscriber
                     .as_ref()
@@ -223,8 +224,8 @@ impl<S: Sink> ConnectionTask<S> {
     }
 
     /// Returns whether the other end waits for an answer to its goodbye.
-    fn answers_goodbye(&self) -> bool {
-        self.channel.node.receive_buffer_bytes().is_some() && self.channel.lock().peer().has_left
+    fn peer_awaits_answer(&self) -> bool {
+        self.channel.node.is_connectionless() && self.channel.lock().peer().has_left
     }
 
     /// Returns whether the peer still publishes one of the topics. Its last messages may then still be in transfer.
@@ -233,13 +234,16 @@ impl<S: Sink> ConnectionTask<S> {
         topics.into_iter().flatten().any(|subscriber| is_connected(&**subscriber, &self.channel))
     }
 
-    /// Returns a topic on which messages of the peer arrived until now and do not arrive any more.
+    /// Returns a topic on which messages of the peer arrived until now and do not arrive any more. `connected_topics`
+    /// has the topics on which they arrived, and is updated.
     fn disconnected_topic(&self, connected_topics: &mut BTreeSet<String>) -> Option<String> {
-        // Where payloads are confirmed, the publisher of the payload topic may belong to an earlier connection that
+        // In ROS 2 the payload topic does not count, because its publisher may belong to an earlier connection that
         // ends.
-        let is_confirmed = self.channel.node.receive_buffer_bytes().is_some();
-        let topics =
-            [Some(&self.companion_subscriber), self.payload_subscriber.as_ref().filter(|_| !is_confirmed)];
+        let is_connectionless = self.channel.node.is_connectionless();
+        let topics = [
+            Some(&self.companion_subscriber),
+            self.payload_subscriber.as_ref().filter(|_| !is_connectionless),
+        ];
         topics.into_iter().flatten().find_map(|subscriber| {
             let topic = subscriber.topic();
             if !is_connected(&**subscriber, &self.channel) {
@@ -265,6 +269,7 @@ impl<S: Sink> ConnectionTask<S> {
         topic: &str,
         second_publishers: &mut SecondPublishers,
     ) -> bool {
+        // The peer is always known here: the task starts after the peer was set.
         let Some(peer) = self.channel.peer() else { return true };
         let node = &message.publisher.node;
         if peer.node == *node {
@@ -350,19 +355,19 @@ async fn receive(subscriber: &mut Option<Box<dyn SessionSubscriber>>) -> Result<
     }
 }
 
-/// Waits until the publishers of a topic have changed after this call.
+/// Waits until the publishers of one of the two topics have changed after this call.
 fn wait_for_publisher_change<'a>(
-    info: &'a dyn PublisherChanges,
+    companion: &'a dyn PublisherChanges,
     payload: Option<&'a dyn PublisherChanges>,
 ) -> impl Future<Output = ()> + 'a {
-    let (info, payload) = (info.changed(), payload.map(PublisherChanges::changed));
+    let (companion, payload) = (companion.changed(), payload.map(PublisherChanges::changed));
     async move {
         match payload {
             Some(payload) => tokio::select! {
-                () = info => {}
+                () = companion => {}
                 () = payload => {}
             },
-            None => info.await,
+            None => companion.await,
         }
     }
 }

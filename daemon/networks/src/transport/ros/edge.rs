@@ -30,8 +30,8 @@ use crate::transport::{
 use crate::{Address, SessionSettings};
 
 /// First interval between two hellos of an edge. The interval doubles with each hello until the cloud answers.
-// The hello is repeated because a ROS 2 publisher does not know whether the other end has found it. Messages that are
-// published before that are lost.
+// The hello is repeated because it is lost if the cloud has not found its publisher yet. In ROS 2 the publisher does
+// not know whether the cloud has found it.
 const MIN_HELLO_INTERVAL: Duration = Duration::from_millis(10);
 
 /// Longest interval between two hellos of an edge.
@@ -73,9 +73,8 @@ pub(crate) async fn dial(
     let subscriber_options = limits.subscriber_options(settings, &cloud);
     let opened = open_topics(&topics, &**node, settings, subscriber_options).await?;
     let clock = SharedClock::clone(context.clock);
-    let request_outputs = (opened.request_companions, topics.request.payload);
-    let channel =
-        Channel::new((Arc::clone(&node.node), clock), id.clone(), settings, budget, request_outputs);
+    let request_topics = (opened.request_companions, topics.request.payload);
+    let channel = Channel::new((Arc::clone(&node.node), clock), id.clone(), settings, budget, request_topics);
     let hello_message = SessionHello {
         node: node.name().to_owned(),
         host: hello.host.to_string(),
@@ -169,6 +168,8 @@ async fn exchange_hellos(
     loop {
         tokio::select! {
             () = sleep_until(next_hello) => {
+                // The cloud answers the hello on the request topic with a welcome. The hello on the sessions topic asks
+                // for the connection.
                 channel.announce(MessageInfo::HELLO);
                 hello.header.frame_id = channel.lock().id().to_owned();
                 let message = hello.encode(channel.node.form());

@@ -110,7 +110,7 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     fn name(&self) -> &str;
 
     /// Returns the readable names of the programs behind a node; empty if they are unknown.
-    fn names(&self, node: &str) -> Vec<String> {
+    fn readable_names(&self, node: &str) -> Vec<String> {
         vec![node.to_owned()]
     }
 
@@ -131,9 +131,15 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>>;
 
     /// Returns the size of this node's socket buffers, in bytes. The other end does not send longer payload messages.
-    /// `None` if payloads of any length arrive. Such a node also knows which nodes receive its messages, so that the
-    /// other nodes need not confirm that messages arrive.
+    /// `None` if payloads of any length arrive, as in ROS 1.
     fn receive_buffer_bytes(&self) -> Option<usize>;
+
+    /// Returns whether publishers and subscribers have no connections between them, as in ROS 2. A publisher then does
+    /// not know which nodes receive its messages, so the other end must confirm that messages arrive.
+    fn is_connectionless(&self) -> bool {
+        // Only messages over TCP connections, which ROS 1 uses, may be longer than the buffers.
+        self.receive_buffer_bytes().is_some()
+    }
 
     /// Returns the maximum number of bytes of frames in one companion.
     fn max_companion_bytes(&self) -> usize;
@@ -176,9 +182,9 @@ pub(super) trait SessionPublisher: Debug + Send + Sync {
     /// Publishes a message to all subscribers. Never waits.
     fn publish(&self, message: EncodedMessage) -> Result<(), NodeFailure>;
 
-    /// Publishes the fragments of one message, each as [`publish`](Self::publish) does. Returns the outcome for one
-    /// node.
-    fn publish_to(&self, node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure>;
+    /// Publishes the fragments of one message to all subscribers, each as [`publish`](Self::publish) does. Returns the
+    /// outcome for the subscriber of `node`.
+    fn publish_fragments(&self, node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure>;
 
     /// Returns why `node` receives nothing although it subscribes to the topic, with advice; `None` if no reason is
     /// known.
@@ -213,7 +219,7 @@ pub(super) trait SessionSubscriber: Debug + Send {
 
 /// A view of the publishers of a topic.
 pub(super) trait PublisherChanges: Send + Sync {
-    /// Returns a future that ends when the publishers have changed since the view was made.
+    /// Returns a future that ends when the publishers have changed since this call.
     fn changed(&self) -> BoxFuture<'_, ()>;
 }
 

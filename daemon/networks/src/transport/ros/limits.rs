@@ -26,7 +26,7 @@ pub(super) fn connection_limits(settings: &SessionSettings, node: &dyn SessionNo
         max_message_bytes: settings.max_message_bytes,
         // One for each request in flight, and 16 for the messages that open and close sessions.
         max_incomplete: settings.max_in_flight as usize + 16,
-        confirms_payloads: node.receive_buffer_bytes().is_some(),
+        confirms_payloads: node.is_connectionless(),
         pairing_timeout: node.payload_timeout().map_or(PAIRING_TIMEOUT, Span::from),
         heartbeat_interval: settings.heartbeat_interval().into(),
         heartbeat_timeout: settings.heartbeat_timeout().into(),

@@ -115,7 +115,7 @@ impl PayloadTopic {
             return Ok(false);
         }
         // In ROS 1 a publisher knows its connections; in ROS 2 the peer confirms that payloads arrive on the topic.
-        let is_confirmed = max_bytes.is_none() || peer_state.is_subscribed;
+        let is_confirmed = !node.is_connectionless() || peer_state.is_subscribed;
         if !is_confirmed
             && !*has_remarked_mismatch
             && let Some(reason) = publisher.describe_mismatch(peer)
@@ -127,7 +127,7 @@ impl PayloadTopic {
         let Ok(message) = payload::encode(node.form(), header, part, data) else {
             return Ok(false);
         };
-        match publisher.publish_to(peer, &[message]) {
+        match publisher.publish_fragments(peer, &[message]) {
             Ok(Delivery::Accepted) => Ok(is_confirmed),
             Ok(Delivery::Full) if is_confirmed => Err(SendFailure::Full),
             // The companion has the payload as well, so nothing is lost.

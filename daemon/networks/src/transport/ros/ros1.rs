@@ -210,7 +210,7 @@ impl SessionPublisher for Publisher {
         Ok(())
     }
 
-    fn publish_to(&self, node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
+    fn publish_fragments(&self, node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         for fragment in fragments {
             let delivery = Self::publish_to(self, node, fragment.clone())?;
             // A message is useless if one of its fragments is missing, so the other fragments are not published.

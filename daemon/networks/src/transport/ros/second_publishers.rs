@@ -39,7 +39,7 @@ impl SecondPublishers {
         if self.reported.contains(second) || !is_below_limit && !self.unnamed.contains_key(second) {
             return None;
         }
-        let names = node.names(second);
+        let names = node.readable_names(second);
         // The name of a node may become known slightly later than its topics.
         let since = self.unnamed.get(second).map_or(now, |(_, since)| *since);
         if names.is_empty() && now - since < NAME_DISCOVERY_TIMEOUT {
@@ -48,7 +48,7 @@ impl SecondPublishers {
         }
         self.unnamed.remove(second);
         // There is no remark on an earlier connection of the same pipeline, because that connection ends by itself.
-        let peer_names = node.names(peer);
+        let peer_names = node.readable_names(peer);
         let peer_pipelines: BTreeSet<&str> =
             peer_names.iter().filter_map(|name| strip_connection_id(name)).collect();
         let is_earlier_connection = names

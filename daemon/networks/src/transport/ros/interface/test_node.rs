@@ -41,10 +41,10 @@ impl SessionPublisher for TestNode {
     }
 
     fn publish(&self, _message: EncodedMessage) -> Result<(), NodeFailure> {
-        Err(NodeFailure("payloads must be published with publish_to".to_owned()))
+        Err(NodeFailure("payloads must be published with publish_fragments".to_owned()))
     }
 
-    fn publish_to(&self, _node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
+    fn publish_fragments(&self, _node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         self.published.fetch_add(fragments.len(), Ordering::Relaxed);
         Ok(Delivery::Accepted)
     }
@@ -63,7 +63,7 @@ impl SessionNode for TestNode {
         "/edge"
     }
 
-    fn names(&self, node: &str) -> Vec<String> {
+    fn readable_names(&self, node: &str) -> Vec<String> {
         self.readable_names.get(node).cloned().into_iter().collect()
     }
 

@@ -131,7 +131,7 @@ impl SessionNode for Ros2SessionNode {
         remote::describe(&local_node, node)
     }
 
-    fn names(&self, node: &str) -> Vec<String> {
+    fn readable_names(&self, node: &str) -> Vec<String> {
         let (local_node, id) = (self.participant.node(), node.parse());
         local_node
             .ok()

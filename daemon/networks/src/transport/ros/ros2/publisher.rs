@@ -21,7 +21,7 @@ use peernet_ros::messages::EncodedMessage;
 use peernet_ros::ros1::Delivery;
 use peernet_ros::ros2::{EndpointId, Ros2Error, Ros2Publisher};
 use tokio::sync::Notify;
-use tokio::time::{Instant, timeout};
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use super::publishing_tasks::PublishingTasks;
@@ -168,12 +168,12 @@ impl PublisherState {
             let subscription_count = self.publisher.peers().borrow().matched.len();
             let ack_timeout =
                 if subscription_count > 1 { SHARED_TOPIC_TIMEOUT } else { MAX_UNACKNOWLEDGED_TIME };
-            match timeout(ack_timeout, self.publisher.wait_for_acknowledgment(ack_timeout)).await {
-                Ok(Ok(())) => self.queue().unacknowledged_bytes = 0,
-                // Messages that another program has not acknowledged stay stored for that program, but do not stop the
-                // other subscriptions.
-                Ok(Err(Ros2Error::Unacknowledged { .. })) | Err(_) => self.publisher.forget_unacknowledged(),
-                Ok(Err(error)) => return Err(error.into()),
+            match self.publisher.wait_for_acknowledgment(ack_timeout).await {
+                Ok(()) => self.queue().unacknowledged_bytes = 0,
+                // `rustdds` keeps the messages that another program has not acknowledged. They do not count any more,
+                // so that they do not stop the other subscriptions.
+                Err(Ros2Error::Unacknowledged { .. }) => self.publisher.forget_unacknowledged(),
+                Err(error) => return Err(error.into()),
             }
             let unacknowledged = self.queue().unacknowledged_bytes;
             if started_at.elapsed() >= MAX_UNACKNOWLEDGED_TIME || unacknowledged > MAX_UNACKNOWLEDGED_BYTES {
@@ -219,7 +219,7 @@ impl SessionPublisher for Ros2SessionPublisher {
     // The result is never `NotConnected`: DDS does not report whether the other end has found this publisher. A payload
     // is sent on its topic alone only after a companion of the other end has confirmed the topic. The end of a node is
     // noticed by the end of that node's own topics.
-    fn publish_to(&self, _node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
+    fn publish_fragments(&self, _node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         self.offer(fragments)
     }
 

@@ -63,8 +63,9 @@ enum SubscriptionEnd {
 struct SubscriberTask {
     node: Arc<Ros2Node>,
     topic: String,
-    /// The only participant whose messages are received, if it is known.
-    publisher: Option<Arc<str>>,
+    /// Participant of the peer, if it is known. If the subscriber takes any type, the type is taken from the publishers
+    /// of this participant. Messages of other participants are received as well; the connection drops them.
+    expected_publisher: Option<Arc<str>>,
     takes_any_type: bool,
     messages: mpsc::Sender<Result<TopicMessage, NodeFailure>>,
     publishers: watch::Sender<BTreeSet<Arc<str>>>,
@@ -124,7 +125,7 @@ impl Ros2SessionSubscriber {
         let task = SubscriberTask {
             node: Arc::clone(node),
             topic: topic.clone(),
-            publisher: options.publisher.clone(),
+            expected_publisher: options.publisher.clone(),
             takes_any_type: false,
             messages: sender,
             publishers: publisher_names,
@@ -152,7 +153,7 @@ impl SubscriberTask {
         let types =
             [Image::DEFINITION.name, CompressedImage::DEFINITION.name, UInt8MultiArray::DEFINITION.name];
         let is_from_publisher = |endpoint: &&DiscoveredEndpoint| {
-            let publisher_id = self.publisher.as_deref();
+            let publisher_id = self.expected_publisher.as_deref();
             endpoint.role == EndpointRole::Publisher
                 && publisher_id
                     .is_none_or(|publisher_id| endpoint.id.participant().to_string() == publisher_id)
@@ -185,11 +186,11 @@ impl SubscriberTask {
         // previous publisher is gone.
         let mut unmatched_writers: BTreeSet<EndpointId> = BTreeSet::new();
         loop {
-            let (matched, is_refused) = {
+            let (matched, has_refused_publisher) = {
                 let peers = peers.borrow_and_update();
                 (peers.matched.clone(), !peers.refused.is_empty())
             };
-            if matched.is_empty() && is_refused && self.takes_any_type {
+            if matched.is_empty() && has_refused_publisher && self.takes_any_type {
                 let types = self.payload_types();
                 if !types.is_empty() && !types.contains(&&*type_name) {
                     return SubscriptionEnd::TypeChanged;
