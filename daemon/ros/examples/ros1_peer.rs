@@ -3,11 +3,11 @@
 //!
 //! ```text
 //! ros1_peer publish NAME TOPIC COUNT BYTES      waits for a subscriber, publishes, prints the counts
-//! ros1_peer latch NAME TOPIC TEXT               publishes a text as std_msgs/String, latching, until its input ends
+//! ros1_peer latch NAME TOPIC TEXT               publishes a text as a latched std_msgs/String, and ends with standard input
 //! ros1_peer subscribe NAME TOPIC COUNT          prints a line for each message: its number and bytes
 //! ros1_peer rate NAME TOPIC COUNT               prints the messages per second between the first and the last
-//! ros1_peer state NAME TOPIC                    prints the states of the publishers of a std_msgs/String topic
-//! ros1_peer echo NAME IN OUT                    publishes what arrives, until its input ends
+//! ros1_peer state NAME TOPIC                    prints states of a std_msgs/String topic's publishers until one fails
+//! ros1_peer echo NAME IN OUT                    publishes what arrives until standard input ends
 //! ros1_peer ping NAME OUT IN COUNT BYTES        round trips: prints the median and the 99th percentile in microseconds
 //! ```
 //! Messages are pictures (`sensor_msgs/CompressedImage`) unless stated otherwise. Byte i of picture n is (i + n) mod

@@ -108,10 +108,10 @@ async fn publish(node: &Ros2Node, plan: &Plan) -> PeerResult {
     tokio::time::sleep(Duration::from_secs(1)).await;
     for number in 0..plan.count {
         publisher.publish(plan.kind.message(plan.size, number), clock.wall()).await?;
-        // Cyclone DDS skips what the first heartbeat of a publisher announces. Before the first message rustdds sends
-        // none to a subscription that has reported itself; after it the heartbeat announces this message only.
-        // If all messages were sent at once, 40 MB would overflow the sockets' buffers, and Fast DDS might never get a
-        // message repaired.
+        // Cyclone DDS skips the messages that the first heartbeat it gets announces, and it may get this heartbeat only
+        // after the first message. The wait after the first message keeps later messages out of this heartbeat.
+        // Large messages are acknowledged one by one: if all were sent at once, 40 MB would overflow the sockets'
+        // buffers, and Fast DDS might never get a message repaired.
         if number == 0 || plan.size >= LARGE_BYTES {
             publisher.wait_for_acknowledgment(TIME_LIMIT).await?;
         }
@@ -134,11 +134,12 @@ async fn receive(node: &Ros2Node, plan: &Plan) -> PeerResult {
     // are lost.
     for (number, payload) in payloads.iter().enumerate() {
         let expected = plan.kind.message(plan.size, number);
+        // Up to three bytes of padding may follow a message in CDR.
         if !payload.starts_with(&expected) || payload.len() >= expected.len() + 4 {
             return Err(format!("message {number} differs from the published message").into());
         }
     }
-    // The publisher continues until all messages are acknowledged.
+    // The publisher waits for acknowledgements, so the subscription stays open until the publisher has ended.
     let mut peers = subscription.peers();
     let publisher_lost = peers.wait_for(|peers| peers.matched.is_empty());
     tokio::time::timeout(TIME_LIMIT, publisher_lost)

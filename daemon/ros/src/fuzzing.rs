@@ -47,7 +47,7 @@ pub fn any_connection(data: &[u8]) {
     let mut buffer = FrameBuffer::new(MAX_FRAME_BYTES);
     let mut remaining = data;
     while !remaining.is_empty() {
-        let mut input = buffer.input().expect("there is no limit");
+        let mut input = buffer.input().expect("there is no memory limit");
         let count = remaining.len().min(usize::from(step) + 1).min(input.remaining_mut());
         input.put_slice(&remaining[..count]);
         remaining = &remaining[count..];

@@ -305,7 +305,7 @@ pub(crate) trait CloudSender: Send + Sync + fmt::Debug {
     fn send(&self, peer: &Peer, frames: Frames, options: SendOptions) -> Result<(), SendFailure>;
 
     /// Notes that a connection has asked for a session and waits for the decision.
-    fn note_session_request(&self, connection: ConnectionId);
+    fn note_hello(&self, connection: ConnectionId);
 
     /// Notes that a connection has a session and may send requests.
     fn admit(&self, connection: ConnectionId);

@@ -284,8 +284,8 @@ impl CloudSender for ZmtpSender {
     }
 
     // These methods call the methods of the same names that `ZmtpSender` has without the trait.
-    fn note_session_request(&self, connection: ConnectionId) {
-        Self::note_session_request(self, connection);
+    fn note_hello(&self, connection: ConnectionId) {
+        Self::note_hello(self, connection);
     }
 
     fn admit(&self, connection: ConnectionId) {

@@ -48,7 +48,8 @@ pub struct MessageInfo {
     /// Number of the request that the message belongs to; [`NO_REQUEST`](Self::NO_REQUEST) if the message belongs to no
     /// request.
     pub request: u64,
-    /// `true` if frame 2 is the data of the payload message and not a part of [`frames`](Self::frames).
+    /// `true` if the third frame, which is the first part of the sample, is the data of the payload message and not a
+    /// part of [`frames`](Self::frames).
     pub has_payload: bool,
     /// Length of each frame of the message in bytes: header, tree, and the parts of the sample. In a
     /// [`HELLO`](Self::HELLO) and a [`WELCOME`](Self::WELCOME) of ROS 2 this list has one number: the size of the

@@ -135,6 +135,7 @@ impl Reader {
     /// If too few bytes remain.
     pub fn take_number<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
         if self.form == WireForm::Cdr {
+            // A number is aligned to its own size, which is a power of two. The padding before the number is skipped.
             let position = self.offset - self.origin;
             self.advance(position.wrapping_neg() & (N - 1))?;
         }

@@ -15,7 +15,7 @@ use tokio::time::{sleep, timeout};
 use super::limits::{HANDSHAKE_TIMEOUT, MAX_INCOMING_CONNECTIONS};
 use super::node::NodeState;
 use super::publisher::PublishedTopic;
-use super::socket::{configure, read_frame};
+use super::socket::{configure, read_header};
 use super::tcpros::{ConnectionHeader, FrameBuffer, HandshakeError, HeaderError, MAX_HEADER_BYTES};
 
 /// Delay after a failed `accept`. Without a free descriptor the next `accept` would fail at once.
@@ -104,7 +104,7 @@ impl Acceptor {
     ) -> Result<(Arc<PublishedTopic>, Arc<str>, ConnectionHeader), AcceptError> {
         configure(stream)?;
         let mut buffer = FrameBuffer::new(MAX_HEADER_BYTES);
-        let (frame, _) = read_frame(stream, &mut buffer, None).await?.ok_or(AcceptError::Closed)?;
+        let frame = read_header(stream, &mut buffer).await?.ok_or(AcceptError::Closed)?;
         match self.answer_request(&frame) {
             Ok(answer) => Ok(answer),
             Err(error) => {

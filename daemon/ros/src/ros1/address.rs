@@ -62,6 +62,7 @@ async fn listen(host: &str) -> Result<TcpListener, NodeError> {
 }
 
 fn port(listener: &TcpListener) -> Result<u16, NodeError> {
+    // The error needs an address. The actual address is not known if `local_addr` fails.
     let address = SocketAddr::from(([0; 4], 0));
     let local = listener.local_addr().map_err(|source| NodeError::Listen { address, source })?;
     Ok(local.port())

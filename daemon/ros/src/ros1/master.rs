@@ -96,7 +96,8 @@ impl MasterClient {
         self.call("getUri", &[]).await.map(drop)
     }
 
-    /// Registers a publisher or subscriber. Returns the URIs of the topic's subscribers or publishers.
+    /// Registers the node with the URI `uri` as a publisher or subscriber of a topic. Returns the URIs of the topic's
+    /// subscribers for a publisher, of its publishers for a subscriber.
     pub(super) async fn register(
         &self,
         method: &'static str,

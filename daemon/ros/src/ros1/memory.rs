@@ -10,7 +10,7 @@ pub trait MemoryLimit: fmt::Debug + Send + Sync {
     fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>>;
 }
 
-/// Limits of each message of a topic.
+/// Limits on the messages of a topic.
 #[derive(Clone, Debug, Default)]
 pub(super) struct MessageLimits {
     /// Largest message, bytes.

@@ -55,6 +55,15 @@ pub(super) enum OfferOutcome {
     Closed,
 }
 
+/// Policy for a message that is offered to a full queue.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum FullQueuePolicy {
+    /// The message is dropped and counted.
+    Drop,
+    /// The message is refused and not counted, because the caller offers it again.
+    Refuse,
+}
+
 /// A connection to a subscriber.
 #[derive(Debug)]
 pub(super) struct OutgoingConnection {
@@ -128,16 +137,20 @@ impl OutgoingConnection {
         SendCounts { waiting: queue.messages.len() as u64, ..queue.counts }
     }
 
-    /// Queues a message, and writes what the kernel accepts at once. A full queue drops and counts the message if
-    /// `may_drop` is `true`; otherwise the message is not counted.
-    pub(super) fn offer(&self, message: &EncodedMessage, prefix: [u8; 4], may_drop: bool) -> OfferOutcome {
+    /// Queues a message, and writes what the kernel accepts at once.
+    pub(super) fn offer(
+        &self,
+        message: &EncodedMessage,
+        prefix: [u8; 4],
+        full_queue_policy: FullQueuePolicy,
+    ) -> OfferOutcome {
         let mut queue = self.queue();
         if queue.is_closed {
             return OfferOutcome::Closed;
         }
         let message = QueuedMessage { prefix, message: message.clone(), written: 0 };
         if !self.limits.accepts(queue.messages.len(), queue.bytes, message.len()) {
-            if may_drop {
+            if full_queue_policy == FullQueuePolicy::Drop {
                 queue.counts.offered += 1;
                 queue.counts.dropped += 1;
             }
@@ -161,7 +174,7 @@ impl OutgoingConnection {
         loop {
             // The future is created before the queue is checked, so that no change in between is missed.
             let space_freed = self.space_freed.notified();
-            match self.offer(message, prefix, false) {
+            match self.offer(message, prefix, FullQueuePolicy::Refuse) {
                 OfferOutcome::Accepted => return true,
                 OfferOutcome::Closed => return false,
                 OfferOutcome::Full => space_freed.await,
@@ -212,7 +225,7 @@ impl OutgoingConnection {
             }
             Err(_) => tracing::warn!(
                 subscriber = &*self.subscriber,
-                "a ROS subscriber did not read its header in time"
+                "a ROS subscriber did not read the publisher's header in time"
             ),
         }
         self.queue().close();

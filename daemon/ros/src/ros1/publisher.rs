@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::error::NodeError;
 use super::limits::QueueLimits;
-use super::outgoing::{OfferOutcome, OutgoingConnection, SendCounts};
+use super::outgoing::{FullQueuePolicy, OfferOutcome, OutgoingConnection, SendCounts};
 use super::registration_guard::RegistrationGuard;
 use super::tcpros::{ConnectionHeader, Publication};
 use crate::messages::EncodedMessage;
@@ -76,10 +76,10 @@ impl Publisher {
     /// If the node has ended, or the message has more than 2³² − 1 bytes.
     pub fn publish(&self, message: impl Into<EncodedMessage>) -> Result<PublishOutcome, NodeError> {
         let (message, prefix) = self.check_message(message.into())?;
-        let connections = self.topic.latch_message(&message, prefix);
+        let connections = self.topic.start_publishing(&message, prefix);
         let mut outcome = PublishOutcome::default();
         for connection in connections {
-            match connection.offer(&message, prefix, true) {
+            match connection.offer(&message, prefix, FullQueuePolicy::Drop) {
                 OfferOutcome::Accepted => outcome.subscribers += 1,
                 OfferOutcome::Full => outcome.dropped += 1,
                 OfferOutcome::Closed => {}
@@ -95,8 +95,8 @@ impl Publisher {
     pub fn publish_to(&self, node: &str, message: impl Into<EncodedMessage>) -> Result<Delivery, NodeError> {
         let (message, prefix) = self.check_message(message.into())?;
         let mut delivery = Delivery::NotConnected;
-        for connection in self.topic.latch_message(&message, prefix) {
-            let offer_outcome = connection.offer(&message, prefix, true);
+        for connection in self.topic.start_publishing(&message, prefix) {
+            let offer_outcome = connection.offer(&message, prefix, FullQueuePolicy::Drop);
             if *connection.subscriber == *node {
                 delivery = match offer_outcome {
                     OfferOutcome::Accepted => Delivery::Accepted,
@@ -119,7 +119,7 @@ impl Publisher {
         message: impl Into<EncodedMessage>,
     ) -> Result<PublishOutcome, NodeError> {
         let (message, prefix) = self.check_message(message.into())?;
-        let connections = self.topic.latch_message(&message, prefix);
+        let connections = self.topic.start_publishing(&message, prefix);
         let mut outcome = PublishOutcome::default();
         for connection in connections {
             outcome.subscribers += usize::from(connection.offer_until_accepted(&message, prefix).await);
@@ -202,8 +202,10 @@ impl PublishedTopic {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Stores the message if the topic is latching. Returns the connections on which the message must be sent.
-    fn latch_message(&self, message: &EncodedMessage, prefix: [u8; 4]) -> Vec<Arc<OutgoingConnection>> {
+    /// Stores the message for later subscribers if the topic is latching. Returns the connections on which the message
+    /// must be sent.
+    fn start_publishing(&self, message: &EncodedMessage, prefix: [u8; 4]) -> Vec<Arc<OutgoingConnection>> {
+        // The lock is held until the list is copied, so that a new subscriber gets a latched message exactly once.
         let mut state = self.state();
         if self.publication.is_latching {
             state.latched_message = Some((message.clone(), prefix));
@@ -248,7 +250,7 @@ impl PublishedTopic {
         {
             let mut state = self.state();
             if let Some((message, prefix)) = &state.latched_message {
-                connection.offer(message, *prefix, true);
+                connection.offer(message, *prefix, FullQueuePolicy::Drop);
             }
             // The connection is added before the answer is sent. Otherwise the subscriber would miss a message that is
             // published just after the subscriber has read the answer.

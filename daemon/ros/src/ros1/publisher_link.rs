@@ -15,7 +15,7 @@ use super::incoming::ReceivedMessage;
 use super::limits::HANDSHAKE_TIMEOUT;
 use super::master::split_answer;
 use super::rpc::{self, RpcError};
-use super::socket::{configure, read_frame};
+use super::socket::{configure, read_header, read_message};
 use super::subscriber::{PublisherInfo, PublisherState, PublisherStatus, ReceiveCounts, SubscribedTopic};
 use super::tcpros::{ConnectionHeader, FrameBuffer, HandshakeError, MAX_HEADER_BYTES};
 use super::xmlrpc::Value;
@@ -223,7 +223,7 @@ impl PublisherLink {
         configure(&stream)?;
         stream.write_all(&topic.subscription.request().encode()).await?;
         let mut buffer = FrameBuffer::new(MAX_HEADER_BYTES);
-        let (frame, _) = read_frame(&mut stream, &mut buffer, None).await?.ok_or(LinkError::Closed)?;
+        let frame = read_header(&mut stream, &mut buffer).await?.ok_or(LinkError::Closed)?;
         let header = ConnectionHeader::decode(&frame).map_err(HandshakeError::from)?;
         let (node, kind) = topic.subscription.accept(&header)?;
         if let Some(expected) = topic.publisher.as_ref().filter(|expected| **expected != node) {
@@ -245,8 +245,8 @@ impl PublisherLink {
         self.state().counts.connections += 1;
         self.set_state(topic, PublisherState::Connected(Arc::clone(&publisher)));
         loop {
-            let (bytes, memory) = match read_frame(&mut stream, &mut buffer, Some(topic)).await {
-                Ok(Some(frame)) => frame,
+            let (bytes, memory) = match read_message(&mut stream, &mut buffer, topic).await {
+                Ok(Some(message)) => message,
                 Ok(None) => return LinkError::Closed,
                 Err(error) => return LinkError::Broken(error),
             };

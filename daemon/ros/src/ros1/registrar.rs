@@ -59,7 +59,8 @@ impl Registrar {
         self.registrations.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Registers a topic. Returns the URIs of its publishers or subscribers.
+    /// Registers a topic. Returns the URIs of the topic's subscribers for a publisher, of its publishers for a
+    /// subscriber.
     ///
     /// # Errors
     /// If the master does not answer or refuses.

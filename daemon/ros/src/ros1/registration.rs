@@ -78,8 +78,8 @@ enum RegistrationStatus {
 #[derive(Debug, Default)]
 pub(super) struct Registrations {
     entries: BTreeMap<Registration, RegistrationStatus>,
-    /// `true` after a call that did not reach the master, or that the master refused. Calls are then repeated at the
-    /// retry interval.
+    /// `true` after a call that did not reach the master, or a registration that the master refused. Calls are then
+    /// repeated at the retry interval.
     is_retrying: bool,
     /// `true` if the master is to be asked whether it still knows the node.
     is_check_due: bool,

@@ -14,7 +14,8 @@ pub(super) struct RegistrationGuard {
 }
 
 impl RegistrationGuard {
-    /// Registers a topic that the node has. Returns the guard with the URIs of the topic's publishers or subscribers.
+    /// Registers a topic that the node has. Returns the guard, with the URIs of the topic's subscribers for a
+    /// publisher, of its publishers for a subscriber.
     ///
     /// # Errors
     /// If the master does not answer or refuses. The topic is then removed from the node.

@@ -14,8 +14,8 @@ const ERROR: i64 = -1;
 /// Code of an answer to a call that failed.
 const FAILURE: i64 = 0;
 
-/// Reason with which the master asks a node to shut down when another node registers with its name, after `[/NODE]
-/// Reason: `.
+/// End of the reason with which the master asks a node to shut down when another node registers with its name. The
+/// reason begins with `[/NODE] Reason: `.
 const NAME_TAKEN_REASON: &str = "new node registered with same name";
 
 /// A call of the API. The first parameter, the caller's name, is omitted where it is not used.
@@ -179,8 +179,9 @@ fn bus_statistics(node: &NodeState) -> Value {
     let publishers = published.iter().map(|topic| {
         let connections = topic.subscribers().into_iter().zip(0..).map(|(subscriber, id)| {
             let counts = subscriber.counts;
-            [Value::Int(id), count_value(counts.sent_bytes), count_value(counts.sent), Value::Bool(true)]
-                .into()
+            // Only connected subscribers are listed.
+            let is_connected = Value::Bool(true);
+            [Value::Int(id), count_value(counts.sent_bytes), count_value(counts.sent), is_connected].into()
         });
         let sent_bytes = count_value(topic.counts().sent_bytes);
         let connections = connections.collect::<Vec<Value>>();
@@ -205,8 +206,8 @@ fn bus_statistics(node: &NodeState) -> Value {
     [publishers.collect::<Vec<Value>>().into(), subscribers.collect::<Vec<Value>>().into(), services].into()
 }
 
-/// Returns the connections for `getBusInfo`. Each has a number, the other end, the direction, the transport, the topic,
-/// whether it is connected, and a description.
+/// Returns the connections for `getBusInfo`. Each has a number, the other end, the direction (`i` in, `o` out), the
+/// transport, the topic, whether it is connected, and a description.
 fn bus_info(node: &NodeState) -> Value {
     let mut connections: Vec<Value> = Vec::new();
     let mut add_connection =
@@ -222,7 +223,9 @@ fn bus_info(node: &NodeState) -> Value {
         for subscriber in topic.subscribers() {
             let description =
                 format!("TCPROS connection on port {} to [{}]", subscriber.local.port(), subscriber.remote);
-            add_connection(&subscriber.node, "o", &topic.publication.topic, true, description);
+            // Only connected subscribers are listed.
+            let is_connected = true;
+            add_connection(&subscriber.node, "o", &topic.publication.topic, is_connected, description);
         }
     }
     for topic in node.topics.subscribed() {

@@ -29,8 +29,8 @@ pub(super) fn configure(stream: &TcpStream) -> io::Result<()> {
 /// between two frames.
 ///
 /// The limits of a topic are read again whenever bytes have arrived, because they may change while the next frame is
-/// awaited.
-pub(super) async fn read_frame(
+/// awaited. A header has no topic; only the limit of `buffer` applies to a header.
+async fn read_frame(
     stream: &mut TcpStream,
     buffer: &mut FrameBuffer,
     topic: Option<&SubscribedTopic>,
@@ -48,6 +48,24 @@ pub(super) async fn read_frame(
             return if is_between_frames { Ok(None) } else { Err(io::ErrorKind::UnexpectedEof.into()) };
         }
     }
+}
+
+/// Reads a connection header. Returns `None` if the peer has closed the connection before the header.
+pub(super) async fn read_header(
+    stream: &mut TcpStream,
+    buffer: &mut FrameBuffer,
+) -> io::Result<Option<Bytes>> {
+    Ok(read_frame(stream, buffer, None).await?.map(|(header, _)| header))
+}
+
+/// Reads a message of a topic. Returns the message with its memory; `None` if the peer has closed the connection
+/// between two messages.
+pub(super) async fn read_message(
+    stream: &mut TcpStream,
+    buffer: &mut FrameBuffer,
+    topic: &SubscribedTopic,
+) -> io::Result<Option<(Bytes, MessageMemory)>> {
+    read_frame(stream, buffer, Some(topic)).await
 }
 
 fn into_io_error(error: FrameError) -> io::Error {

@@ -21,7 +21,7 @@ impl ListenerOutput {
     pub(super) fn set_admission(&self, connection: ConnectionId, admission: Admission) {
         match admission {
             Admission::Admitted => self.sender.admit(connection),
-            Admission::Greeted => self.sender.note_session_request(connection),
+            Admission::Greeted => self.sender.note_hello(connection),
             Admission::Unadmitted => self.sender.demote(connection),
         }
     }

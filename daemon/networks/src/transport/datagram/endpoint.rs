@@ -306,7 +306,7 @@ impl Endpoint {
     }
 
     /// Notes that the connection has asked for a session and waits for the decision.
-    pub(crate) fn note_session_request(&mut self, id: ConnectionId) {
+    pub(crate) fn note_hello(&mut self, id: ConnectionId) {
         if let Some(entry) = self.table.get_mut(id.0)
             && matches!(entry.admission, Admission::Unadmitted { .. })
         {

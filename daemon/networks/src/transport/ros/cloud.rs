@@ -141,7 +141,7 @@ impl CloudSender for RosCloudSender {
         }
     }
 
-    fn note_session_request(&self, connection: ConnectionId) {
+    fn note_hello(&self, connection: ConnectionId) {
         self.0.set_admission(connection, Admission::Greeted);
     }
 

@@ -128,8 +128,8 @@ impl CloudSender for UdpCloudSender {
         self.0.with_machine(|end, _| end.endpoint.send(peer.connection, frames, options.tag))
     }
 
-    fn note_session_request(&self, connection: ConnectionId) {
-        self.0.with_machine(|end, _| end.endpoint.note_session_request(connection));
+    fn note_hello(&self, connection: ConnectionId) {
+        self.0.with_machine(|end, _| end.endpoint.note_hello(connection));
     }
 
     fn admit(&self, connection: ConnectionId) {

@@ -24,7 +24,8 @@ use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Frames, ListenerEvent, Peer};
 
 /// Maximum number of bytes of one read while no long frame is expected.
-// These bytes are read into the stack and copied into frames, so that an idle connection has no buffer.
+// These bytes are read into an array on the call stack and copied into frames, so that an idle connection has no
+// buffer.
 const READ_BYTES: usize = 16 * 1024;
 
 /// Reading pauses while more bytes of PONGs wait to be written. This stops a peer that sends PINGs and reads nothing.
@@ -71,9 +72,9 @@ struct Input {
 /// The budgets that all connections of a listener share.
 #[derive(Clone, Debug)]
 pub(super) struct Budgets {
-    /// Memory of unfinished messages of connections without a session.
+    /// Memory of unfinished messages of connections that are not admitted.
     pub(super) unadmitted: Arc<MemoryBudget>,
-    /// Memory of unfinished messages of connections with a session.
+    /// Memory of unfinished messages of admitted connections.
     pub(super) admitted: Arc<MemoryBudget>,
     /// Memory of queued bytes that the kernel has not accepted.
     pub(super) output: Arc<MemoryBudget>,
@@ -109,6 +110,7 @@ impl Driver {
     /// Runs until the connection ends. All messages that arrived before the end have then been handed to the
     /// listener.
     pub(super) async fn run(&mut self) -> ConnectionEnd {
+        // The timer expires at once. Its first event sets the first deadline.
         let mut timer = std::pin::pin!(sleep_until(Instant::now()));
         loop {
             if let Some(end) = self.apply_phase(timer.as_mut()) {
@@ -215,6 +217,7 @@ impl Driver {
                     self.connection.advance(Phase::Unadmitted);
                 }
             }
+            // The framer adds the memory of a message to the piece that ends the message.
             if let Some(reserved) = message_memory
                 && let Some(message) = codec.zmtp.poll_message()
             {
@@ -340,6 +343,8 @@ const fn stage_of_phase(phase: Phase) -> Stage {
     match phase {
         Phase::Handshake => Stage::Handshake,
         Phase::Unadmitted | Phase::Greeted => Stage::Unadmitted,
+        // In the last two phases the task reads at most once more. Narrower limits would reject an admitted connection
+        // that closes.
         Phase::Admitted | Phase::Closing | Phase::Replaced => Stage::Admitted,
     }
 }

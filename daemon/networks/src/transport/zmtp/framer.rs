@@ -1,7 +1,8 @@
 //! Splits the bytes of one connection into ZMTP frames, within limits and without I/O.
 //!
-//! The library's codec gets only whole frames. Bytes of unfinished frames are stored and counted here. Memory is
-//! reserved for bytes that have arrived, and not for the length that a frame announces.
+//! The library's codec gets the body of a frame when the whole body has arrived. Bytes of unfinished frames are stored
+//! and counted here. A frame begins with a buffer of limited size, which grows as bytes arrive, so an announced length
+//! alone reserves no more memory.
 
 use std::sync::Arc;
 
@@ -117,8 +118,7 @@ impl Framer {
             return Ok(None);
         }
         if buffer.len() == buffer.capacity() {
-            // The buffer is at most twice as long as the bytes that have arrived, so an announced length alone takes no
-            // memory.
+            // A full buffer at most doubles, so an announced length alone takes no memory beyond the initial buffer.
             let capacity = (*length).min(buffer.len() * 2);
             grow(buffer, capacity, self.finished_bytes, &mut self.reserved, allowance)?;
         }
@@ -199,7 +199,7 @@ impl Framer {
         out: &mut Vec<Piece>,
     ) -> Result<(), Violation> {
         let (flags, length) = self.check_frame(header, allowance)?;
-        // The codec checks the flags before memory is reserved.
+        // The codec gets the header before the body, so that it can reject the flags before the whole body has arrived.
         out.push(Piece { bytes: Bytes::copy_from_slice(header), message_memory: None });
         let initial = match allowance.stage {
             Stage::Admitted => INITIAL_BUFFER_BYTES.max(self.largest_frame.min(MAX_INITIAL_BUFFER_BYTES)),
@@ -232,7 +232,8 @@ impl Framer {
                 );
                 return Err((Rejection::LargeBeforeHello, text));
             }
-            // This check ignores the overhead of each frame. The codec reports a violation of the exact limit.
+            // This check covers the length of a single frame. The codec checks the exact limit: the sum over all frames
+            // of the message, with their overhead.
             Stage::Admitted if length > allowance.max_message_bytes => {
                 let text = format!(
                     "the peer announced a frame of {length} bytes; {} are allowed",

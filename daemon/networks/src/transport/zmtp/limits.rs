@@ -41,8 +41,8 @@ pub(super) const MAX_ALL_UNADMITTED_BYTES: u64 = 16 * 1024 * 1024;
 pub(super) const FRAME_OVERHEAD_BYTES: usize = 64;
 
 impl ListenerLimits {
-    /// Returns the maximum number of open connections of one remote address: half of all. This machine's own addresses
-    /// are exempt.
+    /// Returns the maximum number of open connections of one remote address: half of all. The loopback address is
+    /// exempt.
     pub(super) const fn max_per_address(&self) -> usize {
         // One address alone cannot take all places.
         at_least_one(self.max_connections / 2)
@@ -61,6 +61,7 @@ impl ListenerLimits {
 
     /// Returns the budget of unfinished messages. A single message of the largest length always fits.
     pub(super) fn unfinished_budget(&self) -> u64 {
+        // The added bytes cover `FRAME_OVERHEAD_BYTES` of 1,024 frames.
         let largest = self.max_message_bytes as u64 + MAX_UNADMITTED_BYTES as u64;
         self.max_unfinished_bytes.max(largest)
     }

@@ -163,8 +163,8 @@ impl ZmtpSender {
     }
 
     /// Notes that the connection has sent a hello that is being decided. The hello timeout does not apply meanwhile.
-    pub fn note_session_request(&self, connection: ConnectionId) {
-        self.state.table.note_session_request(connection);
+    pub fn note_hello(&self, connection: ConnectionId) {
+        self.state.table.note_hello(connection);
     }
 
     /// Notes that the connection's hello was accepted. The connection may then send large messages.

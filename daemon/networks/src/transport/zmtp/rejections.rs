@@ -19,13 +19,14 @@ pub enum Rejection {
     TooManyOfAddress,
     /// The connection was not admitted, and a newer connection replaced it because a limit was reached.
     Replaced,
-    /// The connection did not complete the ZMTP handshake in time.
+    /// The connection ended before the ZMTP handshake was complete: the peer closed the connection, took
+    /// too long or violated the protocol.
     Handshake,
     /// No hello of the connection was accepted in time.
     NoHello,
-    /// The connection sent or claimed more than is allowed before its hello was accepted.
+    /// The connection sent or announced more than is allowed before its hello was accepted.
     LargeBeforeHello,
-    /// The connection sent or claimed a message that is larger than allowed.
+    /// The connection sent or announced a message that is larger than allowed.
     TooLarge,
     /// There was no memory for the connection's unfinished message.
     NoMemory,

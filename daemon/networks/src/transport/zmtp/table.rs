@@ -50,9 +50,9 @@ impl ConnectionTable {
         self.entries().connections.values().cloned().collect()
     }
 
-    /// Adds a new connection. If a limit is reached, removes the oldest connection that is not admitted. If a limit per
-    /// address is reached, this is a connection of the same address. Otherwise it is a connection of the address with
-    /// the most connections that are not admitted.
+    /// Adds a new connection. If a limit is reached, removes the oldest connection that is not admitted: at a limit per
+    /// address, the oldest of the new connection's address; at another limit, the oldest of the address with the most
+    /// connections that are not admitted.
     ///
     /// # Errors
     /// If all connections that could make room are admitted.
@@ -90,7 +90,7 @@ impl ConnectionTable {
     }
 
     /// Notes that the hello of a connection is being decided. The hello timeout does not apply meanwhile.
-    pub(super) fn note_session_request(&self, id: ConnectionId) {
+    pub(super) fn note_hello(&self, id: ConnectionId) {
         if let Some(connection) = self.get(id) {
             connection.advance(Phase::Greeted);
         }

@@ -82,8 +82,8 @@ impl FrameBuffer {
         }
         let mut room = self.bytes.capacity() - arrived_bytes;
         if frame_bytes > READ_BYTES {
-            // At most twice the arrived bytes are reserved, so a long claimed length takes no memory from other
-            // connections.
+            // At most twice the arrived bytes, or `READ_BYTES`, are reserved in the shared limit. A long announced
+            // length thus takes no memory from other connections.
             let reserved_bytes = frame_bytes.min((2 * arrived_bytes).max(READ_BYTES));
             if !self.memory.grow(reserved_bytes, self.limits.memory.as_ref()) {
                 return Err(FrameError::NoMemory { length });
