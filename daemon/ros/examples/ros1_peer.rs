@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! ros1_peer publish NAME TOPIC COUNT BYTES      waits for a subscriber, publishes, prints the counts
-//! ros1_peer latch NAME TOPIC TEXT               publishes a text as a latched std_msgs/String, and ends with standard input
+//! ros1_peer latch NAME TOPIC TEXT               publishes a latched std_msgs/String, until standard input ends
 //! ros1_peer subscribe NAME TOPIC COUNT          prints a line for each message: its number and bytes
 //! ros1_peer rate NAME TOPIC COUNT               prints the messages per second between the first and the last
 //! ros1_peer state NAME TOPIC                    prints states of a std_msgs/String topic's publishers until one fails

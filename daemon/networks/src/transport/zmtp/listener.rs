@@ -76,7 +76,8 @@ impl ZmtpListener {
     /// # Errors
     /// If the port is in use or the address does not belong to this machine.
     pub async fn bind(authority: &str, limits: ListenerLimits) -> Result<Self, BindFailure> {
-        Self::bind_as("", authority, limits).await
+        let no_identity = "";
+        Self::bind_as(no_identity, authority, limits).await
     }
 
     /// Does the same as [`bind`](Self::bind), with an identity (RFC 37 of ZeroMQ, "Identity") that tells peers what
