@@ -239,6 +239,7 @@ impl DiscoveryState {
             if has_space {
                 peers.refused.insert(remote, refusal);
             }
+            // Receivers are notified even if there is no space, because the peer may no longer be matched.
             true
         });
         self.ignored_count += u64::from(!has_space);
@@ -249,7 +250,7 @@ impl DiscoveryState {
         if participant == self.own_id {
             return;
         }
-        // A node takes memory even without endpoints.
+        // A node takes memory even without endpoints, and a list even without nodes.
         let size =
             |nodes: &[ListedNode]| nodes.iter().map(|node| 1 + node.endpoints.len()).sum::<usize>().max(1);
         self.nodes.remove(&participant);
@@ -266,6 +267,7 @@ impl DiscoveryState {
         }
     }
 
+    /// Changes the peers of one of our endpoints. Receivers of the peers are notified if `change` returns `true`.
     fn update_peers(&self, local: EndpointId, change: impl FnOnce(&mut PeerTable) -> bool) {
         if let Some(endpoint) = self.local.get(&local) {
             endpoint.peers.send_if_modified(change);

@@ -5,7 +5,7 @@ use std::net::Ipv4Addr;
 
 use nix::ifaddrs::{InterfaceAddress, getifaddrs};
 
-/// Error: this host does not have a network interface.
+/// Error: this host has no network interface with a requested name or address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("this host has no network interface {name:?} with an IPv4 address; existing interfaces: {}", format_interfaces(.known))]
 pub struct UnknownInterface {

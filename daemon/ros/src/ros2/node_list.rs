@@ -131,7 +131,7 @@ fn absolute_name(namespace: &str, name: &str) -> Result<String, NodeListError> {
     if is_valid { Ok(absolute) } else { Err(NodeListError::InvalidName) }
 }
 
-/// This process's entry in the node list.
+/// The entry of our participant in the node list. Our participant has one node.
 #[derive(Debug)]
 pub(super) struct OwnEntry {
     pub(super) participant: EndpointId,
@@ -147,6 +147,7 @@ impl OwnEntry {
     pub(super) fn to_payload(&self) -> Bytes {
         let mut cdr = BytesMut::from(&[0, 1, 0, 0][..]);
         self.put_identifier(&mut cdr, self.participant);
+        // Number of nodes.
         cdr.put_u32_le(1);
         put_string(&mut cdr, &self.namespace);
         put_string(&mut cdr, &self.name);

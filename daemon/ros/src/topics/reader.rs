@@ -46,7 +46,7 @@ pub struct TopicMessage {
 /// Receives the messages of a topic from all its publishers. Its methods block.
 pub struct TopicReader {
     inner: VersionedSubscriber,
-    /// Number of dropped messages that earlier calls have reported.
+    /// Number of messages that earlier calls have reported as dropped, without the lost messages of ROS 2.
     reported_drops: u64,
 }
 
@@ -68,7 +68,7 @@ enum VersionedSubscriber {
 
 impl TopicReader {
     /// Subscribes to a topic. `message_type` is the type of its messages. Without a type, a reader of ROS 1 accepts
-    /// every type. Blocks while the subscription is registered.
+    /// every type. Blocks until the subscription is registered.
     ///
     /// # Errors
     /// If the environment or the name cannot be used, no master answers, the type is missing in ROS 2, or this build
@@ -102,7 +102,7 @@ impl TopicReader {
         match &mut self.inner {
             VersionedSubscriber::Ros1 { subscriber, environment, .. } => {
                 let Ok(message) = timeout(time_limit, subscriber.recv()).await else {
-                    let reason = describe_missing_publisher(subscriber, environment).await;
+                    let reason = describe_missing_message(subscriber, environment).await;
                     let topic = subscriber.topic().to_owned();
                     return Err(TopicError::NoMessage { topic, time_limit, reason });
                 };
@@ -181,7 +181,7 @@ async fn open_ros2(
 }
 
 /// Returns the reason why no message arrives, according to the connections to publishers and the master.
-async fn describe_missing_publisher(subscriber: &Subscriber, environment: &Environment) -> String {
+async fn describe_missing_message(subscriber: &Subscriber, environment: &Environment) -> String {
     let publishers = subscriber.publishers();
     let failures = publishers.iter().filter_map(|publisher| match &publisher.state {
         PublisherState::Failed(reason) => Some(reason.clone()),

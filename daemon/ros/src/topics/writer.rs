@@ -32,7 +32,7 @@ enum VersionedPublisher {
 }
 
 impl TopicWriter {
-    /// Publishes a topic with messages of the type `M`. Blocks while the topic is registered.
+    /// Publishes a topic with messages of the type `M`. Blocks until the topic is registered.
     ///
     /// # Errors
     /// If the environment or the name cannot be used, no master answers, or this build has no ROS 2.

@@ -42,11 +42,11 @@ impl TopicType {
         &*self.md5 == ANY
     }
 
-    /// Returns whether both types match: their MD5 checksums are equal or one of the checksums is `*`, and their names
-    /// are equal or one of the names is `*`.
-    fn matches(&self, name: &str, md5: &str) -> bool {
+    /// Returns whether this type matches the type of a peer: their MD5 sums are equal or one of the sums is `*`, and
+    /// their names are equal or one of the names is `*`.
+    fn matches(&self, peer_name: &str, peer_md5: &str) -> bool {
         let is_same = |local: &str, peer: &str| local == peer || local == ANY || peer == ANY;
-        is_same(&self.md5, md5) && is_same(&self.name, name)
+        is_same(&self.md5, peer_md5) && is_same(&self.name, peer_name)
     }
 
     fn description(name: &str, md5: &str) -> String {
@@ -107,7 +107,7 @@ pub struct Publication {
 }
 
 impl Publication {
-    /// Returns the header that answers the subscriber's header, and the subscriber's name.
+    /// Answers the header of a subscriber. Returns the header of the answer, and the subscriber's name.
     ///
     /// # Errors
     /// If the subscriber requests another topic or type. The caller must send the subscriber

@@ -64,7 +64,8 @@ impl ConnectionHeader {
         self.get(name).ok_or(HeaderError::Missing { name })
     }
 
-    /// Reads the fields of a frame. If two fields have the same name, the last field is used.
+    /// Reads the fields of a frame, whose length has been removed. If two fields have the same name, the last field is
+    /// used.
     ///
     /// # Errors
     /// If the bytes are not a header.

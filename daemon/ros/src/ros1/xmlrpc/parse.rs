@@ -71,6 +71,7 @@ pub fn parse_call(xml: &[u8]) -> Result<Call, ParseError> {
         while parser.open_or_close("param")? {
             params.push(parser.wrapped_value()?);
         }
+        // The loop has read the end of `params`. The end of `methodCall` follows.
         parser.close()?;
     }
     parser.end()?;
@@ -206,7 +207,7 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// Reads the ends of the open elements, and then the end of the document.
+    /// Reads the end of the document. Ends of elements may precede it.
     fn end(&mut self) -> Result<(), ParseError> {
         loop {
             match self.next_markup()? {
@@ -299,6 +300,7 @@ impl<'a> Parser<'a> {
         while self.open_or_close("value")? {
             elements.push(self.value()?);
         }
+        // The loop has read the end of `data`. The end of `array` follows.
         self.close()?;
         Ok(Value::Array(elements))
     }

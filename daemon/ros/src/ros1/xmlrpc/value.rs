@@ -9,7 +9,7 @@ pub enum Value {
     Bool(bool),
     /// `double`.
     Double(f64),
-    /// `string`, and `dateTime.iso8601` and `base64` as they were written; ROS uses these types only in
+    /// `string`; also `dateTime.iso8601` and `base64` as they were written. ROS uses dates and binary data only in
     /// parameters.
     Text(String),
     /// `array`.

@@ -20,7 +20,7 @@ pub(super) fn endpoint_id(guid: GUID) -> EndpointId {
     EndpointId(guid.to_bytes())
 }
 
-/// Returns the policies of an endpoint with a checked profile.
+/// Returns the policies of an endpoint. The caller has checked the profile with [`QosProfile::check`].
 pub(super) fn qos_policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies {
     let depth = i32::try_from(qos.depth).unwrap_or(i32::MAX);
     let reliability = match qos.reliability {

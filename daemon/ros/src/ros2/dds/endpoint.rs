@@ -34,7 +34,7 @@ impl Endpoint {
         match self.node.closed.run_until_cancelled(in_time).await {
             Some(Ok(Ok(_))) => Ok(()),
             Some(Err(_elapsed)) => Err(Ros2Error::NoPeer(Box::new(self.no_peer_error(time_limit)))),
-            // The sender exists as long as the endpoint is registered, which is as long as the endpoint exists.
+            // The sender of `peers` exists until the endpoint is dropped, so `Some(Ok(Err(_)))` does not occur.
             None | Some(Ok(Err(_))) => Err(self.shut_down_error()),
         }
     }

@@ -26,10 +26,10 @@ impl Interfaces {
     /// [`Ros2Error::UnknownInterface`] if an interface does not exist, [`Ros2Error::Interfaces`] if the kernel does not
     /// list the interfaces.
     pub(super) fn find(names: &[String]) -> Result<Self, Ros2Error> {
-        Ok(Self::find_interfaces(names, &ipv4_interfaces().map_err(Ros2Error::Interfaces)?)?)
+        Ok(Self::find_among(names, &ipv4_interfaces().map_err(Ros2Error::Interfaces)?)?)
     }
 
-    fn find_interfaces(names: &[String], existing: &[(String, Ipv4Addr)]) -> Result<Self, UnknownInterface> {
+    fn find_among(names: &[String], existing: &[(String, Ipv4Addr)]) -> Result<Self, UnknownInterface> {
         if names.is_empty() {
             return Ok(Self { addresses: Vec::new(), description: "all interfaces".to_owned() });
         }
@@ -89,12 +89,12 @@ mod tests {
     fn loopback_is_included_if_interfaces_include_it() {
         let existing =
             [("lo".to_owned(), Ipv4Addr::LOCALHOST), ("eth0".to_owned(), Ipv4Addr::new(10, 0, 0, 1))];
-        let find = |name: &str| Interfaces::find_interfaces(&[name.to_owned()], &existing);
+        let find = |name: &str| Interfaces::find_among(&[name.to_owned()], &existing);
         let by_name = find("eth0").expect("exists");
         assert_eq!((by_name.addresses.len(), by_name.description.as_str()), (1, "eth0 (10.0.0.1)"));
         assert!(!by_name.include_loopback());
         assert!(find("127.0.0.1").expect("exists").include_loopback());
-        assert!(Interfaces::find_interfaces(&[], &existing).expect("all").include_loopback());
+        assert!(Interfaces::find_among(&[], &existing).expect("all").include_loopback());
     }
 
     #[test]

@@ -183,6 +183,7 @@ impl Ros2Node {
         self.state.publish_node_list();
         let (topic, type_name) = (names.topic, type_name.to_owned());
         let endpoint = Endpoint { id, role, topic, type_name, peers, node: Arc::clone(&self.state) };
+        // The receive buffers of peers are unknown. They are assumed to be as large as the buffer of this host.
         let half_buffer = self.receive_buffer_bytes() / 2;
         let max_unacknowledged_bytes = half_buffer.min(Ros2Publisher::MAX_UNACKNOWLEDGED_BYTES);
         let (qos, unacknowledged_bytes) = (qos.clone(), AtomicUsize::new(0));
@@ -334,7 +335,8 @@ impl NodeListPublisher {
             max_blocking_ms: 0,
             ..QosProfile::default()
         };
-        // The topic has no keys, so the entries of all participants are in one history.
+        // The topic has no keys, so the reader keeps the entries of all participants in one history. The depth is
+        // therefore large.
         let reader_qos = QosProfile { depth: MAX_UNREAD_ENTRIES, ..qos };
         let reader_qos = qos_policies(EndpointRole::Subscription, &reader_qos);
         let qos = qos_policies(EndpointRole::Publisher, &qos);
@@ -394,12 +396,12 @@ async fn follow_node_list(reader: ListReader, state: Arc<NodeState>) {
     let mut dropped = 0_u64;
     while let Some(Some(entry)) = state.closed.run_until_cancelled(entries.next()).await {
         let entry = entry.map_err(|error| error.to_string()).and_then(|message| {
-            let writer = endpoint_id(message.writer_guid()).participant();
+            let sender = endpoint_id(message.writer_guid()).participant();
             match ListEntry::decode(&message.into_value().0) {
                 // A participant may only list its own nodes; otherwise it could rename other participants' nodes.
-                Ok(entry) if entry.participant == writer => Ok(entry),
-                Ok(_) => Err(format!("participant {writer} lists nodes of another participant")),
-                Err(error) => Err(format!("the entry of participant {writer} cannot be read: {error}")),
+                Ok(entry) if entry.participant == sender => Ok(entry),
+                Ok(_) => Err(format!("participant {sender} lists nodes of another participant")),
+                Err(error) => Err(format!("the entry of participant {sender} cannot be read: {error}")),
             }
         });
         match entry {

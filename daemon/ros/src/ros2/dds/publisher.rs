@@ -22,17 +22,17 @@ pub struct Ros2Publisher {
     pub(super) writer: DataWriter<RawMessage, RawAdapter>,
     pub(super) endpoint: Endpoint,
     pub(super) qos: QosProfile,
-    /// Number of bytes that were published since the last time when all messages were acknowledged. It is approximate
-    /// if several tasks publish at once.
+    /// Number of bytes that were published since all messages were acknowledged, or were treated as acknowledged by
+    /// [`forget_unacknowledged`](Self::forget_unacknowledged). It is approximate if several tasks publish at once.
     pub(super) unacknowledged_bytes: AtomicUsize,
     /// Largest value of `unacknowledged_bytes`.
     pub(super) max_unacknowledged_bytes: usize,
 }
 
 impl Ros2Publisher {
-    /// Maximum number of unacknowledged bytes, unless half of the receive buffer is smaller. A single message may be
-    /// larger. Bytes that do not fit into the receive buffer of a peer are lost, and repairing several large messages
-    /// between `rustdds` and Fast DDS fails. Cyclone DDS requests a receive buffer of this size.
+    /// Maximum number of unacknowledged bytes, unless half of this host's receive buffer is smaller. A single message
+    /// may be larger. Bytes that do not fit into the receive buffer of a peer are lost, and repairing several large
+    /// messages between `rustdds` and Fast DDS fails. Cyclone DDS requests a receive buffer of this size.
     pub(super) const MAX_UNACKNOWLEDGED_BYTES: usize = 1 << 20;
 
     /// Returns the identity of the publisher, which subscriptions receive with each message.
@@ -64,8 +64,8 @@ impl Ros2Publisher {
     /// 00`) and is sent without being copied.
     ///
     /// A reliable publisher waits while 1,024 messages (or more, if [`depth`](QosProfile::depth) is larger) are
-    /// unacknowledged. It also waits while the unacknowledged bytes with this message would exceed 1 MiB or half of the
-    /// receive buffer, whichever is less. Subscriptions receive `source_time` as the time of publishing.
+    /// unacknowledged. It also waits while the unacknowledged bytes with this message would exceed 1 MiB or half of
+    /// this host's receive buffer, whichever is less. Subscriptions receive `source_time` as the time of publishing.
     ///
     /// # Errors
     ///

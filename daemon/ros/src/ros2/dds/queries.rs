@@ -19,14 +19,14 @@ impl Ros2Node {
     pub fn publishers_of(&self, topic: &str) -> Vec<DiscoveredPublisher> {
         let Some(entities) = &self.entities else { return Vec::new() };
         let topic = dds_topic(topic);
-        let host_addresses = own_addresses().unwrap_or_else(|error| {
+        let own_addresses = own_addresses().unwrap_or_else(|error| {
             tracing::warn!(%error, "cannot list the addresses of this host; its publishers count as publishers of another host");
             Vec::new()
         });
         let writers = entities.participant.discovered_writers().into_iter();
         let topic_writers = writers.filter(|writer| writer.publication_topic_data.topic_name == topic);
         let mut publishers: Vec<DiscoveredPublisher> =
-            topic_writers.map(|writer| discovered_publisher(&writer, &host_addresses)).collect();
+            topic_writers.map(|writer| discovered_publisher(&writer, &own_addresses)).collect();
         publishers.sort_by_key(|publisher| publisher.id);
         for publisher in &mut publishers {
             publisher.node = self.node_of(publisher.id);
@@ -49,15 +49,15 @@ impl Ros2Node {
         self.state.discovery().endpoints_of(&dds_topic(topic))
     }
 
-    /// Returns an address of the host of a participant with a publisher; `None` for this host, and for a
-    /// participant that is unknown.
+    /// Returns an address of the host on which a participant runs; `None` for this host, and for a participant that has
+    /// no known publisher.
     pub fn host_of(&self, participant: ParticipantId) -> Option<IpAddr> {
-        let host_addresses = own_addresses().unwrap_or_default();
+        let own_addresses = own_addresses().unwrap_or_default();
         let writers = self.entities.as_ref()?.participant.discovered_writers().into_iter();
         let mut participant_writers = writers.filter(|writer| {
             endpoint_id(writer.writer_proxy.remote_writer_guid).participant() == participant
         });
-        participant_writers.find_map(|writer| discovered_publisher(&writer, &host_addresses).host)
+        participant_writers.find_map(|writer| discovered_publisher(&writer, &own_addresses).host)
     }
 
     /// Returns a receiver of a number that changes with every event of discovery.
@@ -78,15 +78,15 @@ impl Ros2Node {
     }
 }
 
-fn discovered_publisher(writer: &DiscoveredWriterData, host_addresses: &[IpAddr]) -> DiscoveredPublisher {
+fn discovered_publisher(writer: &DiscoveredWriterData, own_addresses: &[IpAddr]) -> DiscoveredPublisher {
     let proxy = &writer.writer_proxy;
-    // Locators of shared memory, which is on this host, become the unspecified address.
+    // Locators of shared memory, which is on this host, become the unspecified address, which `other_host` ignores.
     let addresses: Vec<IpAddr> =
         proxy.unicast_locator_list.iter().map(|locator| SocketAddr::from(*locator).ip()).collect();
     DiscoveredPublisher {
         id: endpoint_id(proxy.remote_writer_guid),
         type_name: ros_type(&writer.publication_topic_data.type_name),
-        host: other_host(&addresses, host_addresses),
+        host: other_host(&addresses, own_addresses),
         node: None,
     }
 }

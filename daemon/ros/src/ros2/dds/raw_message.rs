@@ -61,8 +61,7 @@ impl DefaultDecoder<RawMessage> for RawAdapter {
 impl Decode<'_, RawMessage> for RawDecoder {
     type Error = Infallible;
 
-    // This is the only copy of a received message. rustdds only provides a slice, and keeps its bytes until the cache
-    // is full.
+    // A received message is copied only here. The copy is needed because rustdds lends a slice of its cache.
     fn decode_bytes(
         self,
         bytes: &[u8],

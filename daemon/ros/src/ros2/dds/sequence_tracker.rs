@@ -22,8 +22,8 @@ impl SequenceTracker {
     pub(super) fn record(&mut self, writer: EndpointId, sequence: i64, counts: &mut ReceiveCounts) -> u64 {
         let Some(highest) = self.highest.get_mut(&writer) else {
             if self.highest.len() >= Self::MAX_PUBLISHERS {
-                // Any publisher may be removed: it is then treated as a new publisher, and no message is counted
-                // wrongly.
+                // Any publisher may be removed. It is then treated as a new publisher: a gap before its next message is
+                // not counted.
                 self.highest.pop_first();
             }
             self.highest.insert(writer, sequence);
@@ -66,6 +66,7 @@ mod tests {
         let (mut tracker, mut counts) = (SequenceTracker::default(), ReceiveCounts::default());
         tracker.record(EndpointId([1; 16]), i64::MIN, &mut counts);
         tracker.record(EndpointId([1; 16]), i64::MAX, &mut counts);
+        // These 2,048 publishers are more than the tracker stores.
         for writer in 0..=u8::MAX {
             for other in 0..8 {
                 let mut id = [writer; 16];
