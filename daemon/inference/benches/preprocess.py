@@ -3,8 +3,8 @@
 
     preprocess.py MODEL_FOLDER PICTURE [ROUNDS]
 
-The resize mode of the card must be `exact` or `letterbox`. For a detector of layout `yolov8`, numpy selects the boxes and
-suppresses overlapping ones. For other models, no postprocessing is measured.
+The resize mode in the model's card (`model.toml`) must be `exact` or `letterbox`. For a detector of layout `yolov8`,
+numpy selects the boxes and suppresses overlapping ones. For other models, no postprocessing is measured.
 """
 
 import io
@@ -32,7 +32,10 @@ def resize_letterbox(image, resize):
 
 
 def select_boxes(rows, output):
-    """Returns boxes, classes and scores of an output [4 + classes, n], without overlapping boxes of one class."""
+    """Returns boxes, classes and scores, without overlapping boxes of one class.
+
+    `rows` is the model's output [4 + classes, n]; `output` is the table of the card with the thresholds.
+    """
     classes, scores = rows[4:].argmax(axis=0), rows[4:].max(axis=0)
     candidates = np.flatnonzero(scores > output.get("score_threshold", 0.25))
     candidates = candidates[np.argsort(-scores[candidates], kind="stable")]
@@ -88,6 +91,7 @@ def main():
     # The stages of a picture run one after the other, as in an agent, so that the processor's caches are equally warm in
     # both programs.
     durations = {"preprocessing": [], "inference": [], "postprocessing": []}
+    # The first round is a warm-up, which the table leaves out.
     for _ in range(rounds + 1):
         begin = time.perf_counter()
         values = preprocess()

@@ -1,4 +1,4 @@
-//! Benchmark of the stages of a model for one picture. The pool is that of an agent.
+//! Benchmark of the stages of a model for one picture. The model runs in a pool, as in an agent.
 //!
 //!     cargo bench -p peernet-inference --bench preprocess -- MODEL_FOLDER PICTURE [ROUNDS]
 //!

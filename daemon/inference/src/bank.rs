@@ -312,7 +312,7 @@ impl Bank {
         let started_at = self.clock.mono();
         let _watch = LoadWatch::start(config.name(), config.device());
         let memory_before = resident_memory();
-        // The growth is measured until the workers are created, because a worker may have its own copy of the weights.
+        // The growth includes the creation of the workers, because a worker may have its own copy of the weights.
         let model = config.load(&self.context())?;
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
         let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, started_at)?;

@@ -201,9 +201,10 @@ impl LoadError {
     /// neither paths of this host nor addresses of servers behind this host. `host` is the name of this host.
     pub fn to_peer(&self, model: &str, host: &str) -> String {
         match self {
-            // The peer tries again until loading succeeds, and shows this reason to its user meanwhile. The reason
-            // contains neither the server's address nor the name of the environment variable that holds the API key.
-            // Only a text quoted from the server may contain the address; such a reason is not shown.
+            // The peer tries again until loading succeeds, and shows this reason to its user meanwhile. This
+            // program's part of the reason contains neither the server's address nor the name of the environment
+            // variable that holds the API key. A text quoted from the server may contain the address; a reason with
+            // the address is not shown.
             Self::Server { url, is_transient: true, reason, .. } if !contains_host(reason, url) => {
                 format!("model {model} cannot be loaded on host {host}: {reason}")
             }

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub struct LoadedModels {
     /// Number of models.
     pub count: u32,
-    /// Sum over the models of the growth of this process's resident memory while the model was loaded, bytes; see
+    /// Growth of this process's resident memory during the loading of a model, summed over the models, bytes; see
     /// [`Pool::memory_growth`](crate::Pool::memory_growth).
     pub memory_bytes: u64,
 }

@@ -13,7 +13,8 @@ const FIRST_LINE_AFTER: Duration = Duration::from_secs(30);
 pub const LOAD_LOG_TARGET: &str = "peernet_inference::loading";
 
 /// Logs that a model is still loading, until the `LoadWatch` is dropped.
-// The first inference of a model may never end, and building an engine for a GPU may take many minutes.
+// Loading may include a first inference, which may never end, and the building of an engine for a GPU, which may take
+// many minutes.
 pub(super) struct LoadWatch {
     /// Dropping this sender ends the thread that logs.
     loading_sender: Option<SyncSender<()>>,

@@ -14,7 +14,7 @@ pub struct UnloadedModel {
     pub device: String,
     /// Time for which the model was loaded.
     pub loaded_for: Span,
-    /// Decrease of this process's resident memory while the model was unloaded, bytes; `None` if it is unknown. The
+    /// Decrease of this process's resident memory during the unloading, bytes; `None` if it is unknown. The
     /// decrease may be smaller than the model, because the memory allocator may keep memory for later use.
     pub memory_released: Option<u64>,
     /// Reason for unloading the model.
