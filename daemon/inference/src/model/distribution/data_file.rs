@@ -30,14 +30,14 @@ pub(super) struct RecordedLatencies {
     pub(super) omitted_stages: Vec<(String, f64)>,
 }
 
-/// Reads the latencies in a `data.csv`. A latency is the sum of the columns in one row. Only iterations that are in the
-/// statistics count: they have an answer and are not warm-up. If the file has no columns for outcome and warm-up, all
-/// iterations count; the program that was published with the paper writes such files. A row in which one of the columns
-/// is empty has no latency.
+/// Reads the latencies in a `data.csv`. A latency is the sum of the cells that a row has in `columns`; if one of these
+/// cells is empty, the row has no latency. Only iterations that are in the statistics count: they have an answer and
+/// are not warm-up. If the file has no columns for outcome and warm-up, all iterations count; the program that was
+/// published with the paper writes such files.
 ///
 /// # Errors
-/// If the file is not a regular file or cannot be read; if a column is missing or occurs twice; if a row is too long or
-/// has a cell that is neither empty nor a latency; or if no row has a latency.
+/// If the file is not a regular file or cannot be read; if a column is missing or occurs twice; if a row is too long;
+/// if one of its cells in `columns` is neither empty nor a latency; or if no row has a latency.
 pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedLatencies, LoadError> {
     let file_error = |reason: String| LoadError::File { file: file.to_owned(), reason };
     let mut rows = LatencyRows::open(file).map_err(file_error)?;
@@ -84,6 +84,7 @@ pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedL
     }
     let min_sum_s = latencies.iter().sum::<f64>() * MIN_REPORTED_SHARE;
     let count = latencies.len() as f64;
+    // `min_sum_s` is 0 if all latencies are 0. A stage that took no time is not reported even then.
     omitted.retain(|stage| stage.sum_s > 0.0 && stage.sum_s >= min_sum_s);
     let omitted_stages = omitted.into_iter().map(|stage| (stage.column, stage.sum_s / count)).collect();
     Ok(RecordedLatencies { latencies, omitted_stages })
@@ -96,8 +97,8 @@ struct OmittedStage {
     sum_s: f64,
 }
 
-/// Returns the stages of the model that are not among `columns`. Returns none if `inference` is not among `columns`:
-/// another column, such as `total`, may contain all stages.
+/// Returns the stages of the model that have a column in the file, but are not among `columns`. Returns none if
+/// `inference` is not among `columns`: another column, such as `total`, may contain all stages.
 fn omitted_stages(
     columns: &Columns,
     position_of: impl Fn(&str) -> Result<Option<usize>, String>,
@@ -168,7 +169,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(folder.path().join(FILE_NAME), text).expect("written");
         let columns = serde_json::from_value(serde_json::json!(columns)).expect("columns");
-        let file = data_file(folder.path()).expect("no experiment");
+        let file = data_file(folder.path()).expect("the folder of a run");
         read_latencies(&file, &columns).map_err(|error| error.to_string())
     }
 

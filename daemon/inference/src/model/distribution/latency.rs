@@ -97,8 +97,8 @@ impl Histogram {
         let total: u64 = self.counts.iter().sum();
         let mut position = random.unit() * total as f64;
         let fraction_in_bin = random.unit();
-        // Because of rounding, `position` may lie beyond the last bin. The latency is then in the last non-empty bin.
         let mut drawn = self.edges_ms.first().copied().unwrap_or_default();
+        // Because of rounding, `position` may lie beyond the last bin. The latency is then in the last non-empty bin.
         for (count, edges) in
             self.counts.iter().zip(self.edges_ms.windows(2)).filter(|(count, _)| **count > 0)
         {

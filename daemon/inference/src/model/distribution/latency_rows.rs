@@ -13,7 +13,7 @@ const MAX_ROW_BYTES: usize = 64 << 10;
 ///
 /// # Errors
 /// If it is not a regular file or cannot be opened.
-pub(super) fn open(file: &Path) -> io::Result<File> {
+pub(super) fn open_regular_file(file: &Path) -> io::Result<File> {
     // The type is checked before the file is opened: opening a named pipe waits for a writer, and reading a device may
     // never end.
     if !file.metadata()?.is_file() {
@@ -39,7 +39,7 @@ impl LatencyRows {
     /// # Errors
     /// Returns the reason if the file is not regular or cannot be read.
     pub(super) fn open(file: &Path) -> Result<Self, String> {
-        let mut opened = open(file).map_err(|error| error.to_string())?;
+        let mut opened = open_regular_file(file).map_err(|error| error.to_string())?;
         let is_last_line_complete = ends_with_line_feed(&mut opened).map_err(|error| error.to_string())?;
         let bounded = BoundedReader { file: opened, remaining: MAX_ROW_BYTES };
         // `flexible` switches off the reader's check of the number of cells, because an unfinished last row may have
@@ -77,7 +77,8 @@ impl LatencyRows {
 
     fn read(&mut self) -> Result<Option<StringRecord>, String> {
         let line = self.reader.position().line();
-        // The reader fills its buffer ahead of the row, so that a row may exceed the limit by the size of this buffer.
+        // The reader's buffer may already contain the beginning of this row, so a row may exceed the limit by the size
+        // of this buffer.
         self.reader.get_mut().remaining = MAX_ROW_BYTES;
         let mut row = StringRecord::new();
         match self.reader.read_record(&mut row) {
@@ -112,6 +113,8 @@ impl Read for BoundedReader {
     }
 }
 
+/// Returns whether the last line of a file is complete; an empty file has no incomplete line. Moves the position in the
+/// file to the beginning.
 fn ends_with_line_feed(file: &mut File) -> io::Result<bool> {
     if file.seek(SeekFrom::End(0))? == 0 {
         return Ok(true);

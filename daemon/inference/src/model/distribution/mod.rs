@@ -26,10 +26,10 @@ use super::{CommonSettings, LoadContext, ModelConfig, ModelKind};
 use crate::{Cancelled, InferenceError, LoadError, Model, PartialAnswerError, Requester, Worker};
 use data_file::read_latencies;
 use latency::{LatencyDistribution, check_ms, describe_stages};
-use latency_rows::open;
+use latency_rows::open_regular_file;
 use run_folder::data_file;
 
-/// Name of the fact that marks the latencies of a run as replayed, with their distribution.
+/// Name of the fact that marks the latencies of a run as replayed. The text of the fact describes the distribution.
 // peernet-analysis finds the fact by this name.
 const REPLAYED_FACT: &str = "Replayed";
 
@@ -82,11 +82,12 @@ impl ModelKind for DistributionConfig {
     }
 
     fn keys_omitted_from_runs(&self) -> &'static [&'static str] {
+        // A fact with the hash of the file identifies the latencies. The path only says where the file is.
         &["data"]
     }
 
     fn remove_defaults(&self, keys: &mut super::Keys) {
-        // The column belongs to `data`.
+        // Without `data`, `column` has no effect.
         if self.data.is_none() {
             keys.remove("column");
         }
@@ -116,7 +117,7 @@ impl ModelKind for DistributionConfig {
         let inner = self.inner_model(common, context)?.map(|inner| inner.load(context)).transpose()?;
         let hash = self.data.as_deref().map(|data| {
             let file = data_file(data)?;
-            let hash = open(&file).and_then(peernet_external::sha256);
+            let hash = open_regular_file(&file).and_then(peernet_external::sha256);
             hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
         });
         let seed = self.seed.unwrap_or_else(|| {
@@ -175,7 +176,8 @@ impl DistributionConfig {
             }
             _ => Err(invalid_key(
                 "data",
-                "it needs a source of latencies: give one of data, histogram and mean_ms".to_owned(),
+                "it needs exactly one source of latencies: give one of data, histogram and mean_ms"
+                    .to_owned(),
             )),
         }
     }

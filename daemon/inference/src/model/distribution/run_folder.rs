@@ -25,7 +25,9 @@ pub(super) fn data_file(path: &Path) -> Result<PathBuf, LoadError> {
     }
     let file = path.join(FILE_NAME);
     let is_experiment = path.join(EXPERIMENT_FILE).is_file();
-    let runs = if is_experiment { runs_of_experiment(path) } else { folders_with_data(folders(path)) };
+    let runs = if is_experiment { runs_of_experiment(path) } else { folders_with_data(entries(path)) };
+    // A folder without runs is taken for the folder of a run. If `data.csv` is missing there, the caller fails to read
+    // the file.
     if file.exists() || !is_experiment && runs.is_empty() {
         return Ok(file);
     }
@@ -47,8 +49,8 @@ pub(super) fn data_file(path: &Path) -> Result<PathBuf, LoadError> {
 /// Returns the paths of an experiment's folders that contain a `data.csv`, sorted. A run with several users has one
 /// such folder for each user.
 fn runs_of_experiment(path: &Path) -> Vec<String> {
-    let runs = folders(&path.join(RUNS_FOLDER));
-    let users = runs.iter().flat_map(|run| folders(run)).collect::<Vec<_>>();
+    let runs = entries(&path.join(RUNS_FOLDER));
+    let users = runs.iter().flat_map(|run| entries(run)).collect::<Vec<_>>();
     folders_with_data(runs.into_iter().chain(users))
 }
 
@@ -61,8 +63,8 @@ fn folders_with_data(folders: impl IntoIterator<Item = PathBuf>) -> Vec<String> 
 }
 
 /// Returns the paths of the entries of a folder.
-fn folders(path: &Path) -> Vec<PathBuf> {
-    // If a folder cannot be listed, the error names the path without suggesting any runs.
+fn entries(path: &Path) -> Vec<PathBuf> {
+    // A folder that cannot be listed counts as empty. `data_file` then suggests no runs.
     fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect()
 }
 
