@@ -47,6 +47,7 @@ type Length = Option<usize>;
 pub(super) fn has_open_batch(input: &Input, outlets: &[Outlet]) -> bool {
     let outlet = outlets.iter().find(|outlet| outlet.name() == input.name);
     let length = outlet.and_then(|outlet| outlet.dtype().tensor_shape()?.first().copied());
+    // The shape in the card is that of one sample, so a dimension of the batch has the length 1 there.
     input.shape.first() == Some(&1) && length.is_some_and(|length| length < 0)
 }
 

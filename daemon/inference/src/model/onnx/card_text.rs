@@ -46,6 +46,7 @@ fn describe_input(input: &Input) -> String {
 
 fn describe_shape(shape: &[usize]) -> String {
     match shape {
+        // A tensor without dimensions has one element.
         [] => "one".to_owned(),
         shape => shape.iter().map(usize::to_string).collect::<Vec<_>>().join(" × "),
     }
@@ -72,7 +73,7 @@ fn describe_output(task: &Task) -> String {
                 Activation::Softmax => "softmax",
                 Activation::Sigmoid => "sigmoid",
             };
-            format!("{} classes, {scores}, best {} listed", output.labels.len(), output.listed_classes())
+            format!("{} classes, {scores}, best {} listed", output.labels.len(), output.listed_class_count())
         }
         Task::Detection(output) => {
             let suppression = match output.iou_threshold {
@@ -124,7 +125,7 @@ fn describe_resize(resize: Resize) -> String {
 fn describe_crop(CentreCrop { width, height, rounding }: CentreCrop) -> String {
     let rounding = match rounding {
         Rounding::Down => "",
-        Rounding::HalfEven => ", odd margins split half to even",
+        Rounding::HalfEven => ", margins rounded half to even",
     };
     format!("centre crop {width} × {height}{rounding}")
 }
@@ -153,7 +154,7 @@ mod tests {
             [
                 "colours grey",
                 "resize shorter side to 3, bicubic, antialiased",
-                "centre crop 2 × 1, odd margins split half to even",
+                "centre crop 2 × 1, margins rounded half to even",
                 "(byte × 0.5 − mean) / std, mean [1.0], std [2.0]",
             ]
         );

@@ -34,7 +34,7 @@ pub(super) fn classify(output: &Classification, numbers: &mut [f32]) -> Result<V
     let mut top: Vec<_> = ranked.map(|(label, score)| RankedLabel { label, score: *score }).collect();
     // The sort is stable: classes with equal scores stay in the order of the labels.
     top.sort_by(|a, b| b.score.total_cmp(&a.score));
-    top.truncate(output.listed_classes());
+    top.truncate(output.listed_class_count());
     let best = top.first().ok_or(OutputError::NoClasses)?;
     let answer = Answer { label: best.label, score: best.score, top };
     Ok(serde_json::to_vec(&answer)?)

@@ -6,7 +6,7 @@ use super::ModelCardError;
 use super::output::{Activation, check_labels};
 
 /// Default of `score_threshold`: objects with a higher score are reported.
-// Both thresholds have the defaults of YOLOv5's `detect.py`.
+// This default and the next one are those of YOLOv5's `detect.py`.
 const DEFAULT_SCORE_THRESHOLD: f64 = 0.25;
 
 /// Default of `iou_threshold` for models that do not suppress overlapping boxes themselves.
@@ -169,8 +169,8 @@ impl TryFrom<DetectionTable> for Detection {
         let layout = table.layout;
         table.check_keys()?;
         check_labels(&table.labels)?;
-        let is_yolo = matches!(layout, Layout::Yolov5 | Layout::Yolov8);
-        let default_iou = is_yolo.then_some(DEFAULT_IOU_THRESHOLD);
+        let needs_suppression = matches!(layout, Layout::Yolov5 | Layout::Yolov8);
+        let default_iou = needs_suppression.then_some(DEFAULT_IOU_THRESHOLD);
         let (default_format, default_unit) = match layout {
             Layout::Yolov5 | Layout::Yolov8 => (BoxFormat::Cxcywh, BoxUnit::Pixels),
             Layout::Yolov10 | Layout::Nms => (BoxFormat::Xyxy, BoxUnit::Pixels),

@@ -15,7 +15,7 @@ pub(in crate::model::onnx) enum ModelCardError {
     /// Two inputs or outputs have the same name.
     #[error("{table} names {name:?} twice")]
     DuplicateName { table: &'static str, name: String },
-    /// An input lacks a key of pictures.
+    /// A key is missing that every picture needs.
     #[error("input {input:?} is a picture, but its {missing} is missing")]
     IncompletePicture { input: String, missing: &'static str },
     /// A picture has too few dimensions.
@@ -63,7 +63,7 @@ pub(in crate::model::onnx) enum ModelCardError {
     Numbers { key: &'static str, count: usize, channels: usize },
     /// A number of the normalisation is infinite or NaN.
     #[error(
-        "preprocessing.scale, mean and std are finite numbers; write the values with which the model was trained"
+        "preprocessing.scale, mean and std must be finite numbers; write the values with which the model was trained"
     )]
     NotFinite,
     /// A key is missing that an input of a floating-point type requires.
@@ -73,7 +73,7 @@ pub(in crate::model::onnx) enum ModelCardError {
     NoNormalisation(&'static str),
     /// A standard deviation is not positive.
     #[error(
-        "preprocessing.std has {0}; a standard deviation is larger than 0, and 1.0 leaves the channel as it is"
+        "preprocessing.std has {0}; a standard deviation must be larger than 0, and 1.0 leaves the channel as it is"
     )]
     Deviation(f64),
     /// `scale` is zero.

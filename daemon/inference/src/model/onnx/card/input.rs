@@ -140,7 +140,8 @@ impl PictureSource {
             let fits_other_layout = with_other_layout.is_some_and(|(channels, ..)| channels == expected);
             return Err(ModelCardError::Channels { channels, layout, colour, expected, fits_other_layout });
         }
-        let normalisation = preprocessing.normalisation(channels, !data_type.is_float())?;
+        let has_defaults = !data_type.is_float();
+        let normalisation = preprocessing.normalisation(channels, has_defaults)?;
         preprocessing.check_size((width, height))?;
         let size = (width as u32, height as u32);
         Ok(Self { layout, colour, preprocessing, normalisation, size })
@@ -160,15 +161,16 @@ fn check_constant(
     }
     let mut converted = Numbers::zeros(data_type, values.len());
     converted.fill(&values);
-    let is_same = |index: usize| {
+    let is_representable = |index: usize| {
         let converted = for_elements!(&converted, elements => f64::from(elements[index].to_f32()));
-        // Floats may be rounded, but not to infinity. Integers must not be rounded.
+        // Floats may be rounded, but not to infinity. A 64-bit float is not rounded at all; an infinite `converted`
+        // comes from `to_f32` only. Integers must not be rounded.
         if data_type.is_float() {
             return data_type == DataType::Float64 || converted.is_finite();
         }
         converted == f64::from(values[index] as f32) && values[index].fract() == 0.0
     };
-    match (0..values.len()).find(|index| !values[*index].is_finite() || !is_same(*index)) {
+    match (0..values.len()).find(|index| !values[*index].is_finite() || !is_representable(*index)) {
         Some(index) => Err(ModelCardError::ConstantValue { input, value: values[index], data_type }),
         None => Ok(values),
     }

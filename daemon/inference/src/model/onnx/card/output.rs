@@ -36,10 +36,10 @@ pub(in crate::model::onnx) enum Activation {
     /// No function: the numbers are scores already.
     #[default]
     None,
-    /// Softmax: the scores add up to 1. For models of which exactly one class is right.
+    /// Softmax: the scores add up to 1. For models with exactly one right class for each sample.
     Softmax,
-    /// Sigmoid: each score is between 0 and 1, independent of the others. For models of which any number of classes may
-    /// be right.
+    /// Sigmoid: each score is between 0 and 1, independent of the others. For models with any number of right classes
+    /// for each sample.
     Sigmoid,
 }
 
@@ -79,7 +79,7 @@ pub(in crate::model::onnx) struct TensorOutput {
 
 impl Classification {
     /// Returns the number of classes that an answer lists.
-    pub(in crate::model::onnx) fn listed_classes(&self) -> usize {
+    pub(in crate::model::onnx) fn listed_class_count(&self) -> usize {
         self.top_k.unwrap_or(DEFAULT_TOP_K).min(self.labels.len())
     }
 

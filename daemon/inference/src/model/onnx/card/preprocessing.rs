@@ -88,13 +88,15 @@ pub(in crate::model::onnx) struct Preprocessing {
     /// Rectangle that is cut out of the centre.
     #[serde(default)]
     pub(in crate::model::onnx) crop: Option<CentreCrop>,
-    /// Factor for bytes. Default: 1, if the input has integers.
+    /// Factor for bytes. Default for an input of integers: 1. Required for an input of floats.
     #[serde(default)]
     scale: Option<f64>,
-    /// One number per channel, in the order of `colour`. Default: zeros, if the input has integers.
+    /// One number per channel, in the order of `colour`. Default for an input of integers: zeros. Required for an input
+    /// of floats.
     #[serde(default)]
     mean: Option<Vec<f64>>,
-    /// One number per channel, in the order of `colour`. Default: ones, if the input has integers.
+    /// One number per channel, in the order of `colour`. Default for an input of integers: ones. Required for an input
+    /// of floats.
     #[serde(default)]
     std: Option<Vec<f64>>,
 }
