@@ -127,6 +127,7 @@ impl Worker for ExecWorker {
         let result = self.program.call_with_partial_answers(Request::Sample(sample), &mut |part| {
             let partial_answer = Sample { parts: vec![part], source: String::new(), label: None };
             send_error = requester.send_partial_answer(partial_answer).err();
+            // `false` ends the call with `ProgramCallError::Cancelled`; `send_error` then is the reason.
             send_error.is_none()
         });
         let program_call = result.map_err(|error| match error {

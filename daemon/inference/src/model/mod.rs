@@ -87,7 +87,7 @@ pub trait ModelKind {
         None
     }
 
-    /// Removes those keys from `keys` that are recorded only if they differ from their defaults.
+    /// Removes those keys from `keys` that need not be recorded, because they have their defaults or no effect.
     // The settings of two runs are compared as texts. A default that earlier versions did not record would appear as a
     // difference.
     fn remove_defaults(&self, _keys: &mut Keys) {}

@@ -12,7 +12,8 @@ use crate::LoadError;
 /// Width and height of a generated picture, pixels: a usual size of camera pictures.
 const PICTURE_SIZE: (u32, u32) = (1280, 720);
 
-/// Returns a sample with one part for each input: generated pixels for pictures, and zeros for arrays.
+/// Returns a sample with one part for each input that is not a constant: generated pixels for pictures, and zeros
+/// for arrays.
 ///
 /// # Errors
 /// If the card is invalid.

@@ -71,8 +71,8 @@ impl ModelInputs {
     /// Checks that a sample has as many parts as the model takes.
     fn check_parts(&self, sample: &Sample) -> Result<(), InputError> {
         let part_buffers = || self.inputs.iter().filter(|buffer| buffer.is_filled_by_part());
-        let is_tree = |part: &Part| part.description.media.iana() == TREE;
-        if sample.parts.iter().any(is_tree) {
+        let is_python_object = |part: &Part| part.description.media.iana() == TREE;
+        if sample.parts.iter().any(is_python_object) {
             let expected: Vec<String> = part_buffers().map(InputBuffer::describe_for_python).collect();
             let is_tuple = expected.len() > 1;
             return Err(InputError::PythonObject { expected: expected.join(", "), is_tuple });

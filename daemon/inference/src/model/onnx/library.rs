@@ -86,11 +86,12 @@ impl Runtime {
         &self.library
     }
 
-    /// Describes the library: the file, without symbolic links because its name ends with the version, and the build.
+    /// Describes the library by its file and its build. Symbolic links are resolved, because only the name of the file
+    /// ends with the version.
     pub(super) fn describe(&self) -> String {
         let file = self.library.canonicalize().unwrap_or_else(|_| self.library.clone());
-        // The rest is the call of the compiler, which is long and says nothing more about the library.
         let build = ort::info().trim_start_matches("ORT Build Info: ");
+        // The text from `, cmake` on has the compiler's options. They are long and say nothing more about the library.
         let build = build.split_once(", cmake").map_or(build, |(build, _)| build);
         format!("{}, {build}", file.display())
     }

@@ -49,6 +49,7 @@ impl LibraryLog {
             return None;
         }
         let mut throttle = self.throttle.lock().unwrap_or_else(PoisonError::into_inner);
+        // The second argument is the address of a peer. These messages have none.
         throttle.count_event(&kind(place, message), None, now)
     }
 }

@@ -137,6 +137,7 @@ impl Onnx {
     ) -> Result<(ModelSettings, Arc<Runtime>), LoadError> {
         let device: Device = common.device.parse()?;
         let card = Card::read(&config.path.join(CARD))?;
+        // The call checks the files. The names of the files are not needed here.
         model_files(&config.path)?;
         let file = config.path.join(MODEL);
         let runtime = Runtime::get(context.runtime, context.clock)?;
@@ -165,7 +166,8 @@ impl ModelSettings {
     fn has_classes_of(&self, label: &str) -> bool {
         let Some(classes) = &self.classes else { return true };
         let has = |class: &str| classes.contains(&normalized_label(class));
-        // Only the sensor's host, which scores the answer, has the mask and knows its classes.
+        // Only the sensor's host has the mask and knows its classes. The sensor's host compares the classes when it
+        // scores the answer.
         if MaskLabel::parse(label).is_some() {
             return true;
         }

@@ -247,7 +247,8 @@ mod tests {
     fn data_files_of_tensors_are_found() {
         assert_eq!(found(&model("weights.bin")).expect("a model"), [MODEL, "weights.bin"]);
         assert_eq!(found(&field(7, &field(2, b"name"))).expect("a model"), [MODEL]);
-        // A constant in the branch of a condition: graph, node, attribute, graph, initialiser.
+        // A constant in the branch of a condition: graph, node, attribute, graph, initialiser. `[2..]`
+        // removes the tag and the length of the outer field, so that only the graph of `model` remains.
         let nested = field(7, &field(1, &field(5, &field(6, &model("then.bin")[2..]))));
         assert_eq!(found(&nested).expect("a model"), [MODEL, "then.bin"]);
     }

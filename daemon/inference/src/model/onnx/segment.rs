@@ -17,7 +17,7 @@ struct Answer<'a> {
     /// The classes that the picture shows, the most frequent one first.
     classes: Vec<SegmentedClass<'a>>,
     /// Number of the model's classes. In the mask of a sample's label, a pixel with this value or a larger one has a
-    /// class that the model does not have; the value 255 is an exception.
+    /// class that the model does not have. Pixels with the value 255 have no class and are not scored.
     class_count: usize,
     /// Width of the sample's picture, pixels.
     width: u32,

@@ -169,12 +169,12 @@ impl<'a> CandidateReader<'a> {
             return Err(classes.wrong_shape(&expected));
         }
         let count = count.map(|output| {
-            let [count] = output.unbatched("[1]").or_else(|error| match output.shape[..] {
+            let [length] = output.unbatched("[1]").or_else(|error| match output.shape[..] {
                 [] => Ok([1]),
                 _ => Err(error),
             })?;
             let numbers = output.numbers()?;
-            let count = numbers.first().filter(|_| count == 1).copied();
+            let count = numbers.first().filter(|_| length == 1).copied();
             let count = count.ok_or_else(|| output.wrong_shape("[1]"))?;
             // The cast saturates and drops fractions. Only a whole number from 0 to `rows` stays equal.
             let valid_rows = (count as usize).min(rows);
@@ -238,14 +238,14 @@ fn best(scores: &[f32]) -> (usize, f32) {
 
 /// Returns the softmax score of `logit`, which is one of `logits`.
 fn softmax(logits: &[f32], logit: f32) -> f32 {
-    // The greatest logit is subtracted, so that `exp` is never infinite. The result does not depend on it.
+    // The greatest logit is subtracted, so that `exp` is never infinite. The subtraction does not change the result.
     let (_, greatest) = best(logits);
     let sum: f32 = logits.iter().map(|other| (other - greatest).exp()).sum();
     (logit - greatest).exp() / sum
 }
 
-/// Returns the score that belongs to a number of the model. The card's check excludes `Softmax` for YOLO's outputs, and
-/// `read_detr` does not call this function with it.
+/// Returns the score that belongs to a number of the model. `activation` is never `Softmax`: the card's check excludes
+/// `Softmax` for YOLO's outputs, and `read_detr` calls this function only with `Sigmoid`.
 fn activate(activation: Activation, number: f32) -> f32 {
     match activation {
         Activation::Sigmoid => 1.0 / (1.0 + (-number).exp()),
