@@ -66,6 +66,7 @@ impl Pool {
         let execution = match slots.pop() {
             Some(slot) if !model.blocks() => Execution::Inline(Mutex::new(slot)),
             last_slot => {
+                // The slot is put back: each slot gets a thread.
                 slots.extend(last_slot);
                 let computations = slots.iter().map(|slot| Arc::clone(&slot.current_computation)).collect();
                 let blockage = BlockageDetector::new(computations, Arc::clone(clock));
@@ -119,7 +120,8 @@ impl Pool {
                 Ok(())
             }
             Execution::Threads { queue, blockage, .. } => {
-                // A blockage delays only submitted requests, so that no timer has to look for blockages.
+                // A blockage delays only submitted requests. Therefore a check at each submission is enough, and no
+                // timer is needed.
                 blockage.check(&self.name);
                 if queue.is_full() {
                     self.drop_cancelled(queue);

@@ -9,7 +9,7 @@ use std::time::Duration;
 /// At most `capacity` items wait. Each idle consumer allows one more item, because it takes the item at once.
 ///
 /// An item is *unfinished* from [`push`](Self::push) until [`finish`](Self::finish). A consumer that collects a batch
-/// stops waiting when the number of unfinished items reaches the largest number since a wait last timed out: every
+/// stops waiting when the number of unfinished items reaches its maximum since a consumer's wait last timed out: every
 /// producer then probably waits for an answer, and no producer will add an item.
 // Channels of the standard library and of tokio do not count idle consumers.
 pub(crate) struct Queue<T> {

@@ -118,6 +118,7 @@ impl Worker for PythonWorker {
         if let Some(from) = call.times.restart_began_at {
             recorder.record_timer(stage::RESTART, from, call_began_at);
         }
+        // One node has the time of all transfers, before and after the steps. It begins with the call.
         recorder.record_timer(stage::IPC, call_began_at, call_began_at + call.times.overhead());
         let has_inferred = call.times.steps.iter().any(|(step, ..)| *step == Step::Infer);
         for (step, from, to) in call.times.steps {

@@ -12,10 +12,11 @@ const RECORDED_ELSEWHERE: [&str; 2] = ["name", "device"];
 const ENVIRONMENT: &str = "env";
 
 impl ModelConfig {
-    /// Returns the settings of the model and the environment of its process, each as name and text.
-    pub(crate) fn facts(&self, key: Option<&FingerprintKey>) -> Vec<(String, String)> {
+    /// Returns facts: the settings of the model, the fingerprint of its arguments if there are any and a key is given,
+    /// and the recorded environment variables, which custom code inherits.
+    pub(crate) fn facts(&self, fingerprint_key: Option<&FingerprintKey>) -> Vec<(String, String)> {
         let mut facts = vec![("Model settings".to_owned(), self.settings())];
-        facts.extend(key.and_then(|key| self.kind_settings().arguments_fact(key)));
+        facts.extend(fingerprint_key.and_then(|key| self.kind_settings().arguments_fact(key)));
         facts.extend(environment().into_iter().map(|(name, value)| (format!("Model {name}"), value)));
         facts
     }

@@ -57,16 +57,17 @@ def picture_input(width=INPUT[0], height=INPUT[1]):
 # --- detection --------------------------------------------------------------------------------------------------------
 
 
-def detector(out, name, outputs, lines, candidates, iou):
+def detector(out, name, outputs, card_lines, candidates, iou):
     """Writes a model with constant outputs, and the answer that follows from `candidates`. A candidate is a class, a score, and
-    the edges left, top, right and bottom in pixels of the input."""
+    the edges left, top, right and bottom in pixels of the input. `card_lines` describe the outputs. Without `iou`, no
+    candidate is suppressed because it overlaps a better one."""
     names = list(outputs)
     nodes = [helper.make_node("Identity", ["c_" + n], [n]) for n in names]
     types = {code: name for name, code in TYPES.items()}
     infos = [tensor_info(n, types[numpy_helper.from_array(a).data_type], a.shape) for n, a in outputs.items()]
     labels = json.dumps(LABELS)
     card = f'task = "detection"\n{picture_input()}{PREPROCESSING}[output]\nlabels = {labels}\n'
-    card += f"score_threshold = {SCORE}\nmax_detections = {MAX_DETECTIONS}\n{lines}\n"
+    card += f"score_threshold = {SCORE}\nmax_detections = {MAX_DETECTIONS}\n{card_lines}\n"
     if iou is not None:
         card += f"iou_threshold = {iou}\n"
     inputs = [tensor_info("image", "float32", [1, 3, INPUT[1], INPUT[0]])]
@@ -128,9 +129,9 @@ def detectors(out):
     count = 150
     boxes, scores = random_boxes(rng, count), rng.uniform(0, 1, (count, 3)).astype(np.float32)
     classes = scores.argmax(axis=1)
-    best = [(k, s[k], *e) for k, s, e in zip(classes, scores, edges(boxes))]
+    classified_boxes = [(k, s[k], *e) for k, s, e in zip(classes, scores, edges(boxes))]
     rows = np.concatenate([boxes.T, scores.T])[None]
-    detector(out, "yolov8", {"output0": rows}, 'layout = "yolov8"\nname = "output0"', best, IOU)
+    detector(out, "yolov8", {"output0": rows}, 'layout = "yolov8"\nname = "output0"', classified_boxes, IOU)
 
     half = rows.astype(np.float16)
     h = half[0].astype(np.float32)
@@ -155,14 +156,15 @@ def detectors(out):
     found = [(s[:3].argmax(), s[:3].max(), *e) for s, e in zip(softmax, edges(boxes))]
     fractions = boxes / np.array([*INPUT, *INPUT], np.float32)
     lines = 'layout = "detr"\nscores = "logits"\nboxes = "pred_boxes"\n'
-    both = {"logits": queries[None], "pred_boxes": fractions[None]}
-    detector(out, "detr", both, lines + 'activation = "softmax"', found, None)
+    outputs = {"logits": queries[None], "pred_boxes": fractions[None]}
+    detector(out, "detr", outputs, lines + 'activation = "softmax"', found, None)
 
     pairs = [(k, sigmoid(l[k]), *e) for l, e in zip(logits, edges(boxes)) for k in range(3)]
-    both = {"logits": logits[None], "pred_boxes": fractions[None]}
-    detector(out, "rt-detr", both, lines + 'activation = "sigmoid"', pairs, None)
+    outputs = {"logits": logits[None], "pred_boxes": fractions[None]}
+    detector(out, "rt-detr", outputs, lines + 'activation = "sigmoid"', pairs, None)
 
     e = edges(boxes) / np.array([*INPUT, *INPUT])
+    # `count` says that only the first 100 rows are detections. The other rows have a class without a label.
     separate = {
         "boxes": e[:, [1, 0, 3, 2]].astype(np.float32)[None],
         "scores": scores.max(axis=1)[None],
@@ -170,11 +172,12 @@ def detectors(out):
         "count": np.array([[100]], np.int32),
     }
     lines = 'layout = "nms"\nboxes = "boxes"\nscores = "scores"\nclasses = "classes"\ncount = "count"\n'
-    detector(out, "nms", separate, lines + 'box_format = "yxyx"\nbox_unit = "fraction"', best[:100], None)
+    detector(out, "nms", separate, lines + 'box_format = "yxyx"\nbox_unit = "fraction"', classified_boxes[:100], None)
 
     plain = {"boxes": edges(boxes), "scores": scores.max(axis=1), "classes": classes.astype(np.float32)}
     lines = 'layout = "nms"\nboxes = "boxes"\nscores = "scores"\nclasses = "classes"'
-    detector(out, "nms-plain", plain, lines, best, None)
+    detector(out, "nms-plain", plain, lines, classified_boxes, None)
+    # The program refuses the outputs of the following models, so no test reads their `expected.json`.
     infinite = {**plain, "scores": np.where(np.arange(count) == 7, np.inf, plain["scores"]).astype(np.float32)}
     detector(out, "nms-infinite-score", infinite, lines, [], None)
     with_count = {**plain, "count": np.array([1.5], np.float32)}
@@ -244,7 +247,8 @@ def arrays(out):
     policy(out, "policy", 1)
     policy(out, "open-policy", "batch")
 
-    # The root of a negative number is NaN. Loading a model computes zeros, which have roots, so that the model can be loaded.
+    # The root of a negative number is NaN. Loading a model runs it on zeros, which have roots, so that the model can be
+    # loaded.
     for name, shape in (("root", [3]), ("open-root", ["batch", 3])):
         card_shape = [1 if length == "batch" else length for length in shape]
         card = f'task = "tensors"\n[input]\nname = "x"\ndtype = "float32"\nshape = {card_shape}\n'
@@ -267,7 +271,7 @@ def arrays(out):
     inputs, outputs = [tensor_info("x", "int64", ["batch", 3])], [tensor_info("y", "float32", ["batch", 3])]
     write(out, "table", card, [node], inputs, outputs, [squares])
 
-    # A loop that runs as often as the first number says. The loop of `endless` always runs longer than a test can wait.
+    # A loop that runs as often as the input says. The loop of `endless` always runs longer than a test can wait.
     card = 'task = "tensors"\n[input]\nname = "x"\ndtype = "int64"\nshape = [1]\n'
     card += '[output]\nname = "y"\ndtype = "int64"\nshape = [1]\n'
     body = helper.make_graph(

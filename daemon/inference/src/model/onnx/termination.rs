@@ -1,4 +1,4 @@
-//! Termination of a run of a session of ONNX Runtime whose requests are cancelled.
+//! Termination of a run of ONNX Runtime: after requests are cancelled, and at shutdown.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -8,10 +8,11 @@ use ort::session::RunOptions;
 use peernet_clock::{MonoTime, SharedClock};
 use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 
-/// Options of one run, which is terminated as soon as one of three conditions is true: all of its requests are
-/// cancelled; one of them is cancelled and the run is overdue; the bank of models shuts down.
+/// Options of one run, which is terminated under each of three conditions: all of its requests are cancelled; one of
+/// them is cancelled and the run is overdue; the bank of models shuts down. The conditions are checked when a token is
+/// cancelled, and at the start for a token that is already cancelled. No timer checks them.
 // A thread that still computes must not delay the end of the process. Opening a session cannot be terminated;
-// `LibraryUse` makes that safe.
+// `LibraryUse` makes it safe that the process ends while a session is opened.
 pub(super) struct TerminableRun {
     conditions: Arc<Conditions>,
     /// One future for each token. Each future was polled once, so that its token wakes `conditions` when the token is
@@ -26,14 +27,15 @@ struct Conditions {
     requests: Vec<CancellationToken>,
     stop: CancellationToken,
     clock: SharedClock,
-    /// Time from which on one cancelled request terminates the run of all requests.
-    // Before this time, the run probably ends soon. Computing the other requests again would take longer.
+    /// Time from which on the cancellation of one request terminates the run of all requests.
+    // Before this time, the run probably ends soon. Waiting for its end takes less time than computing the other
+    // requests again.
     overdue_at: MonoTime,
 }
 
 impl TerminableRun {
     /// Creates the options of a run for these requests; `stop` is cancelled when the bank of models shuts down. From
-    /// `overdue_at` on, one cancelled request terminates the run.
+    /// `overdue_at` on, the cancellation of one request terminates the run.
     pub(super) fn new(
         requests: Vec<CancellationToken>,
         stop: &CancellationToken,

@@ -8,6 +8,7 @@ use peernet_logger::{Name, Recorder, TimerGuard, Unit, stage};
 use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
 
+use super::card::Input;
 use super::inputs::ModelInputs;
 use super::library::LibraryUse;
 use super::outputs::{OutputError, Outputs, Row};
@@ -35,8 +36,8 @@ pub(super) struct OnnxWorker {
 }
 
 impl OnnxWorker {
-    /// Creates a worker and warms it up: computes zeros, with the card's constants, as one sample and as the largest
-    /// batch. These two sizes need different amounts of memory.
+    /// Creates a worker and warms it up: runs the session on zeros and the card's constants, for one sample and for the
+    /// largest batch. These two sizes need different amounts of memory.
     // The first inference of a session is slow. It also shows, before a sample arrives, whether the card fits the
     // model.
     pub(super) fn new_warmed_up(
@@ -47,9 +48,8 @@ impl OnnxWorker {
         clock: SharedClock,
     ) -> Result<Self, LoadError> {
         let max_size = settings.batching.max_size;
-        let inputs = ModelInputs::new(&settings.card.inputs, max_size, |input| {
-            max_size > 1 && card_match::has_open_batch(input, session.inputs())
-        });
+        let is_batched = |input: &Input| max_size > 1 && card_match::has_open_batch(input, session.inputs());
+        let inputs = ModelInputs::new(&settings.card.inputs, max_size, is_batched);
         let longest_run = Span::ZERO;
         let mut worker =
             Self { session, inputs, settings, stop, clock, longest_run, _library_use: library_use };
@@ -62,10 +62,12 @@ impl OnnxWorker {
         Ok(worker)
     }
 
-    /// Computes a batch of zeros and checks the outputs.
+    /// Runs the session on a batch of zeros and checks the outputs.
     fn warm_up(&mut self, batch: usize) -> Result<(), OutputError> {
         let started_at = self.clock.mono();
-        let run = TerminableRun::new(Vec::new(), &self.stop, &self.clock, started_at)?;
+        // Without requests, only `stop` terminates the run, so `overdue_at` has no effect.
+        let overdue_at = started_at;
+        let run = TerminableRun::new(Vec::new(), &self.stop, &self.clock, overdue_at)?;
         let outputs = self.session.run_with_options(self.inputs.values(batch)?, run.options())?;
         self.longest_run = self.longest_run.max(self.clock.mono() - started_at);
         answer::check(&self.settings.card, &Outputs::new(&outputs, Row { index: batch - 1, batch }))
@@ -82,14 +84,14 @@ impl OnnxWorker {
     /// Fills the inputs. Returns for each sample whether it can be computed. The samples that can be computed fill the
     /// first rows, in their order.
     fn preprocess(&mut self, samples: &[&Sample]) -> Vec<Result<(), InferenceError>> {
-        let failed = |(result, sample): (Result<(), InputError>, &&Sample)| {
+        let convert_error = |(result, sample): (Result<(), InputError>, &&Sample)| {
             result.map_err(|error| InferenceError::Input {
                 model: self.settings.name.to_string(),
                 sample: sample.source.clone(),
                 reason: error.to_string(),
             })
         };
-        self.inputs.fill(samples).into_iter().zip(samples).map(failed).collect()
+        self.inputs.fill(samples).into_iter().zip(samples).map(convert_error).collect()
     }
 
     /// Computes the answers to the samples in the first rows, as many rows as there are recorders. The `cancellations`
@@ -123,9 +125,9 @@ impl OnnxWorker {
                     failed(error.to_string())
                 }
             });
-            // The requests of a run that failed are computed again, each alone.
-            let is_repeated = batch > 1 && matches!(outputs, Err(InferenceError::Failed { .. }));
-            if settings.batching.is_on() && !is_repeated {
+            // The requests of a run that failed are computed again, each alone. The later runs record the batch size.
+            let will_be_repeated = batch > 1 && matches!(outputs, Err(InferenceError::Failed { .. }));
+            if settings.batching.is_on() && !will_be_repeated {
                 for recorder in &mut stages {
                     recorder.record_value(BATCH_SIZE, batch as f64, Unit::NONE);
                 }

@@ -115,6 +115,7 @@ impl StreamedAnswer {
         }
         let event: EventData<'_> = serde_json::from_str(data)
             .map_err(|error| StreamError::Event { number: self.event_count, reason: error.to_string() })?;
+        // Some servers do not mark an event that reports an error. Then only the data shows the error.
         if event.is_error() {
             return Err(self.server_error(error_text_of_body(data.as_bytes())));
         }
@@ -123,12 +124,12 @@ impl StreamedAnswer {
             self.usage = Some(usage);
             self.usage_defect = self.usage_defect.take().or(defect);
         }
-        let (first, others): (Vec<_>, Vec<_>) =
+        let (index_0_choices, other_choices): (Vec<_>, Vec<_>) =
             event.choices.into_iter().flatten().partition(Choice::is_first);
         if self.other_choice.is_none() {
-            self.other_choice = others.iter().find(|choice| choice.has_text()).map(Choice::index_text);
+            self.other_choice = other_choices.iter().find(|choice| choice.has_text()).map(Choice::index_text);
         }
-        match first.into_iter().next() {
+        match index_0_choices.into_iter().next() {
             Some(choice) => self.receive_choice(at, choice, receive_text),
             None => Ok(()),
         }
@@ -147,8 +148,8 @@ impl StreamedAnswer {
         if let Some(text) = choice.error_text() {
             return Err(self.server_error(text));
         }
-        // Once there are chunks, a whole text is no error: a server may stream an answer and repeat it in the last
-        // event.
+        // A whole answer in place of a `delta` is an error only before the first chunk: a server may stream an answer
+        // and repeat the whole answer in the last event.
         if let Some(field) = choice.field_of_whole_text().filter(|_| self.chunk_times.is_empty()) {
             return Err(StreamError::NoDelta { number: self.event_count, field });
         }

@@ -101,7 +101,8 @@ impl fmt::Display for Connector {
 fn trusted_roots() -> Result<RootCertStore, String> {
     let found = rustls_native_certs::load_native_certs();
     let mut roots = RootCertStore::empty();
-    // Besides the certificates that are needed, some hosts have old ones that rustls cannot read.
+    // Some hosts have old certificates that rustls cannot read. These are ignored if at least one certificate is
+    // readable.
     let (trusted, unreadable) = roots.add_parsable_certificates(found.certs);
     let errors = found.errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
     if trusted == 0 {

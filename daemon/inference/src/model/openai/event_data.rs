@@ -24,7 +24,7 @@ pub(super) struct EventData<'a> {
     error: Option<&'a RawValue>,
     /// Kind of the object: `chat.completion.chunk`, or `error`.
     object: Option<Value>,
-    /// Text of an error without the object `error`.
+    /// Text of an error, in an event that has no member `error`.
     message: Option<Value>,
     /// Text of an error, under the name that FastAPI uses.
     detail: Option<IgnoredAny>,
@@ -63,7 +63,7 @@ const NULL: &str = "null";
 /// Maximum number of tokens: a 64-bit float represents all integers up to this one exactly.
 const MAX_TOKENS: u64 = 1 << 53;
 
-/// Number of tokens, as the server counted them.
+/// Numbers of tokens, as the server counted them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Usage {
     /// Tokens of the request, pictures included.
@@ -77,7 +77,7 @@ pub(super) struct Usage {
 }
 
 impl EventData<'_> {
-    /// Returns whether the event reports an error. vLLM and FastAPI report errors without the object `error`.
+    /// Returns whether the event reports an error. vLLM and FastAPI report errors without the member `error`.
     pub(super) fn is_error(&self) -> bool {
         let is_error_object = self.object.as_ref().is_some_and(|object| object == "error");
         let has_error_text = self.message.as_ref().is_some_and(Value::is_string) || self.detail.is_some();
@@ -146,6 +146,7 @@ impl Usage {
             return (Self::default(), Some(format!("usage = {usage}")));
         };
         let mut defect = None;
+        // A number without a group is a member of `usage` itself.
         let mut count = |group: Option<&str>, name: &str| {
             let details = group.map(|group| table.get(group).and_then(|details| members(details)));
             let value = details.as_ref().map_or(Some(&table), Option::as_ref)?.get(name)?.get();
@@ -163,15 +164,15 @@ impl Usage {
         };
         // Cached tokens are part of the tokens of the request, and tokens of the reasoning are part of the
         // completion's.
-        for (count, count_name, total, total_name) in [
+        for (part, part_name, total, total_name) in [
             (&mut read.cached_tokens, "cached_tokens", read.prompt_tokens, "prompt_tokens"),
             (&mut read.reasoning_tokens, "reasoning_tokens", read.completion_tokens, "completion_tokens"),
         ] {
-            if let (Some(tokens), Some(total)) = (*count, total)
+            if let (Some(tokens), Some(total)) = (*part, total)
                 && tokens > total
             {
-                defect.get_or_insert_with(|| format!("{count_name} = {tokens} of {total_name} = {total}"));
-                *count = None;
+                defect.get_or_insert_with(|| format!("{part_name} = {tokens} of {total_name} = {total}"));
+                *part = None;
             }
         }
         (read, defect)

@@ -1,6 +1,6 @@
 //! Parser of server-sent events (WHATWG HTML Living Standard, section 9.2). No I/O.
 
-/// Maximum length of an event and of a line, bytes. The longest events of an answer have the text of many tokens.
+/// Maximum length of an event and of a line, bytes. One event may have the text of many tokens.
 const MAX_EVENT_BYTES: usize = 1 << 20;
 
 /// Byte order mark that may precede a stream.
@@ -74,7 +74,7 @@ impl EventStream {
         Ok(self.extend_line(bytes)?)
     }
 
-    /// Returns whether the bytes so far contain a comment or a field of the standard. Those of every event stream do.
+    /// Returns whether the bytes so far contain a comment or a field of the standard, as every event stream does.
     pub(super) fn has_field(&self) -> bool {
         // The end of the current line may be missing.
         self.has_field || is_field(&self.line)

@@ -8,7 +8,8 @@ use super::answer::StreamedAnswer;
 /// whole. The value of the first byte, plus one, is the length of a piece.
 ///
 /// # Panics
-/// If the two answers differ, or if the texts that were passed on together are not the text of the answer.
+/// If the two answers differ, or if the text of the answer is not the concatenation of the texts that were passed to
+/// `receive_text`.
 pub fn check_stream(data: &[u8]) {
     let Some((&first_byte, data)) = data.split_first() else { return };
     let mut in_pieces = StreamedAnswer::new(MonoTime::from_nanos(0));

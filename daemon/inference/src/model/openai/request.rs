@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn other_parts_are_refused_with_advice() {
+    fn unsupported_sample_is_refused_with_advice() {
         let config = config("http://gpu/v1");
         for (parts, reason) in [
             (vec![part(MediaType::Tensor, b"1")], "application/x-tensor; a language model takes text"),

@@ -98,25 +98,25 @@ impl Server {
         let limit = limit.min(CHECK_TIMEOUT);
         let request = self.request(Method::GET, "/models", Bytes::new())?;
         let mut is_connected = false;
-        let exchange = async {
+        let check = async {
             let stream = self.connector.connect().await?;
             is_connected = true;
             exchange(stream, async |mut sender: SendRequest<Full<Bytes>>| {
                 let response =
                     sender.send_request(request).await.map_err(|error| connection_error(0, &error))?;
                 match response.status() {
-                    // Any other status shows that the server can be reached; some servers have no list of models.
                     StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => {
                         // Half of the limit remains, so that the error with the status is returned before the check
                         // itself times out.
                         Err(status_error(response, ERROR_TIMEOUT.min(limit / 2)).await)
                     }
+                    // Any other status shows that the server can be reached; some servers have no list of models.
                     _ => Ok(()),
                 }
             })
             .await
         };
-        let result = timeout(limit, exchange).await;
+        let result = timeout(limit, check).await;
         match result {
             Ok(result) => result,
             Err(_) if is_connected => {

@@ -52,12 +52,13 @@ pub(super) async fn status_error(mut response: Response<Incoming>, limit: Durati
 /// `Retry-After`.
 fn is_retry_after(text: &str) -> bool {
     let is_seconds = text.bytes().all(|byte| byte.is_ascii_digit()) && text.parse::<u32>().is_ok();
-    let form = b"Aaa, 00 Aaa 0000 00:00:00 GMT";
-    let is_date = text.len() == form.len()
-        && text.bytes().zip(form).all(|(byte, form)| match form {
+    // `A` and `a` stand for any letter, and `0` stands for any digit.
+    let pattern = b"Aaa, 00 Aaa 0000 00:00:00 GMT";
+    let is_date = text.len() == pattern.len()
+        && text.bytes().zip(pattern).all(|(byte, symbol)| match symbol {
             b'0' => byte.is_ascii_digit(),
             b'A' | b'a' => byte.is_ascii_alphabetic(),
-            form => byte == *form,
+            symbol => byte == *symbol,
         });
     is_seconds || is_date
 }

@@ -103,9 +103,9 @@ mod tests {
         deadlines.waiting_since = clock.mono();
         assert_eq!(deadlines.within(&answer, ready(3)).await, Ok(3));
         manual.advance(Span::from_millis(20));
-        let timeout_error = RequestError::Total { limit: millis(100), chunk_count: 1 };
         assert!(matches!(deadlines.within(&answer, ready(4)).await, Err(RequestError::Token { .. })));
         deadlines.waiting_since = clock.mono();
+        let timeout_error = RequestError::Total { limit: millis(100), chunk_count: 1 };
         assert_eq!(deadlines.within(&answer, ready(5)).await, Err(timeout_error));
     }
 }
