@@ -58,7 +58,8 @@ fn measure_echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     fs::write(folder.path().join("echo.py"), ECHO).expect("it can be written");
     let mut config = PythonConfig::new("echo::Echo");
     config.folder = Some(folder.path().to_owned());
-    let mut object = PythonObject::start(&config, Role::Model, "bench", None, clock).expect("it starts");
+    let device = None;
+    let mut object = PythonObject::start(&config, Role::Model, "bench", device, clock).expect("it starts");
     let parts = std::slice::from_ref(part);
     let mut durations = Vec::with_capacity(rounds);
     for round in 0..rounds + rounds / 10 {

@@ -48,8 +48,8 @@ const MAX_VALUE_CHARS: usize = 1000;
 /// Text that replaces a configured value.
 const HIDDEN_VALUE: &str = "(not told)";
 
-/// Returns the variables of this program that influence the results of custom code, with their values. The processes of
-/// custom code inherit these variables.
+/// Returns the variables in PEERNet's own environment that influence the results of custom code, with their values. The
+/// processes of custom code inherit these variables.
 pub fn environment() -> BTreeMap<String, String> {
     let value_of = |name: &&str| {
         let value = env::var_os(name)?.to_string_lossy().chars().take(MAX_VALUE_CHARS).collect::<String>();

@@ -159,8 +159,9 @@ impl ExecConfig {
             .collect()
     }
 
-    /// Returns whether a name that is not in this program's `PATH` is a builtin command of the shell, or a program that
-    /// the shell finds with the configured variables (`env`). Runs the shell, but not the named program.
+    /// Returns whether only the shell can run a name: as a builtin command of the shell, or as a program that the shell
+    /// finds with the configured variables (`env`). Returns `false` for a name with a slash and for a program in
+    /// PEERNet's `PATH`. Runs the shell, but not the named program.
     fn is_shell_command(&self, name: &str) -> bool {
         let is_unknown_name = !name.contains('/') && find_program(OsStr::new(name)).is_none();
         is_unknown_name

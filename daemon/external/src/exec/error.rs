@@ -54,7 +54,7 @@ pub enum FramingError {
     /// The sample or answer has too many parts.
     #[error("it announced more than {MAX_PARTS} parts of one sample or answer")]
     TooManyParts,
-    /// The name is reserved.
+    /// The name of a reported stage or value is reserved.
     #[error(
         "it reported {0:?}, which is a reserved name; use another name; a model may report the stages preprocessing, \
          inference and postprocessing"

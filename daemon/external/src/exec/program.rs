@@ -91,6 +91,7 @@ impl Program {
     /// # Errors
     /// The reason that this request has no reply. The next request may succeed.
     pub fn call(&mut self, request: Request<'_>) -> Result<ProgramCall, ProgramCallError> {
+        // Partial answers are dropped; `true` says that the caller still waits for the answer.
         self.call_with_partial_answers(request, &mut |_| true)
     }
 
@@ -138,8 +139,8 @@ impl Program {
                 }
             }
             Err(error) => {
-                // The program is killed before the restart delay begins, so that it has ended when the next process
-                // starts.
+                // Dropping `process` kills the program. This happens before the restart delay begins, so that the
+                // program has ended when the next process starts.
                 let error = match error {
                     // The program has not failed, so its restart is not delayed.
                     ProgramCallError::Cancelled => {
@@ -229,6 +230,7 @@ fn send_and_receive(
                 deadline = new_deadline();
                 AssemblyStep::ReadLine
             }
+            // An empty part needs no read.
             AssemblyStep::ReadBytes(0) => assembler.push_bytes(Bytes::new()),
             // The count is at most `MAX_SAMPLE_BYTES`, which fits into a usize.
             AssemblyStep::ReadBytes(count) => {

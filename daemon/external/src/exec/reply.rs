@@ -139,11 +139,13 @@ impl ReplyAssembler {
             _ if self.is_reset => return Err(self.unknown_word(line)),
             ("stage", role) => {
                 let (name, span) = parse_stage(rest).ok_or_else(|| form_error(STAGE_FORM))?;
-                notes.stages.push((check_name(name, role == Role::Model)?, span));
+                let allows_model_stages = role == Role::Model;
+                notes.stages.push((check_name(name, allows_model_stages)?, span));
             }
             ("value", _) => {
                 let (name, number, unit) = parse_value(rest).ok_or_else(|| form_error(VALUE_FORM))?;
-                notes.values.push((check_name(name, false)?, number, unit.to_owned()));
+                let allows_model_stages = false;
+                notes.values.push((check_name(name, allows_model_stages)?, number, unit.to_owned()));
             }
             ("sequence", Role::Sensor) => {
                 notes.sequence = Some(rest.parse().map_err(|_| form_error("sequence NUMBER"))?);
@@ -177,6 +179,7 @@ impl ReplyAssembler {
                     "part" => Position::Inner,
                     _ => Position::Partial,
                 };
+                // The error `None` means that the line does not have the expected form.
                 return self
                     .announce_part(rest, position)
                     .map_err(|error| error.unwrap_or_else(|| form_error(ANSWER_FORM)));

@@ -73,8 +73,8 @@ impl ProgramCall {
     /// [`ProgramCallError::StagesTooLong`] if the stages add up to more than the whole call.
     pub fn stages(&self) -> Result<Vec<TimedStage>, ProgramCallError> {
         let timed_stage = |name: &str, from, to| TimedStage { name: name.to_owned(), from, to };
-        let is_stage = |name: &String| SUMMED_STAGES.contains(&name.as_str());
-        let summed = self.notes.stages.iter().filter(|(name, _)| is_stage(name));
+        let is_summed = |name: &String| SUMMED_STAGES.contains(&name.as_str());
+        let summed = self.notes.stages.iter().filter(|(name, _)| is_summed(name));
         let reported_sum: Span = summed.map(|(_, span)| *span).sum();
         if reported_sum > self.max_plausible_duration() {
             let (stages, call) = (reported_sum.to_duration(), self.duration().to_duration());
@@ -86,7 +86,7 @@ impl ProgramCall {
         };
         let (mut stages, mut next_start) = (Vec::new(), stages_start);
         for (name, span) in &self.notes.stages {
-            if is_stage(name) {
+            if is_summed(name) {
                 stages.push(timed_stage(name, next_start, next_start + *span));
                 next_start = next_start + *span;
             } else {
@@ -97,7 +97,7 @@ impl ProgramCall {
         // the sum of the stages.
         if let Some(from) = self.restart_began_at {
             stages.push(timed_stage(RESTART, from, stages_start));
-        } else if !stages.iter().any(|stage| is_stage(&stage.name)) {
+        } else if !stages.iter().any(|stage| is_summed(&stage.name)) {
             stages.push(timed_stage("inference", self.started_at, self.ended_at));
         } else {
             stages.push(timed_stage(IPC, next_start.min(self.ended_at), self.ended_at));

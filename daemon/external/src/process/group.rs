@@ -10,7 +10,7 @@ use super::spawner;
 
 /// Shell command of the watcher. The watcher kills its process group when its standard input closes, and ignores the
 /// signals that ask the group to end.
-// The standard input closes when this program ends, for whatever reason.
+// The standard input closes when PEERNet ends, for whatever reason.
 const WATCHER_SCRIPT: &str = "trap '' HUP INT QUIT TERM USR1 USR2; read -r _; kill -KILL 0";
 
 /// A process that leads a process group, and a watcher in that group.
@@ -37,9 +37,12 @@ impl Group {
         command.process_group(0);
         let leader = spawner::spawn(command)?;
         let watcher = Watcher::start(&leader)
-            // Without a watcher only the leader ends when this program is killed.
+            // Without a watcher, only the leader ends when PEERNet is killed.
             .inspect_err(|error| {
-                tracing::warn!(%error, "cannot start the watcher of a program; its processes may outlive this program");
+                tracing::warn!(
+                    %error,
+                    "cannot start the watcher of custom code; processes that the custom code starts may outlive PEERNet"
+                );
             })
             .ok();
         Ok(Self { leader, watcher })
