@@ -26,9 +26,9 @@ pub struct Launch {
     pub program: OsString,
     /// Arguments of the program.
     pub arguments: Vec<OsString>,
-    /// Working directory; `None` for the working directory of this program.
+    /// Working directory; `None` for PEERNet's working directory.
     pub folder: Option<PathBuf>,
-    /// Environment variables added to the environment of this program.
+    /// Environment variables added to PEERNet's environment.
     pub environment: BTreeMap<String, String>,
     /// Open file that the process inherits, under the same descriptor number.
     pub inherited_file: Option<Arc<File>>,
@@ -44,8 +44,8 @@ impl Launch {
         }
     }
 
-    /// Returns the command, with pipes for standard input, output and error. The kernel kills the process when this
-    /// program ends.
+    /// Returns the command, with pipes for standard input, output and error. The kernel kills the process when
+    /// PEERNet's process ends.
     pub(super) fn command(&self) -> Command {
         let mut command = Command::new(&self.program);
         command.args(&self.arguments).envs(&self.environment);

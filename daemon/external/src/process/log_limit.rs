@@ -19,7 +19,7 @@ pub(super) struct LogLimit {
     period_end: Option<MonoTime>,
     /// Lines that were logged in the current period.
     logged: LogVolume,
-    /// Lines that were left out since the last report.
+    /// Lines that were left out and not taken yet.
     omitted: LogVolume,
 }
 
@@ -56,13 +56,13 @@ impl LogLimit {
         Some((period_end - now).to_duration())
     }
 
-    /// Returns the lines that were left out since the last report, if there are any and the period has ended.
-    pub(super) fn report(&mut self, now: MonoTime) -> Option<LogVolume> {
-        self.period_end.is_some_and(|end| end <= now).then(|| self.report_rest()).flatten()
+    /// Takes the number of left-out lines and of their bytes if the period has ended; `None` if no line was left out.
+    pub(super) fn take_omitted_after_period(&mut self, now: MonoTime) -> Option<LogVolume> {
+        self.period_end.is_some_and(|end| end <= now).then(|| self.take_omitted()).flatten()
     }
 
-    /// Returns the lines that were left out since the last report, if there are any.
-    pub(super) fn report_rest(&mut self) -> Option<LogVolume> {
+    /// Takes the number of left-out lines and of their bytes; `None` if no line was left out.
+    pub(super) fn take_omitted(&mut self) -> Option<LogVolume> {
         let omitted = std::mem::take(&mut self.omitted);
         (omitted.lines > 0).then_some(omitted)
     }
@@ -90,9 +90,11 @@ mod tests {
         let mut limit = LogLimit::default();
         let logged = (0..1_000).filter(|_| limit.admit("four", at(0))).count() as u64;
         assert_eq!(logged, MAX_LINES);
-        assert_eq!((limit.report(at(9)), limit.time_to_report(at(9))), (None, Some(Duration::from_secs(1))));
+        assert_eq!(limit.take_omitted_after_period(at(9)), None);
+        assert_eq!(limit.time_to_report(at(9)), Some(Duration::from_secs(1)));
         let omitted = LogVolume { lines: 1_000 - MAX_LINES, bytes: 4 * (1_000 - MAX_LINES) };
-        assert_eq!((limit.report(at(10)), limit.report(at(10))), (Some(omitted), None));
+        assert_eq!(limit.take_omitted_after_period(at(10)), Some(omitted));
+        assert_eq!(limit.take_omitted_after_period(at(10)), None);
         assert!(limit.admit("again", at(10)) && limit.time_to_report(at(10)).is_none());
     }
 
@@ -101,6 +103,6 @@ mod tests {
         let mut limit = LogLimit::default();
         let line = "x".repeat(4_096);
         assert_eq!((0..100).filter(|_| limit.admit(&line, at(0))).count(), 8);
-        assert_eq!(limit.report_rest(), Some(LogVolume { lines: 92, bytes: 92 * 4_096 }));
+        assert_eq!(limit.take_omitted(), Some(LogVolume { lines: 92, bytes: 92 * 4_096 }));
     }
 }

@@ -44,8 +44,8 @@ impl PipeError {
     /// Converts this to the error of a process.
     ///
     /// # Errors
-    /// For a closed pipe: the end that the process closed, or `None` if the process has ended. The caller finds the
-    /// reason in the exit status.
+    /// If the pipe is closed, returns the fault in [`Closed`](Self::Closed). The caller then waits for the exit status,
+    /// and makes the error from the end of the process.
     pub(super) fn into_process_error(self) -> Result<ProcessError, Option<Fault>> {
         match self {
             Self::Closed(fault) => Err(fault),
@@ -66,13 +66,12 @@ pub(super) fn prepare(fd: impl AsFd) -> io::Result<()> {
     Ok(())
 }
 
-/// Limits of a wait: the deadline of the call, and the end of the process at the other end.
+/// Limits of a wait: the deadline of the call, and the exit of the process that uses the pipe.
 #[derive(Clone, Copy)]
 pub(super) struct Wait<'a> {
     pub(super) clock: &'a SharedClock,
     pub(super) deadline: MonoTime,
-    /// Descriptor that becomes readable when the process at the other end ends (pidfd_open(2)), if the kernel
-    /// supports it.
+    /// Descriptor that becomes readable when the process ends (pidfd_open(2)), if the kernel supports it.
     // The pipe alone does not show the end of the process, because a child of the process may keep the pipe open.
     pub(super) pidfd: Option<BorrowedFd<'a>>,
 }
@@ -84,7 +83,7 @@ impl Wait<'_> {
         poll_fds.extend(self.pidfd.map(|pidfd| PollFd::from_borrowed_fd(pidfd, PollFlags::IN)));
         self.poll(&mut poll_fds)?;
         if poll_fds[..N].iter().all(|pipe| pipe.revents().is_empty()) {
-            // The process has ended; its last output is in the pipe by now.
+            // Only the pidfd is ready, so the process has ended. Its last output is in the pipe by now.
             poll(&mut poll_fds[..N], Some(&Timespec::default()))?;
         }
         let ready = std::array::from_fn(|index| !poll_fds[index].revents().is_empty());
@@ -181,9 +180,10 @@ impl Reader {
     pub(super) fn has_unread_output(&self) -> bool {
         let no_wait = Timespec { tv_sec: 0, tv_nsec: 0 };
         let mut fds = [PollFd::from_borrowed_fd(self.fd.as_fd(), PollFlags::IN)];
-        let poll_result = self.buffered_bytes().is_empty().then(|| poll(&mut fds, Some(&no_wait)));
         // A closed pipe holds nothing; the next write or read returns the error.
-        poll_result.is_none_or(|poll_result| poll_result.is_ok() && fds[0].revents().contains(PollFlags::IN))
+        let mut pipe_has_output =
+            || poll(&mut fds, Some(&no_wait)).is_ok() && fds[0].revents().contains(PollFlags::IN);
+        !self.buffered_bytes().is_empty() || pipe_has_output()
     }
 
     /// Reads once into the spare capacity of a vector; waits until there is something to read.

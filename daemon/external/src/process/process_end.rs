@@ -11,7 +11,7 @@ use rustix::process::Signal;
 pub struct ProcessEnd {
     /// Exit status or signal; `None` if the system did not report it.
     pub status: Option<ExitStatus>,
-    /// Misbehaviour because of which this program ended the process; `None` if the process did not misbehave.
+    /// Misbehaviour before the end of the process; `None` if the process did not misbehave.
     pub fault: Option<Fault>,
     /// `true` if this program killed the process.
     pub was_killed: bool,

@@ -2,8 +2,8 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Exponential backoff for restarts. The first restart after a successful call has no delay. Each further failure
-/// before the next success doubles the delay, up to a maximum.
+/// Exponential backoff for restarts. The first restart after a successful call has no delay, the second has a delay of
+/// 100 ms. Each further failure before the next success doubles the delay, up to 10 s.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RestartBackoff {
     /// Number of failures since the last successful call.

@@ -24,7 +24,7 @@ pub(super) fn spawn(command: Command) -> io::Result<Child> {
         None => {
             let (requests, receiver) = sync_channel(1);
             thread::Builder::new().name("spawner".to_owned()).spawn(move || serve(&receiver))?;
-            // If two threads get here at the same time, the spawner of the second thread ends at once.
+            // If two threads get here at the same time, the second spawner ends, because its sender is dropped.
             SPAWNER.get_or_init(|| requests)
         }
     };

@@ -121,7 +121,7 @@ impl LineLogger {
             }
         }
         lines.finish(|line| self.log(line));
-        if let Some(omitted) = self.limit.report_rest() {
+        if let Some(omitted) = self.limit.take_omitted() {
             self.stderr_log.log_omission(&self.name, omitted);
         }
     }
@@ -142,7 +142,7 @@ impl LineLogger {
 
     /// Logs the number of left-out lines if their period has ended.
     fn report(&mut self) {
-        if let Some(omitted) = self.limit.report(self.clock.mono()) {
+        if let Some(omitted) = self.limit.take_omitted_after_period(self.clock.mono()) {
             self.stderr_log.log_omission(&self.name, omitted);
         }
     }
@@ -185,7 +185,7 @@ impl LineSplitter {
         }
     }
 
-    /// Calls `log` with the line that has no end yet.
+    /// Calls `log` with the bytes of the current line, unless they are blank, and begins a new line.
     fn finish(&mut self, mut log: impl FnMut(&str)) {
         let line = self.0.trim_ascii_end();
         if !line.is_empty() {

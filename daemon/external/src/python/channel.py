@@ -1,4 +1,5 @@
-# Part of the worker's source: mod.rs concatenates its files.
+# Part of the worker's source: mod.rs concatenates its files. values.py imports json and sys, and defines the
+# limits, the exceptions and to_json.
 #
 # The channel to the daemon: two pipes and shared memory.
 import mmap

@@ -1,4 +1,4 @@
-//! Configuration of a Python object: its name, the interpreter, and permitted values.
+//! Configuration of a Python object: its name, its process, and the conversion of its values.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroU64;
@@ -16,8 +16,8 @@ pub struct PythonConfig {
     /// Name of the object, `module::object`: a class, which is instantiated without arguments, or an instance.
     /// `module` alone stands for the module itself.
     pub object: String,
-    /// Folder in which the module is searched first, and working directory of the process. Default: the working
-    /// directory of this program.
+    /// Folder in which the module is searched first, and working directory of the process. Default: PEERNet's
+    /// working directory.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub folder: Option<PathBuf>,
     /// Python interpreter, for example the interpreter of a virtual environment. Default: `PEERNET_PYTHON`, else
@@ -50,7 +50,7 @@ pub enum Images {
     /// `PIL.Image`. A JPEG or PNG file is decoded when the image is first used.
     #[default]
     Pil,
-    /// Pixels as an array of shape height × width × channels; a file as `bytes`.
+    /// Pixels as an array of shape height × width × channels; a JPEG or PNG file as `bytes`.
     Numpy,
     /// The bytes as received.
     Bytes,

@@ -23,8 +23,9 @@ pub(super) const MAX_VALUE_BYTES: u64 = 1 << 30;
 /// Media type of a pickled object. The parts after the pickled object are its buffers (pickle protocol 5, PEP 574).
 pub const PICKLE: &str = "application/x-python-pickle";
 
-/// Media type of Python's lists, tuples and dictionaries that JSON cannot represent. They contain bytes, arrays or
-/// pictures, whose parts follow, numbers that are not finite, or keys that are not texts.
+/// Media type of Python's lists, tuples and dictionaries that JSON cannot represent. JSON cannot
+/// represent bytes, arrays and pictures (their parts follow the tree), numbers that are not finite, and keys that are
+/// not texts.
 pub const TREE: &str = "application/x-python-tree";
 
 /// Request to the worker.

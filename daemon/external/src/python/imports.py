@@ -67,6 +67,7 @@ class Imports:
             if file:
                 self.libraries[name] = self.version(name, file)
                 return None
+            # A namespace package has no file and is no library, but its submodules are libraries.
             return folders
         file = containing_archive(os.path.join(self.folder, file)) if file else None
         if file and file not in self.files:
@@ -177,12 +178,14 @@ def distributions(folder):
         name, _, version = stem.partition("-")
         if ending in (".dist-info", ".egg-info") and version:
             for module in modules(os.path.join(folder, entry)) or [name]:
+                # The version of Python may follow: name-1.0-py3.11.egg-info.
                 versions[module] = version.partition("-py")[0]
     return versions
 
 
 def modules(metadata_folder):
     """The modules of a distribution, from its list of top-level names or of its files."""
+    # A line of RECORD begins with the path of a file: package/file.py or module.py.
     for name, delimiter in (("top_level.txt", "\n"), ("RECORD", ".")):
         try:
             with open(os.path.join(metadata_folder, name), encoding="utf-8", errors="replace") as lines:

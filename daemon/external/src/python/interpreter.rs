@@ -61,6 +61,7 @@ pub(super) fn launch(
         environment.entry(DEVICE_VARIABLE.to_owned()).or_insert_with(|| device.to_owned());
     }
     let length = SOURCE.len().to_string();
+    // The worker does not read the last argument: it shows the object in lists of processes.
     let arguments = ["-c", BOOTSTRAP, &length, &config.object].map(OsString::from).to_vec();
     Ok(Launch {
         name,
@@ -85,7 +86,7 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
     let module_folder = launch.folder.clone().unwrap_or_default();
     // To find a submodule, Python imports the packages that contain it, and these are custom code.
     let top_package = module.split('.').next().unwrap_or(module);
-    // If the folder has the package, no interpreter is started, which takes tens of milliseconds.
+    // If the folder has the package, no interpreter is needed. The start of an interpreter takes tens of milliseconds.
     if module_folder.join(format!("{top_package}.py")).is_file() || module_folder.join(top_package).is_dir() {
         return Ok(());
     }

@@ -94,6 +94,7 @@ impl PythonObject {
     /// If the process died or did not answer, the next call restarts the process. After repeated failures the restart
     /// is delayed, and calls fail until the delay is over. An exception of custom code does not end the process.
     pub fn call(&mut self, parts: &[Part]) -> CallResult {
+        // Partial answers are ignored, and the object computes the whole answer.
         self.call_with_partial_answers(parts, &mut |_| true)
     }
 

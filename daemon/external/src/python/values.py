@@ -72,8 +72,9 @@ class Encoder:
         form = self.form(value)
         if form is not None:
             return [form(value)]
-        if self.may_pickle and not self.has_only_builtins(value):
+        if self.may_pickle and not self.needs_no_pickle(value):
             return self.pickled(value)
+        # Each item of a list becomes one part, if all items have a form. A list of texts becomes JSON instead.
         if isinstance(value, (list, tuple)) and 1 < len(value) <= MAX_LEAVES:
             forms = [self.form(item) for item in value]
             if all(forms) and any(not isinstance(item, str) for item in value):
@@ -89,8 +90,8 @@ class Encoder:
         return [part({"other": TREE}, to_json(tree).encode())] + leaves
 
     def leaf_count(self, parts):
-        """The number of arrays, pictures and byte strings among the parts of a value; a list of such values may hold MAX_LEAVES.
-        0 if the list may be pickled, because a pickle may hold any number."""
+        """The number of arrays, pictures and byte strings among the parts of a yielded value. The list of all yielded
+        values may hold MAX_LEAVES of them. 0 if this list may be pickled, because a pickle may hold any number."""
         if self.may_pickle:
             return 0
         return sum(description["media"] not in ("text", "json", {"other": TREE}) for description, _ in parts)
@@ -160,17 +161,18 @@ class Encoder:
         name, channels = PIXEL_MODES[value.mode]
         return part({"pixels": name}, value.tobytes(), (value.height, value.width, channels), "u8")
 
-    def has_only_builtins(self, value, depth=0):
-        """Whether a value consists of built-in types only, so that nothing is lost without a pickle."""
+    def needs_no_pickle(self, value, depth=0):
+        """Whether nothing of a value is lost without a pickle: the value consists of built-in types and of values that
+        have a form."""
         kind = type(value)
         if value is None or kind in (bool, int, float):
             return True
         if depth > 100:
             return False
         if kind in (list, tuple):
-            return all(self.has_only_builtins(item, depth + 1) for item in value)
+            return all(self.needs_no_pickle(item, depth + 1) for item in value)
         if kind is dict:
-            return all(type(key) is str and self.has_only_builtins(item, depth + 1) for key, item in value.items())
+            return all(type(key) is str and self.needs_no_pickle(item, depth + 1) for key, item in value.items())
         return self.form(value) is not None
 
     def tree(self, value, leaves, depth):
@@ -188,6 +190,7 @@ class Encoder:
         form = self.form(value)
         if form is not None:
             leaves.append(form(value))
+            # The tree itself is part 0, so the first leaf is part 1.
             return {"part": len(leaves)}, False
         if isinstance(value, (list, tuple)):
             items = [self.tree(item, leaves, depth + 1) for item in value]
@@ -328,7 +331,7 @@ def import_library(module, value_kind, package, alternative):
 
 
 def from_tree(tree, parts):
-    """The value of a tree whose leaves are `parts`."""
+    """The value of a tree. The first of `parts` is the tree itself, the others are its leaves."""
     if isinstance(tree, list):
         return [from_tree(item, parts) for item in tree]
     if not isinstance(tree, dict):

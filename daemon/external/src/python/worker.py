@@ -1,4 +1,4 @@
-# Part of the worker's source: mod.rs concatenates its files.
+# Part of the worker's source: mod.rs concatenates its files. values.py imports math and sys.
 #
 # The worker process of a custom object: reads a request, calls the object and writes the result.
 import inspect
@@ -74,7 +74,7 @@ def wait_for_gpu():
 
 
 def pictures(value):
-    """The value if it is a picture, or the pictures in it."""
+    """The value if it is a picture, or the pictures in it. A container of over MAX_LEAVES items is not searched."""
     items = value.values() if isinstance(value, dict) else value if isinstance(value, (list, tuple)) else (value,)
     return [item for item in items if is_a(item, "PIL.Image", "Image")] if len(items) <= MAX_LEAVES else []
 
@@ -94,8 +94,8 @@ MIN_YIELDED_BYTES = 64
 
 
 class YieldedValues:
-    """The values that infer() yielded. They are kept only while they can be the whole answer: infer() may yield without end, or
-    return the whole answer."""
+    """The values that infer() yielded. They are kept only while they are within the limits of one answer, because
+    infer() may yield without end. Beyond the limits, infer() must return the whole answer."""
 
     def __init__(self):
         self.values = []
@@ -136,6 +136,7 @@ def send_partial_answers(generator, send_partial_answer):
         except StopIteration as end:
             return (end.value, False) if end.value is not None else yielded.whole_answer()
         size = send_partial_answer(partial_answer)
+        # send_partial_answer() returns None if nobody waits for the answer.
         if size is None:
             generator.close()
             raise Cancelled("nobody waits for the answer any more")
@@ -215,15 +216,15 @@ class Model:
     def __init__(self, custom_object):
         stages = ("preprocess", "infer", "postprocess")
         methods = ((stage, getattr(custom_object, stage, None)) for stage in stages)
-        self.steps = [(stage, method) for stage, method in methods if callable(method)]
+        self.methods = [(stage, method) for stage, method in methods if callable(method)]
         # The list of the values that infer() yielded in the last call, if this list was the whole answer.
         self.yielded = None
 
     def call(self, value, stages, send_partial_answer):
-        for stage, step in self.steps:
+        for stage, method in self.methods:
             started_at = now()
             try:
-                value = step(value)
+                value = method(value)
                 if stage == "infer" and inspect.isgenerator(value):
                     value, is_list = send_partial_answers(value, send_partial_answer)
                     self.yielded = value if is_list else None
