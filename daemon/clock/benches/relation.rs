@@ -29,7 +29,7 @@ const TRAFFIC: [Traffic; 4] = [
     // Bounds of neighbouring exchanges differ by less than the drift between them, so every exchange narrows the
     // band.
     Traffic {
-        name: "worst: none hides another, 1,000 a second",
+        name: "worst: all narrow the band, 1,000 a second",
         hz: 1_000,
         queueing_delay: |n| (n % 2 * 49) as i64,
     },

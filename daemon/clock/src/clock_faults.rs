@@ -10,7 +10,7 @@ use crate::{RawTime, Span, WallTime};
 /// the steps of this clock so far`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClockFaults {
-    /// Offset of both clocks from the start of the faults on.
+    /// Offset of both clocks at the start of the faults.
     pub offset: Span,
     /// Drift in parts per million; positive if the clock is fast.
     pub drift_ppm: f64,

@@ -75,7 +75,7 @@ pub enum DelaySource {
     None,
 }
 
-/// Reciprocal of the smallest share of delays that determines the summary verdict: one delay in this many.
+/// At least one delay in this many must have the summary verdict or a worse verdict.
 const MIN_SHARE_RECIPROCAL: u64 = 20;
 
 /// Degree to which a delay can be trusted.

@@ -16,10 +16,10 @@ pub struct FaultyClock {
     step_counts: Mutex<StepCounts>,
 }
 
-/// Numbers of steps of the inner clock and of injected steps, and the size of the last step, as of the last query.
+/// Wall epoch of the inner clock, number of injected steps, and size of the last step, as of the last query.
 #[derive(Debug, Default)]
 struct StepCounts {
-    inner_steps: u32,
+    inner_wall_epoch: u32,
     injected_steps: u32,
     last_step: Option<Span>,
 }
@@ -27,7 +27,8 @@ struct StepCounts {
 impl FaultyClock {
     /// Creates a clock that shows `inner` with `faults`.
     pub fn new(inner: SharedClock, identity: ClockIdentity, faults: ClockFaults) -> Self {
-        let step_counts = Mutex::new(StepCounts { inner_steps: inner.wall_epoch(), ..StepCounts::default() });
+        let step_counts =
+            Mutex::new(StepCounts { inner_wall_epoch: inner.wall_epoch(), ..StepCounts::default() });
         let now = inner.stamp();
         // Faults start at the same moment on both clocks.
         let raw_since = now.raw - (now.wall - faults.since);
@@ -37,12 +38,12 @@ impl FaultyClock {
     /// Updates and returns the numbers of steps. An injected step counts as soon as its time has come.
     fn update_step_counts(&self) -> MutexGuard<'_, StepCounts> {
         let mut step_counts = self.step_counts.lock().unwrap_or_else(PoisonError::into_inner);
-        let inner_steps = self.inner.wall_epoch();
+        let inner_wall_epoch = self.inner.wall_epoch();
         let elapsed = self.inner.wall() - self.faults.since;
         let steps = || self.faults.steps_within(elapsed, SteppedClock::Wall);
         let due_steps = steps().count() as u32;
-        if inner_steps > step_counts.inner_steps {
-            step_counts.inner_steps = inner_steps;
+        if inner_wall_epoch > step_counts.inner_wall_epoch {
+            step_counts.inner_wall_epoch = inner_wall_epoch;
             step_counts.last_step = self.inner.last_step();
         }
         if due_steps > step_counts.injected_steps {
@@ -86,7 +87,7 @@ impl Clock for FaultyClock {
 
     fn wall_epoch(&self) -> u32 {
         let step_counts = self.update_step_counts();
-        step_counts.inner_steps + step_counts.injected_steps
+        step_counts.inner_wall_epoch + step_counts.injected_steps
     }
 
     fn begin_wall_epoch(&self) {

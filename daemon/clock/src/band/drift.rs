@@ -82,8 +82,8 @@ impl DriftChangeLimit {
         Self { half: (half * (1.0 + 1e-12) * (1u128 << Self::BITS) as f64).ceil() as u64 }
     }
 
-    /// Returns κ·a·b / 2 for two lengths of time in nanoseconds, rounded up: the largest distance of the offset from
-    /// the straight line through two of its values, at distances a and b from them.
+    /// Returns κ·a·b / 2 for two lengths of time in nanoseconds, rounded up; κ is this limit. The result is the largest
+    /// distance of the offset from the straight line through two of its values, at distances a and b from them.
     #[inline]
     pub(crate) fn max_deviation(self, a: u64, b: u64) -> i64 {
         let area = u128::from(a) * u128::from(b);
@@ -112,6 +112,7 @@ mod tests {
         assert_eq!(limit.max_deviation(1, 1), 1);
         assert_eq!(limit.max_deviation(u64::MAX, u64::MAX), i64::MAX);
         let fast = DriftChangeLimit::new(1.0, DriftLimit::new(1_000.0));
+        // 1 ppm/s over 100 s and 100 s: 5 ms, divided by (1 − 1,000 ppm)³.
         assert!(fast.max_deviation(100 * second, 100 * second) >= 5_015_000);
         let no_drift = DriftLimit::new(0.0);
         assert_eq!(DriftChangeLimit::new(f64::NAN, no_drift), DriftChangeLimit::new(f64::INFINITY, no_drift));

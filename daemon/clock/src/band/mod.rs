@@ -17,7 +17,7 @@ mod trend;
 use std::collections::VecDeque;
 
 pub(crate) use drift::{DriftChangeLimit, DriftLimit, DriftModel};
-use rate_change::{Hulls, MAX_POINTS_PER_SIDE};
+use rate_change::{Hulls, MAX_POINTS_BEFORE_OR_AFTER};
 pub use skew::ProvenSkew;
 use slots::{Insertion, Point, Slots, lowest_bound};
 use trend::Trend;
@@ -241,6 +241,7 @@ impl Band {
             return query(&self.hulls);
         }
         let mut hulls = Hulls::default();
+        // `Other` makes `fill_hulls` build both sides from all points.
         self.fill_hulls(&mut hulls, q, [Insertion::Other; 2], change);
         query(&hulls)
     }
@@ -263,15 +264,16 @@ impl Band {
             hulls.set_lower(self.newest_exchanges.iter().map(|bounds| bounds.lower), change);
             return;
         }
+        let max_points = MAX_POINTS_BEFORE_OR_AFTER;
         match (upper, self.upper.newest()) {
             (Insertion::Newest, Some(newest)) => hulls.replace_upper(newest, change),
             (Insertion::Unchanged, _) => {}
-            _ => hulls.set_upper(self.upper.points_around(q, self.window, MAX_POINTS_PER_SIDE), change),
+            _ => hulls.set_upper(self.upper.points_around(q, self.window, max_points), change),
         }
         match (lower, self.lower.newest()) {
             (Insertion::Newest, Some(newest)) => hulls.replace_lower(newest, change),
             (Insertion::Unchanged, _) => {}
-            _ => hulls.set_lower(self.lower.points_around(q, self.window, MAX_POINTS_PER_SIDE), change),
+            _ => hulls.set_lower(self.lower.points_around(q, self.window, max_points), change),
         }
     }
 

@@ -9,19 +9,21 @@
 //! - beyond two points of both sides, a < b ≤ q, the chord of φ from a to q is below φ(b): θ(q) ≤ U_b + (q−b)·(U_b −
 //!   L_a) / (b−a) + κ(q−a)(q−b)/2, and likewise before them.
 //!
-//! Convex hulls select the two points that bound θ(q) best: the hull of the points (x, U + κx²/2) of one side and of
-//! the points (x, U − κx²/2) of the other. A shift of the origin of x adds a straight line and changes no hull, so one
-//! set of hulls serves every q. The selection uses floating point; the bound of the two selected points is an integer
-//! that is rounded up. Bounds from below are the same with the opposite sign. `docs/clocks.md` contains the proof.
+//! Convex hulls select the two points that bound θ(q) best: for the chord of ψ, the hull of the points (x, U + κx²/2);
+//! for the chord of φ, the hull of the points (x, U − κx²/2) and the hull of the points (x, L − κx²/2). Lower points
+//! are stored with the opposite sign, so the last hull is that of (x, −L + κx²/2). A shift of the origin of x adds a
+//! straight line and changes no hull, so one set of hulls serves every q. The selection uses floating point; the bound
+//! of the two selected points is an integer that is rounded up. Bounds from below are the same with the opposite sign.
+//! `docs/clocks.md` contains the proof.
 
 use super::drift::DriftChangeLimit;
 use super::hull;
 use super::slots::Point;
 
-/// Maximum number of points of one side of the band that are used before the time of a bound. As many are used after
-/// this time. The slots of these points cover 12 s before and 12 s after the time.
+/// Maximum number of upper (or lower) points that are used before the time of a bound, and maximum number that are used
+/// after this time. The slots of these points cover 12 s before and 12 s after the time.
 // At the usual κ, points that are farther away give no better bound.
-pub(super) const MAX_POINTS_PER_SIDE: usize = 24;
+pub(super) const MAX_POINTS_BEFORE_OR_AFTER: usize = 24;
 /// Longest distance in time over which a rate extends bounds: 13 days.
 const MAX_LENGTH_NANOS: u64 = 1 << 50;
 
@@ -165,8 +167,8 @@ fn best_bound(side: &Side, opposite: &Side, q: i64, change: DriftChangeLimit) ->
         let rate = b.bound.saturating_add(a.bound) as f64 / (far - near);
         (b.bound - origin) as f64 + near * rate + half_limit * near * far
     };
-    // Together with b, each further point of the hull gives a lower bound than the point before it, until the line
-    // through b is a tangent of the hull. The points after the tangent give higher bounds.
+    // Together with b, each further point of the hull gives a smaller value than the point before it, until the line
+    // through b is a tangent of the hull. The points after the tangent give greater values.
     let mut consider_tangent = |b: Point, farther: &mut dyn Iterator<Item = &Point>| {
         let mut lowest = f64::INFINITY;
         for a in farther {
@@ -215,7 +217,8 @@ fn multiply_divide(part: u64, value: i128, whole: u64) -> Option<i64> {
     // The computation uses integers, because the bound must be rounded up and never down.
     let product = value.checked_mul(i128::from(part))?;
     let quotient = match i64::try_from(product) {
-        // Most products fit into 64 bits. The processor divides such numbers with one instruction.
+        // Most products fit into 64 bits. The processor divides such numbers with one instruction. The two negations
+        // round up, because `div_euclid` rounds down. `i64::MIN` cannot be negated, so the next number replaces it.
         Ok(product) => i128::from(-(-product.max(-i64::MAX)).div_euclid(i64::try_from(whole).ok()?)),
         Err(_) => -(-product).div_euclid(i128::from(whole)),
     };
@@ -260,7 +263,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn hulls_find_about_the_best_of_all_pairs(upper in points(), lower in points(), q in -SECOND..12 * SECOND) {
+        fn bound_of_hulls_is_not_below_best_pair(upper in points(), lower in points(), q in -SECOND..12 * SECOND) {
             let actual = hulls(&upper, &lower).upper_bound(q, change());
             let best = best_of_all_pairs(&upper, &lower, q);
             // The hulls leave out only pairs of points that are neighbours in time, which give weak bounds.

@@ -95,17 +95,17 @@ impl Slots {
         self.points.back().copied()
     }
 
-    /// Returns the points within `reach` of `q` in the order of time: at most `max_per_side` points up to `q`, and at
-    /// most `max_per_side` points after `q`.
+    /// Returns the points within `reach` of `q` in the order of time: at most `max_before_or_after` points up to
+    /// `q`, and at most `max_before_or_after` points after `q`.
     pub(super) fn points_around(
         &self,
         q: i64,
         reach: i64,
-        max_per_side: usize,
+        max_before_or_after: usize,
     ) -> impl Iterator<Item = Point> + Clone + '_ {
         let split = self.points.partition_point(|point| point.x <= q);
-        let range =
-            split.saturating_sub(max_per_side)..split.saturating_add(max_per_side).min(self.points.len());
+        let range = split.saturating_sub(max_before_or_after)
+            ..split.saturating_add(max_before_or_after).min(self.points.len());
         self.points.range(range).copied().filter(move |point| point.x.abs_diff(q) <= reach.unsigned_abs())
     }
 

@@ -58,12 +58,13 @@ impl UnannouncedSteps {
 #[derive(Clone, Debug, Default)]
 pub(super) struct SuspectExchanges {
     band: Option<Band>,
-    /// Bounds of each suspect. An answer that arrives twice counts once.
+    /// Bounds of each suspect; without meaning while `band` is `None`. An answer that arrives twice counts once.
     bounds: Vec<Bounds>,
 }
 
 impl SuspectExchanges {
-    /// Adds an exchange that contradicts the band. Returns the band of all suspects once they prove a step.
+    /// Adds an exchange that contradicts the band. If the exchange contradicts the earlier suspects, the
+    /// exchange replaces them. Returns the band of all suspects once they prove a step.
     pub(super) fn add(&mut self, bounds: &Bounds, new_band: impl FnOnce() -> Band) -> Option<Band> {
         let mut band = match self.band.take().filter(|band| band.contradiction(bounds).is_none()) {
             Some(band) => band,

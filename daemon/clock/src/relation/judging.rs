@@ -142,6 +142,7 @@ impl Relation {
         if !offset.is_consistent || (uses_exchanges && self.violates_limit()) {
             return Verdict::Inconsistent;
         }
+        // Suspects may be the first exchanges after a step. Until this is decided, the offset may be outdated.
         if uses_exchanges
             && (!is_fresh
                 || self.windows.exchange_count() < MIN_EXCHANGES_FOR_FRESHNESS
@@ -152,7 +153,7 @@ impl Relation {
         Verdict::Ok
     }
 
-    /// Returns the delay of a refused exchange: `stepped` after a step or if there is an offset, otherwise
+    /// Returns the delay of a refused exchange: `stepped` after a step or if the clocks were related, otherwise
     /// `unsynchronised`.
     fn refused_delay(
         &self,
@@ -165,8 +166,8 @@ impl Relation {
         let at = edge_time(direction, sent, received);
         // After a restart there is no offset until an exchange is accepted, although the clocks were related
         // before.
-        let is_near_step = refusal == Refusal::Stepped || self.estimate_before_restart.is_some();
-        if is_near_step || self.combined_offset(at).is_some() {
+        let were_related = self.estimate_before_restart.is_some() || self.combined_offset(at).is_some();
+        if refusal == Refusal::Stepped || were_related {
             OneWayDelay::stepped(raw, DelaySource::None)
         } else {
             OneWayDelay::unsynchronised(raw)
