@@ -90,9 +90,10 @@ impl SimulatedClock {
                 2 => -ppm_per_s,
                 _ => random.between(-ppm_per_s, ppm_per_s),
             };
-            let limit = (ppm.copysign(change) - drift) / change;
-            let duration =
-                (random.exponential(8.0) + 0.1).min(if change == 0.0 { f64::INFINITY } else { limit });
+            // Seconds until the drift would leave ± `ppm`.
+            let max_duration =
+                if change == 0.0 { f64::INFINITY } else { (ppm.copysign(change) - drift) / change };
+            let duration = (random.exponential(8.0) + 0.1).min(max_duration);
             if duration > 1e-3 {
                 let error = clock.error(t);
                 clock.pieces.push(Piece { start: t, error, drift: drift * 1e-6, change: change * 1e-15 });

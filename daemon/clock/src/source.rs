@@ -73,6 +73,7 @@ pub trait Clock: Send + Sync + fmt::Debug {
     /// Reads all clocks of the host, including the boot clock, for [`ClockWatch`](crate::ClockWatch).
     fn readings(&self) -> Readings {
         let Stamp { wall, mono, raw } = self.stamp();
+        // Without a boot clock, the machine seems never to sleep.
         Readings { wall, mono, raw, boot: mono }
     }
 
@@ -115,8 +116,8 @@ pub trait Clock: Send + Sync + fmt::Debug {
         system
     }
 
-    /// Returns whether the clocks currently show the time that a direct system call returns. They show another time if
-    /// a preloaded library changes the times that this process reads, or if faults are injected.
+    /// Returns whether the clocks currently show the time of the kernel. They show another time if a preloaded library
+    /// changes the times that this process reads, or if faults are injected.
     fn shows_kernel_time(&self) -> bool {
         false
     }
@@ -217,7 +218,7 @@ impl Clock for SystemClock {
     fn shows_kernel_time(&self) -> bool {
         use rustix::time::ClockId;
         let clocks = [(WALL, ClockId::Realtime), (MONO, ClockId::Monotonic), (RAW, ClockId::MonotonicRaw)];
-        clocks.into_iter().all(|(clock, direct)| matches_kernel(clock, direct))
+        clocks.into_iter().all(|(clock, rustix_clock)| matches_kernel(clock, rustix_clock))
     }
 }
 

@@ -20,17 +20,19 @@ pub(crate) fn read(clock: ClockId) -> i64 {
     time.tv_sec().saturating_mul(1_000_000_000).saturating_add(time.tv_nsec())
 }
 
-/// Returns whether the C library returns the same time as a direct system call, which no preloaded library can change.
-pub(crate) fn matches_kernel(clock: ClockId, direct: rustix::time::ClockId) -> bool {
+/// Returns whether the C library returns the same time as the kernel. `rustix_clock` is the same clock as `clock`.
+pub(crate) fn matches_kernel(clock: ClockId, rustix_clock: rustix::time::ClockId) -> bool {
     // Several attempts are made, because the wall clock may be set between two reads.
     (0..4).any(|_| {
-        let before = read_by_system_call(direct);
+        let before = read_from_kernel(rustix_clock);
         let shown = read(clock);
-        before <= shown && shown <= read_by_system_call(direct)
+        before <= shown && shown <= read_from_kernel(rustix_clock)
     })
 }
 
-fn read_by_system_call(clock: rustix::time::ClockId) -> i64 {
+/// Returns the time of a clock, as [`read`] does.
+// rustix does not call the C library, so that no preloaded library can change the time.
+fn read_from_kernel(clock: rustix::time::ClockId) -> i64 {
     let time = rustix::time::clock_gettime(clock);
     time.tv_sec.saturating_mul(1_000_000_000).saturating_add(time.tv_nsec)
 }

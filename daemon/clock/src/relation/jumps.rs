@@ -7,9 +7,9 @@
 //! these two cases apart.
 //!
 //! When the edge's clock is set back, the exchanges in flight have one bound from before the jump and the other from
-//! after it, so that they seem shorter than the path. If later exchanges were compared with these short round trips,
-//! their jump would look like waiting. An exchange that seems shorter than the path therefore counts only if an
-//! exchange that was sent later is as short, which shows that the path itself became shorter.
+//! after it, so that they seem shorter than the path. Compared with these short round trips, later exchanges would seem
+//! to have waited, and waiting would explain the jump. An exchange that seems shorter than the path therefore counts
+//! only if an exchange that was sent later is as short, which shows that the path itself became shorter.
 
 use std::collections::VecDeque;
 
@@ -59,8 +59,8 @@ struct RoundTripPoint {
 pub(super) struct SuspectedJump {
     /// Movement of the middle of the bounds: the size of the jump.
     pub(super) movement: Span,
-    /// Times at which an exchange was sent and returned: the last exchange before the jump whose round trip was short
-    /// enough to show the jump.
+    /// Times at which an exchange was sent and returned: the last exchange before the jump with a round trip that is
+    /// short enough to show the jump.
     pub(super) last_exchange_before: (RawTime, RawTime),
 }
 
@@ -80,20 +80,23 @@ impl ShortestRoundTrips {
     /// Returns the jump that an exchange suggests. The exchange must not contradict the band.
     pub(super) fn suspected_jump(&self, exchange: &Exchange, drift: DriftLimit) -> Option<SuspectedJump> {
         let point = RoundTripPoint::from(exchange);
-        let extra_round_trip = point.round_trip.saturating_sub(self.shortest_round_trip).saturating_abs();
+        // If this round trip is shorter than all earlier ones, the earlier exchanges waited. The difference then
+        // explains a movement, too.
+        let round_trip_difference =
+            point.round_trip.saturating_sub(self.shortest_round_trip).saturating_abs();
         let newest = self.points.back()?;
         // A cheap check comes first: usually the middle is close to the middle of the newest point.
         let tolerance = self.tolerance();
         let movement_from = |earlier: &RoundTripPoint| point.middle.saturating_sub(earlier.middle);
         if self.points.len() < MIN_POINTS_TO_SUSPECT
-            || (extra_round_trip / 2).saturating_add(tolerance) > movement_from(newest).abs()
+            || (round_trip_difference / 2).saturating_add(tolerance) > movement_from(newest).abs()
         {
             return None;
         }
-        let exceeds_explanations = |earlier: &&RoundTripPoint| {
+        let shows_jump = |earlier: &&RoundTripPoint| {
             let movement = movement_from(earlier).abs();
             let by_waiting =
-                extra_round_trip.saturating_add(earlier.round_trip - self.shortest_round_trip) / 2;
+                round_trip_difference.saturating_add(earlier.round_trip - self.shortest_round_trip) / 2;
             // The two bounds of an exchange hold at different times: when it was sent, and when it returned. The offset
             // may drift between all of these times.
             let by_drift = drift.max_change_between(
@@ -102,10 +105,11 @@ impl ShortestRoundTrips {
             );
             let explanations =
                 [by_waiting, by_drift, tolerance, self.spread, point.uncertainty, earlier.uncertainty];
-            extra_round_trip <= movement / 4
+            // Only a round trip near the shortest one shows a jump. Otherwise waiting explains much of the movement.
+            round_trip_difference <= movement / 4
                 && movement > explanations.into_iter().fold(0, i64::saturating_add)
         };
-        let movement = movement_from(self.points.iter().rev().find(exceeds_explanations)?);
+        let movement = movement_from(self.points.iter().rev().find(shows_jump)?);
         let would_show_jump =
             |earlier: &&RoundTripPoint| earlier.round_trip - self.shortest_round_trip <= movement.abs() / 4;
         let last = self.points.iter().rev().find(would_show_jump)?;
@@ -120,8 +124,9 @@ impl ShortestRoundTrips {
         MIN_TOLERANCE_NANOS.max(self.shortest_round_trip / ROUND_TRIP_TO_TOLERANCE)
     }
 
-    /// Returns whether an exchange may have been in flight during a jump: it seems shorter than the path, and no
-    /// exchange that was sent after its return is as short. Updates the time until which short exchanges are ignored.
+    /// Returns whether an exchange may have been in flight during a jump: it seems shorter than the path, and it was
+    /// not sent after the return of an exchange that also seemed shorter. Updates the time until which short exchanges
+    /// are ignored.
     fn check_for_spanned_jump(&mut self, point: &RoundTripPoint) -> bool {
         let deficit = self.shortest_round_trip.saturating_sub(point.round_trip);
         let max_explained_deficit =
@@ -134,10 +139,11 @@ impl ShortestRoundTrips {
             }
             Some(_) => is_short,
             None => {
-                // If the exchange spans a jump, it was sent before the jump and seems shorter than it was. By the clock
-                // before the jump, it returned later by the missing time.
-                let delay = Span::from_nanos(deficit.saturating_add(max_explained_deficit));
-                self.ignore_short_until = is_short.then(|| point.returned + delay);
+                // If the exchange spans a jump, the clock was set back before the return. By the clock from before the
+                // jump, which stamped the sending of the other exchanges in flight, the return was later by at most
+                // the missing time.
+                let missing_time = Span::from_nanos(deficit.saturating_add(max_explained_deficit));
+                self.ignore_short_until = is_short.then(|| point.returned + missing_time);
                 is_short
             }
         }

@@ -79,10 +79,10 @@ impl Relation {
         self.same_clock
     }
 
-    /// Sets whether it is proven that both processes read one clock. Exchanges are learnt in either case: they check
-    /// the proof, and they bound the offset when the proof no longer holds.
+    /// Sets whether it is proven that both hosts read one clock. Exchanges are learnt in either case: they check the
+    /// proof, and they bound the offset when the proof no longer holds.
     pub fn set_same_clock(&mut self, is_proven: bool) {
-        // A host's wall clock and its free-running clock are different clocks.
+        // `RawToWall` relates a free-running clock to a wall clock. These are different clocks even on one host.
         self.same_clock = is_proven && self.settings.clocks != RelatedClocks::RawToWall;
     }
 
@@ -100,6 +100,7 @@ impl Relation {
     /// Returns the offset at the time `at` of the edge's clock, which must lie in the window or shortly after it.
     /// `wall` is the time of the edge's wall clock at the same moment. `None` if no source bounds the offset.
     pub fn offset(&self, at: RawTime, wall: WallTime) -> Option<Offset> {
+        // `None`: the band itself gives the estimate.
         let sources = self.offset_sources(at, None);
         let combined = sources.combine()?;
         let band = self.windows.current();

@@ -8,8 +8,9 @@ use crate::{Exchange, ExchangeObservation, RawTime, Span};
 const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
 /// An exchange is excluded only if it was sent at most this long before the return of the exchange that reported a step
 /// of the edge.
-// The time is short, because the stamps themselves may have been set back. An exchange that took longer needs no
-// exclusion: in its stamps the step is visible as a difference between the wall clock and the monotonic clock.
+// The time is short: if the step set the edge's clock back, exchanges after the step have stamps before that return,
+// too. An exchange that took longer needs no exclusion: in its stamps the step is visible as a difference between the
+// wall clock and the monotonic clock.
 const MAX_EDGE_REACH: Span = Span::from_seconds(2);
 /// An exchange is excluded only if it was sent at most this long before the return of the exchange that reported a step
 /// of the cloud.

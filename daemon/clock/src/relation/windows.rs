@@ -82,7 +82,8 @@ impl Windows {
     /// first of a new window, and the movement of the offset is returned.
     pub(super) fn insert(&mut self, exchange: &Exchange, bounds: &Bounds) -> Option<Span> {
         if self.past_windows.back().is_some_and(|past| exchange.sent < past.next_sent) {
-            // The exchange that showed the jump overtook this exchange, which may be from before the jump.
+            // The exchange that showed the jump overtook this exchange, which may be from before the jump and is
+            // therefore left out.
             return None;
         }
         let suspected_jump = self.shortest_round_trips.suspected_jump(exchange, self.drift.limit);

@@ -100,6 +100,7 @@ impl ClockWatch {
             return None;
         }
         let slew = rate - *usual_rate;
+        // Two rates count as equal if they differ by at most the error of a measurement and a tenth of the limit.
         let is_same_rate = self.deviating_rate.1 > 0
             && (rate - self.deviating_rate.0).abs() <= 1.0 + self.max_drift_ppm / 10.0;
         self.deviating_rate = (rate, if is_same_rate { self.deviating_rate.1 + 1 } else { 1 });
