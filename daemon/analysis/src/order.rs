@@ -39,7 +39,7 @@ impl SortedValues {
     /// Returns the quantile at `p` from 0 to 1, by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996). `None`
     /// without values.
     pub fn quantile(&self, p: f64) -> Option<f64> {
-        self.0.quantile_of_ranks(p)
+        self.0.interpolated_quantile(p)
     }
 
     /// Returns the median; `None` without values.

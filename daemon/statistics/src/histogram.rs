@@ -6,12 +6,13 @@ use crate::Summary;
 const MIN_BINS: usize = 8;
 /// Maximum number of bins that the rule of Freedman and Diaconis may give.
 pub const MAX_BINS: usize = 60;
-/// Number of values for each value that may be cut off at an end of the axis.
+/// At most one value in this many may be cut off at each end of the axis.
 const VALUES_PER_CUT: u64 = 100;
 /// Number of values that may be cut off at each end even if [`VALUES_PER_CUT`] permits fewer.
 // One in a hundred of few values would be none, but also a short run can have a few stalls.
 const MIN_CUT: u64 = 3;
-/// Number of values for each of the [`MIN_CUT`] values. With fewer than 24 values, fewer than three may be cut off.
+/// Because of [`MIN_CUT`], at most one value in this many may be cut off at each end: with fewer than 24 values, fewer
+/// than three.
 const VALUES_PER_MIN_CUT: u64 = 8;
 /// Values are cut off only if they would widen the axis by at least this factor.
 const MIN_GAIN: f64 = 1.5;
@@ -32,7 +33,7 @@ pub trait OrderedValues {
 
     /// Returns the quantile at `p` from 0 to 1, by linear interpolation between neighbours (definition 7 of Hyndman and
     /// Fan 1996). `None` without values.
-    fn quantile_of_ranks(&self, p: f64) -> Option<f64> {
+    fn interpolated_quantile(&self, p: f64) -> Option<f64> {
         let rank = p.clamp(0.0, 1.0) * self.count().checked_sub(1)? as f64;
         let (below, above) = (self.at(rank.floor() as u64)?, self.at(rank.ceil() as u64)?);
         // Two equal values may both be infinite. The difference of the two would then be NaN.
@@ -105,7 +106,7 @@ pub fn shown_range<V: OrderedValues + ?Sized>(values: &V) -> Option<(f64, f64)> 
     if max_cut == 0 || width <= 0.0 || !width.is_finite() {
         return values.ends_within(all);
     }
-    let (lower, upper) = (values.quantile_of_ranks(0.25)?, values.quantile_of_ranks(0.75)?);
+    let (lower, upper) = (values.interpolated_quantile(0.25)?, values.interpolated_quantile(0.75)?);
     let fence = FAR_FENCE * (upper - lower);
     let top = (low + MIN_GAIN * width).max(upper + fence);
     let bottom = (high - MIN_GAIN * width).min(lower - fence);
@@ -137,7 +138,7 @@ impl Binning {
             let width = lo.abs().max(f64::MIN_POSITIVE) / 50.0;
             return Some(Self { range: (lo, hi), from: lo - width / 2.0, width, count: 1 });
         }
-        let interquartile_range = values.quantile_of_ranks(0.75)? - values.quantile_of_ranks(0.25)?;
+        let interquartile_range = values.interpolated_quantile(0.75)? - values.interpolated_quantile(0.25)?;
         let bin_count = (hi - lo) / (2.0 * interquartile_range / (values.count() as f64).cbrt());
         // If all but a few values are equal, the interquartile range gives no width.
         let bin_count = if bin_count.is_finite() { bin_count.ceil() as usize } else { MAX_BINS };

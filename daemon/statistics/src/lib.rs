@@ -1,8 +1,8 @@
 //! Statistics of a stream of numbers in bounded memory.
 //!
-//! [`Moments`] are count, mean, variance and extremes, computed without cancellation. [`Sketch`] is a mergeable
-//! quantile sketch with a guaranteed error. [`Summary`] combines moments and sketch. [`RecentSeconds`] is a ring of
-//! one-second cells.
+//! [`Moments`] are count, mean, variance and extremes, computed without loss of precision. [`Sketch`] is a
+//! mergeable quantile sketch with a guaranteed error. [`Summary`] combines moments and sketch. [`RecentSeconds`] is a
+//! ring of one-second cells.
 //! [`histogram`] computes the range and the bins of a histogram. [`TwoModes`] is the result of a test for two modes.
 //! [`mean_rate`] and [`remaining_seconds`] describe the progress of work. [`number`] formats numbers for people.
 //! [`SplitMix64`] generates reproducible random numbers.

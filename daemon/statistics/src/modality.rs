@@ -4,10 +4,10 @@ use crate::Summary;
 
 /// Minimum number of values for the test.
 const MIN_VALUES: u64 = 100;
-/// Excess mass that chance can cause in n values, multiplied by √n. If samples of 100 to 500 values are drawn from a
-/// uniform distribution, fewer than 1 % of them have a larger excess mass. In simulations, the 99th percentile of the
-/// excess mass times √n is 1.04 for 100 values, 1.11 for 300 values and 1.19 for 1,000 values. This constant matters
-/// only up to 529 values: above, [`MIN_EXCESS`] is the higher limit.
+/// [Excess mass](excess_mass) that chance can cause in n values, multiplied by √n. If samples of 100 to 500 values are
+/// drawn from a uniform distribution, fewer than 1 % of them have a larger excess mass. In simulations, the 99th
+/// percentile of the excess mass times √n is 1.04 for 100 values, 1.11 for 300 values and 1.19 for 1,000 values. This
+/// constant matters only up to 529 values: above, [`MIN_EXCESS`] is the higher limit.
 const EXCESS_BY_CHANCE: f64 = 1.15;
 /// Minimum excess mass: a twentieth of the values would have to be moved to remove the second mode.
 const MIN_EXCESS: f64 = 0.05;
@@ -76,7 +76,7 @@ impl Summary {
 // tokens.
 fn bins(positive: &[(f64, u64)], count: u64) -> Vec<Bin> {
     let logarithm = |index: usize| positive[index].0.ln();
-    // The values of a sketch are known within 1 %.
+    // The middle between two whole numbers needs a margin, because a sketch knows values within 1 % only.
     let reach = |ratio: f64| MAX_REACH.max(0.5 * WHOLE_NUMBER_MARGIN * ratio.ln());
     let mut bins = Vec::with_capacity(positive.len());
     let last_index = positive.len() - 1;
@@ -86,12 +86,15 @@ fn bins(positive: &[(f64, u64)], count: u64) -> Vec<Bin> {
         let (distance, right, left_of_next) = if index < last_index {
             let (distance, next) = (logarithm(index + 1) - logarithm(index), positive[index + 1].0);
             let to_next = reach((value + 1.0) / value);
+            // The whole number below 1 is 0, which has no logarithm.
             let from_next = if next > 1.0 { reach(next / (next - 1.0)) } else { f64::INFINITY };
             (distance, to_next.min(distance / 2.0), from_next.min(distance / 2.0))
         } else {
+            // The last bin extends to the right as far as to the left. No gap follows, so the distance is not used.
             let left = left.unwrap_or(MAX_REACH);
             (left, left, 0.0)
         };
+        // The first bin extends to the left as far as to the right.
         let length = left.unwrap_or(right) + right;
         bins.push(Bin { value: *value, length, mass: *values as f64 / count as f64 });
         let gap = distance - right - left_of_next;
@@ -108,8 +111,9 @@ fn bins(positive: &[(f64, u64)], count: u64) -> Vec<Bin> {
 /// share of the values in the intervals, minus the share that a uniform distribution with this density has there.
 fn excess_mass(bins: &[Bin]) -> f64 {
     let densities = || bins.iter().filter(|bin| bin.mass > 0.0).map(|bin| bin.mass / bin.length);
-    // The excess at a density is at most the density times the length of the axis. An excess of `MIN_EXCESS` therefore
-    // needs at least this density.
+    // One interval can also span both intervals and the gap between them. The gap costs at most the density times the
+    // length of the axis, so that two intervals exceed one by at most this product. A difference of `MIN_EXCESS`
+    // therefore needs at least this density.
     let min_density = MIN_EXCESS / bins.iter().map(|bin| bin.length).sum::<f64>();
     let (lowest, highest) =
         densities().fold((min_density, 0.0_f64), |(lo, hi), density| (lo.min(density), hi.max(density)));
@@ -241,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_equal_or_close_values_have_no_two_modes() {
+    fn two_modes_need_enough_different_and_distant_values() {
         assert_eq!(summary([1.0, 9.0].into_iter().cycle().take(99)).two_modes(), None, "too few");
         assert_eq!(summary([7.0; 500].into_iter()).two_modes(), None);
         assert_eq!(summary([0.0; 500].into_iter()).two_modes(), None);

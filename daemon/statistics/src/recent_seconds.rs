@@ -87,7 +87,8 @@ impl<C: Merge + Default> RecentSeconds<C> {
     pub fn iter(&self, now: i64, seconds: usize) -> impl Iterator<Item = (i64, &C)> {
         let length = seconds.min(self.cells.len()) as i64;
         (now.saturating_sub(length)..now)
-            .filter_map(|second| self.get(second.saturating_add(1)).map(|cell| (second + 1, cell)))
+            .map(|second_before| second_before + 1)
+            .filter_map(|second| self.get(second).map(|cell| (second, cell)))
     }
 
     /// Merges the cells of the last `seconds` seconds up to and including `now`.

@@ -1,4 +1,4 @@
-//! Formatting of longer durations.
+//! Formatting of durations from seconds to days.
 
 use super::{NONE, SPACE, count, fixed_or_less_than};
 

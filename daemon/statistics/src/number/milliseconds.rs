@@ -88,9 +88,9 @@ pub fn total_ms(seconds: f64) -> String {
 
 /// Formats mean and deviation, or value and margin, in ms: `16.2` and `1.1`.
 ///
-/// Both numbers have the same decimals: down to the second significant digit of the deviation, but at most as many as
-/// resolve a tenth of a microsecond or, if these are more, as give three significant digits of the mean. Without a
-/// deviation, the mean has three significant digits.
+/// Both numbers have the same number of decimals: down to the second significant digit of the deviation. The limit is
+/// four decimals (a tenth of a microsecond), or the decimals for three significant digits of the mean if these are
+/// more. Without a deviation, the mean has three significant digits.
 pub fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
     let std = std.filter(|std| std.is_finite());
     let decimals = match std {

@@ -1,7 +1,7 @@
 //! Packed form of a sketch: LEB128 numbers for the count of zeros, the negative bins and the positive bins.
 //!
-//! A list of bins begins with the number of bins. Each bin is a key and a count. The first key is encoded as it is
-//! (zigzag), each further key as its distance from the key before it.
+//! A list of bins begins with the number of bins. Each bin is a key and a count. The first key may be negative and has
+//! the zigzag form. Each further key is encoded as its distance from the key before it.
 
 use super::Sketch;
 use super::bins::{Bins, MAX_BINS_PER_SIGN, VALID_KEYS};
