@@ -32,14 +32,11 @@ fn main() {
         "one timed node",
         "one nested timed node",
         "create and release a tree of all stages",
-    ];
-    let names = names.into_iter().chain([
         "wire: encode 12 nodes",
         "wire: decode 12 nodes",
         "serde: decode 12 nodes",
         "Summary::record",
-    ]);
-    let names: Vec<&str> = names.collect();
+    ];
     let mut samples = vec![Vec::with_capacity(REPEATS); names.len()];
     let mut out = Vec::with_capacity(1024);
     for _ in 0..REPEATS {

@@ -80,9 +80,9 @@ impl Columns {
     pub fn add(&mut self, tree: &Tree) {
         let mut next_position = 0;
         let mut siblings = Siblings::default();
-        let mut segments: Vec<Option<usize>> = vec![None; tree.nodes().len()];
+        let mut segment_of_node: Vec<Option<usize>> = vec![None; tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
-            let Some(parent) = parent_segment(tree, id, &segments) else { continue };
+            let Some(parent) = parent_segment(tree, id, &segment_of_node) else { continue };
             let occurrence = siblings.count_occurrence(parent, &node.name);
             let key = (parent, node.name.clone(), occurrence);
             let new_index = self.segments.len();
@@ -100,7 +100,7 @@ impl Columns {
             if let Some(parent) = parent {
                 self.segments[parent].has_children = true;
             }
-            segments[id.index()] = Some(index);
+            segment_of_node[id.index()] = Some(index);
         }
     }
 
@@ -144,10 +144,10 @@ impl Columns {
 
 /// Returns the segment of a node's parent. The inner value is `None` if the parent is the root, which has no segment.
 /// The result is `None` if the node has no parent, or if its parent has no segment and is not the root.
-fn parent_segment(tree: &Tree, id: NodeId, segments: &[Option<usize>]) -> Option<Option<usize>> {
+fn parent_segment(tree: &Tree, id: NodeId, segment_of_node: &[Option<usize>]) -> Option<Option<usize>> {
     match tree.get(id)?.parent? {
         NodeId::ROOT => Some(None),
-        parent => segments[parent.index()].map(Some),
+        parent => segment_of_node[parent.index()].map(Some),
     }
 }
 
@@ -200,13 +200,13 @@ impl<W: io::Write> Table<W> {
     pub fn write_row(&mut self, iteration: u64, tree: &Tree) -> io::Result<()> {
         self.cells.iter_mut().for_each(String::clear);
         let mut siblings = Siblings::default();
-        let mut segments: Vec<Option<usize>> = vec![None; tree.nodes().len()];
+        let mut segment_of_node: Vec<Option<usize>> = vec![None; tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
-            let Some(parent) = parent_segment(tree, id, &segments) else { continue };
+            let Some(parent) = parent_segment(tree, id, &segment_of_node) else { continue };
             let key = (parent, node.name.clone(), siblings.count_occurrence(parent, &node.name));
             // A node has no column if its tree was not added to the columns.
             let Some(index) = self.columns.segment_indices.get(&key) else { continue };
-            segments[id.index()] = Some(*index);
+            segment_of_node[id.index()] = Some(*index);
             if let (Some(column), Some(value)) = (self.column_of_segment.get(index), node.measure.value()) {
                 self.cells[*column] = value.to_string();
             }

@@ -58,7 +58,7 @@ pub enum NodeRole {
     /// Node whose name has one value in each iteration, such as the name of a stage. The value of the node is added to
     /// the value of the name. The variant contains the position of the name in the list of such names.
     OfIteration(u8),
-    /// Node with the name of a stage that is deeper in the tree, for example a stage of a model inside another model.
+    /// Node with such a name at a place that does not count, for example a stage of a model inside another model.
     /// Statistics of the name omit this node.
     Nested,
     /// Node with a name that may have several values in an iteration. Each node is a separate value.

@@ -44,7 +44,7 @@ impl Name {
 }
 
 impl From<&str> for Name {
-    /// Creates a name, truncated to [`MAX_NAME_BYTES`]. Standard names need no allocation.
+    /// Creates a name, truncated to [`MAX_NAME_BYTES`]. Standard names with a number on the wire need no allocation.
     fn from(name: &str) -> Self {
         let name = &name[..name.floor_char_boundary(MAX_NAME_BYTES)];
         stage::standard(name).map_or_else(|| Self(Repr::Shared(name.into())), Self::from_static)

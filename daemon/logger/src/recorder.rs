@@ -68,7 +68,8 @@ impl Recorder {
     /// Creates the recorder of an iteration whose intended start is `at`: now or an earlier time.
     pub fn starting_at(clock: SharedClock, host: HostId, at: Stamp) -> Self {
         let tree = Tree::new(stage::ITERATION, Anchor { host, wall: at.wall });
-        Self::for_tree(clock, tree, HostIndex::EDGE, at.mono, None)
+        let resume_state = None;
+        Self::for_tree(clock, tree, HostIndex::EDGE, at.mono, resume_state)
     }
 
     /// Continues a tree that arrived from another host. `transit` is the transit of the message that carried the tree.

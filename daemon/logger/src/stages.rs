@@ -4,6 +4,7 @@ use peernet_clock::{Span, WallTime};
 
 use crate::{HostIndex, Measure, Name, Node, NodeId, Tree, stage};
 
+// A copy of the constant as a static, because `Stages::iter` returns references to the names.
 static ORDER: [Name; stage::COUNT] = stage::ORDER;
 
 /// Durations of the standard stages of a finished tree, and their sum.
@@ -33,10 +34,10 @@ impl Tree {
     }
 }
 
-/// Sum of the durations of one stage's nodes.
+/// Sum of the durations of the nodes with one name: a stage or `total`.
 #[derive(Clone, Copy, Default)]
-struct Stage {
-    /// `true` if the iteration has a node of the stage.
+struct DurationSum {
+    /// `true` if the iteration has a node with the name.
     is_present: bool,
     /// Sum of the durations that are known.
     sum: Span,
@@ -44,7 +45,7 @@ struct Stage {
     is_incomplete: bool,
 }
 
-impl Stage {
+impl DurationSum {
     fn add(&mut self, value: Option<Span>) {
         self.is_present = true;
         match value {
@@ -109,9 +110,9 @@ impl Transport {
 
 impl Stages {
     fn from_tree(tree: &Tree) -> Self {
-        let mut stages = [Stage::default(); stage::COUNT];
+        let mut stages = [DurationSum::default(); stage::COUNT];
         let mut transport = Transport::default();
-        let mut total = Stage::default();
+        let mut total = DurationSum::default();
         for (_, node) in tree.children(NodeId::ROOT) {
             let span = match &node.measure {
                 Measure::Timer(span) => *span,
@@ -136,7 +137,7 @@ impl Stages {
             }
         }
         Self {
-            durations: stages.map(Stage::duration),
+            durations: stages.map(DurationSum::duration),
             transport: exact_transport,
             round_trip: transport.round_trip(),
             total: total.duration(),

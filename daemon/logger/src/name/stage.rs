@@ -9,10 +9,11 @@ macro_rules! standard_names {
     ) => {
         $($(#[$doc])* pub const $constant: Name = Name::from_static($name);)*
 
-        /// All standard names. The position of a name in this list is its number on the wire.
+        /// The standard names that have a number on the wire: the position in this list.
         const NAMES: &[&str] = &[$($name),*];
 
-        /// Returns the static form of a standard name or of a standard unit's symbol; `None` for any other text.
+        /// Returns the static form of a standard name with a number on the wire, or of a standard unit's symbol; `None`
+        /// for any other text.
         pub(crate) fn standard(name: &str) -> Option<&'static str> {
             match name {
                 $($name => Some($name),)*
@@ -21,7 +22,7 @@ macro_rules! standard_names {
             }
         }
 
-        /// Returns the number of a standard name on the wire.
+        /// Returns the number of a standard name on the wire; `None` for a name that the wire form contains as text.
         pub(crate) fn code(name: &str) -> Option<u8> {
             #[expect(
                 non_camel_case_types,
@@ -37,7 +38,7 @@ macro_rules! standard_names {
     };
 }
 
-/// Returns all standard names in the order of their numbers on the wire.
+/// Returns the standard names that have a number on the wire, in the order of the numbers.
 pub fn all() -> impl Iterator<Item = Name> {
     NAMES.iter().copied().map(Name::from_static)
 }
@@ -168,6 +169,7 @@ mod tests {
 
     #[test]
     fn standard_names_are_recognised() {
+        // These two stages have no number on the wire.
         for stage in ORDER.iter().filter(|stage| ![IPC, BATCH_WAIT].contains(stage)) {
             assert_eq!(standard(stage), Some(stage.as_str()));
         }
