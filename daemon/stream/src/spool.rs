@@ -140,7 +140,9 @@ impl SpoolState {
             return None;
         }
         let lost = counted.total.saturating_sub(settled.events.total);
-        for gap in counted.gaps(&settled, 0, lost) {
+        // All events that are not settled count as lost.
+        let accounted = 0;
+        for gap in counted.gaps(&settled, accounted, lost) {
             self.add_loss(gap);
         }
         self.totals.produced += lost;

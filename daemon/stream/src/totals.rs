@@ -6,9 +6,10 @@ use crate::counts::SubmittedEvents;
 /// Newest batch that a process may have sent.
 ///
 /// The record is written to the spool's file before the batches are sent. The recorded process or an earlier process
-/// sent the batches in the file up to this number. If the aggregator has a later batch of the recorded process, all
-/// batches in the file are therefore stored: the file lost its newest batches (a power failure, a failed disk), or is
-/// an older copy. A batch of a process that is not recorded in the file proves nothing about the file.
+/// sent the batches in the file up to this number. If the aggregator has a later batch of the recorded process, it has
+/// also stored these batches, because it stores the batches of a stream in order. The file then lost its newest batches
+/// (a power failure, a failed disk), or is an older copy. A batch of a process that is not recorded in the file proves
+/// nothing about the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NewestSentBatch {
     /// Random number of the process ([`super::Hello::process`]).

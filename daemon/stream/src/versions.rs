@@ -33,8 +33,8 @@ impl fmt::Display for Release {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VersionRange {
     /// Oldest supported version.
-    // PEERNet 0.1.0 reads only the field `protocol`. Because of this name, it can serve a later peer that still
-    // supports the version of 0.1.0.
+    // PEERNet 0.1.0 reads only the field `protocol`. Because of this name, PEERNet 0.1.0 can serve a later peer that
+    // still supports the version of 0.1.0.
     #[serde(rename = "protocol")]
     pub(crate) oldest: u16,
     /// Newest supported version; `None` if the range contains one version.

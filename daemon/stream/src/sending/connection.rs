@@ -235,7 +235,7 @@ impl Sending {
             None => {
                 let scan = self.spooler.backlog.scan_to(welcome.last_stored);
                 self.session.state =
-                    ConnectionState::Comparing { scan, purpose: ScanPurpose::Compare(welcome) };
+                    ConnectionState::Scanning { scan, purpose: ScanPurpose::Compare(welcome) };
             }
         }
     }
@@ -344,7 +344,7 @@ impl Sending {
             }
             None => {
                 let scan = self.spooler.backlog.scan_to(last_common);
-                self.session.state = ConnectionState::Comparing { scan, purpose: ScanPurpose::Leave };
+                self.session.state = ConnectionState::Scanning { scan, purpose: ScanPurpose::Leave };
             }
         }
     }
@@ -372,7 +372,7 @@ impl Sending {
         let backlog = &mut self.spooler.backlog;
         let is_expected = from == backlog.first_unloaded() && from <= backlog.spooled();
         // The aggregator stored the batches meanwhile, or a scan is about to read them.
-        if !is_expected || self.session.is_comparing() {
+        if !is_expected || self.session.is_scanning() {
             return;
         }
         if backlog.add_loaded(batches) == 0 {
@@ -384,19 +384,19 @@ impl Sending {
 
     /// Handles batches that were read for a scan, which compares chain hashes or precedes the leaving of the stream.
     fn handle_scan(&mut self, from: u64, batches: &[SpooledBatch], now: Stamp) {
-        let ConnectionState::Comparing { scan, .. } = &mut self.session.state else { return };
+        let ConnectionState::Scanning { scan, .. } = &mut self.session.state else { return };
         if !scan.count(from, batches) {
             return;
         }
         let state = std::mem::replace(&mut self.session.state, ConnectionState::Down);
-        if let ConnectionState::Comparing { scan, purpose } = state {
+        if let ConnectionState::Scanning { scan, purpose } = state {
             self.finish_comparison(scan.through(), scan.result(), purpose, now);
         }
     }
 
     /// Continues after a gap in the spool as soon as the aggregator has stored everything before the gap.
     fn pass_gap(&mut self, now: Stamp) {
-        if self.session.is_comparing() {
+        if self.session.is_scanning() {
             return;
         }
         let Some((resume, previous_chain)) = self.reader.pass_gap(&self.spooler.backlog) else { return };

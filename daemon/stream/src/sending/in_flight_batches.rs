@@ -8,6 +8,7 @@ use super::super::{MAX_IN_FLIGHT_BATCHES, batch_weight};
 #[derive(Clone, Copy, Debug)]
 struct InFlightBatch {
     number: u64,
+    /// Share of the window that the batch takes ([`batch_weight`]).
     weight: u64,
     /// Number of bytes of the batch's frame.
     frame_bytes: u64,

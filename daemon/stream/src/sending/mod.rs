@@ -100,7 +100,7 @@ impl Sending {
         self.spooler.offer(event, now);
     }
 
-    /// Counts events that were dropped before they were submitted.
+    /// Counts submitted events that were dropped before they were offered ([`offer`](Self::offer)).
     pub fn record_loss(&mut self, gap: &Gap, now: Stamp) {
         self.spooler.record_loss(gap, now);
     }

@@ -19,14 +19,14 @@ pub(super) enum ConnectionState {
     /// The aggregator has not accepted this host yet. The next hello is due at `retry_at`, and the hello after that
     /// `pause` later.
     Handshake { retry_at: MonoTime, pause: Span },
-    /// The aggregator has welcomed this host. The file is being read, to compare the batches of both ends.
-    Comparing { scan: SpoolScan, purpose: ScanPurpose },
+    /// The aggregator has welcomed this host. The spool's file is being scanned before sending continues.
+    Scanning { scan: SpoolScan, purpose: ScanPurpose },
     /// The aggregator has accepted this host. Batch `next` is sent next. `last_progress` is the time of the acceptance,
     /// of the last acknowledgement, or of the sending of the first batch in flight.
     Up { next: u64, last_progress: MonoTime },
 }
 
-/// Purpose of reading the file.
+/// Purpose of scanning the spool's file.
 #[derive(Clone, Debug)]
 pub(super) enum ScanPurpose {
     /// To find the chain hash of the aggregator's last batch.
@@ -85,9 +85,9 @@ impl Session {
         matches!(self.state, ConnectionState::Up { .. })
     }
 
-    /// Returns whether the file is being read to compare both ends' batches.
-    pub(super) const fn is_comparing(&self) -> bool {
-        matches!(self.state, ConnectionState::Comparing { .. })
+    /// Returns whether the spool's file is being scanned.
+    pub(super) const fn is_scanning(&self) -> bool {
+        matches!(self.state, ConnectionState::Scanning { .. })
     }
 
     /// Starts a connection; a hello is due at once.

@@ -41,8 +41,8 @@ impl SpoolScan {
 
     /// Counts batches that were read from number `from` on. Returns whether the scan is complete.
     pub(super) fn count(&mut self, from: u64, batches: &[SpooledBatch]) -> bool {
-        // The batches are the answer to an earlier read.
         if self.next != from {
+            // The batches are the answer to an earlier read.
             return false;
         }
         for batch in batches.iter().filter(|batch| batch.number <= self.through) {
@@ -109,11 +109,12 @@ impl SpoolReader {
         }
         let read_bytes = backlog.read_bytes();
         let (loading, from, bytes) = match (state, self.gap) {
-            (ConnectionState::Comparing { scan, .. }, _) => {
+            (ConnectionState::Scanning { scan, .. }, _) => {
                 (LoadPurpose::Scan(scan.next), scan.next, read_bytes)
             }
             // The limit is one byte: the search needs the next batch only.
             (_, Some(SpoolGap::Open(at))) => (LoadPurpose::GapSearch(at), at, 1),
+            // The batches after the gap are read when `pass_gap` has removed the gap.
             (_, Some(SpoolGap::Closed(..))) => return None,
             // Without a connection, nothing is sent. Reading ahead would have no use.
             (ConnectionState::Down, None) => return None,
@@ -188,8 +189,8 @@ impl SpoolReader {
     /// aggregator has stored everything before the gap. The gap is then forgotten.
     pub(super) fn pass_gap(&mut self, backlog: &Backlog) -> Option<(u64, ChainHash)> {
         let Some(SpoolGap::Closed(resume, previous_chain)) = self.gap else { return None };
-        // Batches before the gap are still in memory and will be stored first.
         if backlog.first_unloaded() != backlog.oldest() {
+            // Batches before the gap are still in memory and will be stored first.
             return None;
         }
         self.gap = None;

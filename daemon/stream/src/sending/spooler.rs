@@ -265,6 +265,7 @@ impl EventSpooler {
     /// the chain hash of the last missing batch.
     pub(super) fn skip_to(&mut self, resume: u64, previous_chain: ChainHash, now: MonoTime) {
         self.backlog.skip_to(resume, previous_chain);
+        // A deletion records in the file that the batches are skipped. `drop_missing` subtracts their bytes.
         self.deletions.add(0, now);
     }
 
@@ -357,9 +358,9 @@ impl EventSpooler {
     /// Returns whether a batch is to be deleted, now or later.
     fn may_delete(&self) -> bool {
         let (through, _) = self.backlog.acknowledged();
-        // Stored batches beyond the file may be in the transaction that is in progress.
-        let is_written = through <= self.backlog.spooled() || !self.appends.is_in_progress();
-        through > self.deletions.through() && is_written && self.deletions.may_be_scheduled()
+        // Stored batches beyond the file may be in the transaction that is in progress. They are deleted after it.
+        let may_be_in_transaction = through > self.backlog.spooled() && self.appends.is_in_progress();
+        through > self.deletions.through() && !may_be_in_transaction && self.deletions.may_be_scheduled()
     }
 
     fn start_deletion(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
@@ -368,7 +369,9 @@ impl EventSpooler {
         }
         let (through, chain) = self.backlog.acknowledged();
         let must_delete_now = self.has_unspooled_stored() || leaves_stream || self.is_closing;
-        (must_delete_now || self.deletions.is_due(through, self.config.spool_bytes / 4, now)).then(|| {
+        // Batches that wait for their deletion take space in the spool. Deleting starts at a quarter of the limit.
+        let max_waiting_bytes = self.config.spool_bytes / 4;
+        (must_delete_now || self.deletions.is_due(through, max_waiting_bytes, now)).then(|| {
             self.deletions.start((through, chain));
             Action::Delete { through, chain }
         })
@@ -396,10 +399,12 @@ impl EventSpooler {
         let (written, spooled) = (self.appends.written_totals(), self.backlog.spooled());
         let resolves_earlier_process = self.earlier.unwritten_gaps().is_some();
         // The record of batches that may be sent comes first, because no batch may be sent before the file contains it.
+        // The result about an earlier process comes first, too, because no loss may be reported before this write.
         if resolves_earlier_process || self.is_accepted && !self.has_sent_record() {
             let newest_sent = self.newest_sent_record(spooled);
             return Some((Vec::new(), Totals { newest_sent, ..written.clone() }));
         }
+        // After a failure to write batches, the number of dropped events is written alone, because it needs less space.
         if self.appends.has_failed_with_batches() && self.intake.totals().dropped != written.dropped {
             return Some((Vec::new(), self.persistent_totals()));
         }

@@ -12,7 +12,8 @@
 //! `SO_SNDBUF` also loses most of the throughput on 500 kbit/s with a round trip of 600 ms. Two connections are
 //! equivalent only with `TCP_NOTSENT_LOWAT`, Reno congestion control, and live updates that wait for TCP's
 //! acknowledgement. The ZeroMQ library supports none of the three. This module can be removed when the library gives
-//! access to the socket; the protocol then needs a second connection that the same proof covers.
+//! access to the socket; the protocol then needs a second connection, and an authentication of the agent
+//! ([`Proof`](crate::Proof)) that covers both connections.
 
 mod allowance;
 mod echoes;
@@ -48,7 +49,9 @@ pub(super) struct FlowControl {
 impl FlowControl {
     /// Creates a flow control with nothing in flight. At most `max_bytes` bytes will be in flight.
     pub(super) fn new(max_bytes: u64) -> Self {
-        Self::from_allowance(Allowance::new(max_bytes, false))
+        // A link does not count as slow before its echoes were late.
+        let is_slow = false;
+        Self::from_allowance(Allowance::new(max_bytes, is_slow))
     }
 
     /// Resets the state for a new connection, whose path is unknown.
@@ -135,7 +138,8 @@ impl FlowControl {
         now: MonoTime,
     ) -> Option<u64> {
         let bytes_in_flight = self.in_flight.len();
-        let bytes_since_request =
+        // An echo tells nothing new about bytes that are known to have arrived.
+        let bytes_without_request =
             self.in_flight.handed_over() - self.echoes.last_position().max(self.in_flight.arrived());
         let is_probe_due = self.round_trip.is_probe_due(now);
         if is_probe_due && is_waiting && !self.round_trip.is_draining() {
@@ -147,7 +151,7 @@ impl FlowControl {
         let needs_probe = self.round_trip.is_draining() || starts_batch && is_probe_due;
         let is_probe = needs_probe && bytes_in_flight <= self.allowance() / PROBE_DIVISOR;
         let is_echo_due = is_probe
-            || bytes_since_request >= self.allowance() / ECHO_DIVISOR
+            || bytes_without_request >= self.allowance() / ECHO_DIVISOR
             || is_waiting && self.echoes.is_empty() && bytes_in_flight > 0
             || self.echo_retry_at().is_some_and(|at| now >= at);
         if !is_echo_due {

@@ -62,7 +62,7 @@ impl Losses {
         }
     }
 
-    /// Counts the events of a gap that is not reported yet, which another component dropped.
+    /// Counts the events of `gap`. Another component dropped these events and reported no gap.
     pub(super) fn add_gap(&mut self, gap: Gap, now: Stamp) {
         let Gap { pipeline, run, from, count, reason, .. } = gap;
         self.add(pipeline.clone(), run, now, count, reason.clone());
@@ -88,6 +88,8 @@ impl Losses {
 
     /// Returns the next due gap, and records it as reported.
     pub(super) fn take_due(&mut self, now: MonoTime) -> Option<Gap> {
+        // A reported loss is kept for one interval. Otherwise the next drop with the same cause would be reported at
+        // once.
         self.entries.retain(|loss| loss.gap.count > 0 || !loss.is_due(now));
         let due = self.entries.iter_mut().find(|loss| loss.gap.count > 0 && loss.is_due(now));
         due.map(|loss| loss.take_gap(now))

@@ -91,22 +91,22 @@ impl EventCapacity {
 }
 
 impl Intake {
-    /// Creates an intake that continues the counts of the spool.
+    /// Creates an intake that continues the counts of the spool. `earlier_gaps` are the gaps of earlier processes that
+    /// are not reported yet. `is_unresolved` is `true` if only the aggregator knows which batches of an earlier process
+    /// are stored.
     pub(super) fn new(
         config: SendingConfig,
         totals: Totals,
         earlier_gaps: Vec<Gap>,
         is_unresolved: bool,
     ) -> Self {
-        let reported_drops = earlier_gaps
+        let drops_in_gaps = earlier_gaps
             .iter()
-            .fold(totals.reported_drops, |reported_drops, gap| reported_drops.saturating_add(gap.count));
+            .fold(totals.reported_drops, |drops_in_gaps, gap| drops_in_gaps.saturating_add(gap.count));
+        // Earlier processes dropped these events, and neither a reported gap nor one of `earlier_gaps` contains them.
+        let earlier_drops = totals.dropped.saturating_sub(drops_in_gaps);
         Self {
-            losses: UnreportedLosses::new(
-                earlier_gaps,
-                totals.dropped.saturating_sub(reported_drops),
-                is_unresolved,
-            ),
+            losses: UnreportedLosses::new(earlier_gaps, earlier_drops, is_unresolved),
             config,
             totals,
             open_batch: OpenBatch::default(),
@@ -157,7 +157,7 @@ impl Intake {
         self.losses.add(scope, count, reason, now);
     }
 
-    /// Counts events that were dropped before they were submitted.
+    /// Counts submitted events that were dropped before they were offered.
     pub(super) fn record_loss(&mut self, gap: &Gap, now: Stamp) {
         self.totals.produced += gap.count;
         self.totals.dropped += gap.count;
@@ -174,6 +174,7 @@ impl Intake {
             if let Err(error) = iteration.tree.check(0) {
                 return Some(format!("the iteration cannot be sent: {error}"));
             }
+            // An iteration is accepted only if the reserve for other events stays free.
             added_usage = added_usage + self.reserved_usage();
         }
         if self.encoded.len() > MAX_EVENT_BYTES {

@@ -21,6 +21,7 @@ impl RunTracker {
         match event {
             Event::RunStarted(started) => {
                 if self.pipelines.len() >= MAX_COUNTED_RUNS {
+                    // The ids are random, so an arbitrary run is forgotten. Its later losses have no pipeline.
                     self.pipelines.pop_first();
                 }
                 self.pipelines.insert(started.run, started.pipeline.clone());

@@ -38,7 +38,7 @@ impl UnreportedLosses {
         self.losses.add(pipeline, run, now, count, reason);
     }
 
-    /// Adds the events of a gap, which another component dropped.
+    /// Adds the events of `gap`. Another component dropped these events and reported no gap.
     pub(super) fn add_gap(&mut self, gap: Gap, now: Stamp) {
         self.losses.add_gap(gap, now);
     }
@@ -70,6 +70,7 @@ impl UnreportedLosses {
     pub(super) fn next_report_at(&self) -> Option<MonoTime> {
         match self.earlier_gaps.is_empty() {
             true => self.losses.next_report_at(),
+            // Gaps of earlier processes are due at once.
             false => Some(MonoTime::default()),
         }
     }
