@@ -193,7 +193,7 @@ impl LoadError {
 
 impl LoadError {
     /// Returns whether `object` in the configuration is not a valid name of a Python object.
-    pub const fn is_misnamed(&self) -> bool {
+    pub const fn is_invalid_object_name(&self) -> bool {
         matches!(self, Self::Python(PythonError::Name(_)))
     }
 

@@ -74,7 +74,7 @@ pub enum SensorError {
 
 impl SensorError {
     /// Returns whether the error is an invalid name of a Python object, the key `object` of the configuration.
-    pub const fn is_misnamed(&self) -> bool {
+    pub const fn is_invalid_object_name(&self) -> bool {
         matches!(self, Self::Python(PythonError::Name(_)))
     }
 }

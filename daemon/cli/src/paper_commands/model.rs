@@ -78,7 +78,7 @@ fn check(config: &ModelConfig, runtime: &OnnxRuntimeConfig, clock: SharedClock) 
 pub(super) fn failure(error: LoadError) -> Failure {
     let exit = match &error {
         error if error.is_missing() => Exit::NoInput,
-        error if error.is_misnamed() => Exit::Usage,
+        error if error.is_invalid_object_name() => Exit::Usage,
         LoadError::InvalidDevice(_) | LoadError::AboveLimit { .. } => Exit::Usage,
         _ => Exit::Unavailable,
     };

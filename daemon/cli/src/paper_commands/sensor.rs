@@ -78,7 +78,7 @@ fn check(config: SensorConfig) -> Result<SensorConfig, Failure> {
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     config.check(&clock).map_err(|error| {
-        let is_usage_error = error.is_misnamed() || matches!(error, SensorError::Config(_));
+        let is_usage_error = error.is_invalid_object_name() || matches!(error, SensorError::Config(_));
         let exit = if is_usage_error { Exit::Usage } else { Exit::NoInput };
         Failure::new(exit, error)
     })?;

@@ -67,6 +67,7 @@ impl ExecSensor {
 
     /// Records the stages, values and dropped samples that the program reported with its sample.
     fn record_notes(&mut self, notes: &ReplyNotes, recorder: &mut Recorder, started_at: MonoTime) {
+        // A program reports durations without starts, so each stage is recorded from the request on.
         for (name, span) in &notes.stages {
             recorder.record_timer(Name::from(name.as_str()), started_at, started_at + *span);
         }

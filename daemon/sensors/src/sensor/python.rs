@@ -21,7 +21,9 @@ impl SensorKind for PythonConfig {
     /// Starts the Python process and creates the object in it.
     fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
         let name = format!("sensor {}", self.object);
-        let object = PythonObject::start(self, Role::Sensor, &name, None, clock)?;
+        // Only a model is configured for a device.
+        let device = None;
+        let object = PythonObject::start(self, Role::Sensor, &name, device, clock)?;
         Ok(Box::new(PythonSensor { name: self.object.clone(), object }))
     }
 

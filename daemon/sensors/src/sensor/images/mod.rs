@@ -253,7 +253,7 @@ fn read_folder(path: &Path, configured_file: Option<&Path>) -> Result<LabelledPi
         return Err(SensorError::Empty(path.to_owned()));
     }
     if let Some(mask) = masks.first() {
-        // A file of a wrong type is reported at once, and not after the first answer.
+        // A mask of a wrong type is reported at once, and not after the first answer. Only the first mask is checked.
         read_mask(mask)?;
     }
     let pictures: Vec<_> = files
@@ -276,7 +276,8 @@ fn read_folder(path: &Path, configured_file: Option<&Path>) -> Result<LabelledPi
         .collect();
     let has_labels = pictures.iter().any(|picture| picture.label.is_some());
     match (labels.and_then(|unused| unused.into_keys().min()), configured_file) {
-        // Only a configured file may label other pictures, because it may belong to a larger data set.
+        // Only a configured file may label pictures that are not in the folder, because it may belong to a larger data
+        // set.
         (Some(missing), None) => Err(SensorError::Labels {
             file: path.join(labels::LABELS_FILE),
             reason: format!("it labels {missing}, which is not among the pictures of the folder"),

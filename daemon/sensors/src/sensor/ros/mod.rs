@@ -57,7 +57,7 @@ pub struct RosSensorConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StampClock {
-    /// An unknown clock: of another host, of a device, or simulated. No delay is derived from it.
+    /// An unknown clock: of another host, of a device, or simulated. `capture-delay` then has both stamps and no value.
     #[default]
     Unknown,
     /// The wall clock of this host: the publisher runs on this host and stamps with the time of day.
