@@ -62,10 +62,12 @@ impl Actuator for ExecActuator {
     fn act(&mut self, action: Action<'_>, recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
         let request = Request::Answer { answer: action.answer, source: action.source };
         let program_call = self.program.call(request).map_err(|error| self.program_error(error))?;
+        // Each stage is a part of the action and cannot be longer than the call.
         program_call.check_stages_of_action().map_err(|error| self.program_error(error))?;
         if let Some((from, to)) = program_call.restart_interval() {
             recorder.record_timer(stage::ACTUATION_RESTART, from, to);
         }
+        // A program reports durations without starts, so each stage is recorded from the request on.
         for (name, span) in &program_call.notes.stages {
             recorder.record_timer(
                 Name::from(name.as_str()),

@@ -19,7 +19,9 @@ impl ActuatorKind for PythonConfig {
     /// Starts the Python process and creates the object in it.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
         let name = format!("actuator {}", self.object);
-        let object = PythonObject::start(self, Role::Actuator, &name, None, clock)?;
+        // Only a model is configured for a device.
+        let device = None;
+        let object = PythonObject::start(self, Role::Actuator, &name, device, clock)?;
         Ok(Box::new(PythonActuator { name: self.object.clone(), object }))
     }
 

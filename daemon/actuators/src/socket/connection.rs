@@ -82,13 +82,13 @@ impl Connection {
         Err(connect_error(last_error))
     }
 
-    /// Discards the bytes that the controller sent without an answer to act on. Returns `false` if the controller has
-    /// closed the connection.
+    /// Discards the bytes that the controller has sent before it gets the next answer. Returns whether the connection
+    /// is still open.
     ///
     /// # Errors
     /// If a controller that gives feedback sent such bytes over TCP: every later line would be taken for the feedback
     /// on another action. Datagrams are always discarded, because the network may have duplicated them.
-    pub(super) fn is_open(&mut self, has_feedback: bool) -> Result<bool, SocketError> {
+    pub(super) fn discard_unsolicited(&mut self, has_feedback: bool) -> Result<bool, SocketError> {
         let mut buffer = [0; 4096];
         let mut discarded = self.received.len();
         while discarded <= MAX_DISCARDED_BYTES {

@@ -37,8 +37,8 @@ struct FeedbackLine {
 /// Returns the line for an action, with its line feed.
 pub(super) fn encode(action: &Action<'_>) -> Result<Vec<u8>, SocketError> {
     let Action { answer, source, iteration, episode, step } = *action;
-    // In JSON each array element has at least one byte, and in the answer at most eight. A longer answer cannot fit, so
-    // that no memory is spent on its JSON form.
+    // An array element takes at most eight bytes in the payload of an answer, and at least one byte in JSON. A payload
+    // above this limit cannot become a line, so no memory is spent on its JSON form.
     if answer.payload_bytes() > 8 * MAX_LINE_BYTES as u64 {
         return Err(SocketError::AnswerLength { limit: MAX_LINE_BYTES });
     }
@@ -91,6 +91,7 @@ fn part_value(part: &Part) -> Result<Value, SocketError> {
             let shape: Vec<usize> = description.shape.iter().map(|length| *length as usize).collect();
             array(element, &shape, &part.bytes)
         }
+        // A value of Python that JSON cannot represent arrives as a tree.
         (media, _) if media.iana() == TREE => match non_finite_number(&part.bytes) {
             Some(number) => Err(SocketError::NotFinite(number)),
             None => Err(SocketError::AnswerType(media.iana().into_owned())),

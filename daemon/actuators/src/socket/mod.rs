@@ -103,7 +103,10 @@ impl SocketActuator {
         let deadline = self.deadline();
         // `take()` removes the connection, so that each failure below leaves none.
         let open_connection = match self.connection.take() {
-            Some(mut connection) => connection.is_open(self.config.feedback)?.then_some(connection),
+            Some(mut connection) => {
+                let is_open = connection.discard_unsolicited(self.config.feedback)?;
+                is_open.then_some(connection)
+            }
             None => None,
         };
         let mut connection = match open_connection {
