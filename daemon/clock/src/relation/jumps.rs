@@ -160,7 +160,7 @@ impl ShortestRoundTrips {
             Some(last) if interval(last) == interval(&point) => {
                 if point.round_trip < last.round_trip {
                     *last = point;
-                    self.shortest_round_trip = self.shortest_round_trip.min(point.round_trip);
+                    self.update_shortest();
                 }
             }
             // The exchange belongs to an earlier interval, because its answer was late. It is ignored.
