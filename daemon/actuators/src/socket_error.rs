@@ -49,7 +49,7 @@ pub enum SocketError {
         "the controller at {0} closed the connection without feedback; the connection is opened again for the next answer"
     )]
     Closed(String),
-    /// The action did not end in time.
+    /// Connecting, sending an answer or waiting for feedback took longer than the timeout.
     #[error(
         "the controller at {address} did not {waited_for} within {timeout_ms} ms (timeout_ms); the connection is opened again for the next answer"
     )]
@@ -121,10 +121,10 @@ pub enum SocketError {
         /// The limit, bytes.
         limit: usize,
     },
-    /// The controller sent bytes without an answer to act on.
+    /// The controller sent bytes while no answer waited for feedback.
     #[error(
-        "the controller at {address} sent {line:?} without an answer to act on; it must send one line for each answer; the \
-         connection is opened again for the next answer"
+        "the controller at {address} sent {line:?} while no answer waited for feedback; it must send one line for each \
+         answer; the connection is opened again for the next answer"
     )]
     Unsolicited {
         /// Address of the controller.

@@ -10,9 +10,9 @@ pub struct Crop {
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
-    /// Left edge, pixels; `None` for the centre, rounded to the left.
+    /// Left edge, pixels; `None` centres the rectangle, rounded to the left.
     pub x: Option<u32>,
-    /// Upper edge, pixels; `None` for the centre, rounded upwards.
+    /// Upper edge, pixels; `None` centres the rectangle, rounded upwards.
     pub y: Option<u32>,
 }
 

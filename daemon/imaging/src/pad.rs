@@ -42,8 +42,8 @@ pub fn pad(picture: &Picture, padding: Padding, target: &mut Picture) -> Result<
     let channels = picture.format().channels() as usize;
     let (row_bytes, picture_row_bytes) = (width as usize * channels, picture.width() as usize * channels);
     let pixels = target.reshape(picture.format(), width, height);
-    let (above, from_picture) = pixels.split_at_mut(y as usize * row_bytes);
-    let (picture_rows, below) = from_picture.split_at_mut(picture.height() as usize * row_bytes);
+    let (above, rest) = pixels.split_at_mut(y as usize * row_bytes);
+    let (picture_rows, below) = rest.split_at_mut(picture.height() as usize * row_bytes);
     above.fill(fill);
     below.fill(fill);
     let start = x as usize * channels;

@@ -86,7 +86,7 @@ impl Resizer {
         check_size(u64::from(width), u64::from(height))?;
         let format = picture.format();
         let pixels = target.reshape(format, width, height);
-        // The library's untyped function would link code for sixteen pixel types into the program, which is 6 MB.
+        // The library's untyped function would add 6 MB of code to the program, for sixteen pixel types.
         let resized = match format {
             PixelFormat::Rgb8 => {
                 self.resize_pixels::<fir::pixels::U8x3>(picture, width, height, scaling.into(), pixels)

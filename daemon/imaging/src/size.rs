@@ -26,7 +26,8 @@ pub(crate) fn check_length(
     Ok(())
 }
 
-/// Returns width and height of decoded pixels, after the check that the part has as many bytes.
+/// Returns width and height of the decoded pixels in a part. Checks that the part has as many bytes as pixels of this
+/// size need.
 pub(crate) fn pixels_size(part: &Part, format: PixelFormat) -> Result<(u32, u32), ImageError> {
     let shape = &part.description.shape;
     let &[height, width, channels] = shape.as_slice() else {

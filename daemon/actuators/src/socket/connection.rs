@@ -82,8 +82,8 @@ impl Connection {
         Err(connect_error(last_error))
     }
 
-    /// Discards the bytes that the controller has sent before it gets the next answer. Returns whether the connection
-    /// is still open.
+    /// Discards the bytes that the controller sent while no answer waited for feedback. Returns `false` if the
+    /// controller has closed the connection.
     ///
     /// # Errors
     /// If a controller that gives feedback sent such bytes over TCP: every later line would be taken for the feedback
