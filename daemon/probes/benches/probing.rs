@@ -28,12 +28,12 @@ fn main() {
         "{:<26}{:>10}{:>10}{:>8}{:>12}{:>14}{:>20}",
         "", "answers/s", "refined/s", "lost", "probers", "reflector", "round trip, median"
     );
-    for (name, stamps, key) in [
+    for (name, stamps, with_key) in [
         ("kernel's stamps", TimestampSource::Kernel, false),
         ("program's stamps", TimestampSource::Program, false),
         ("kernel's, authenticated", TimestampSource::Kernel, true),
     ] {
-        let key = key.then(|| Key::from_bytes(&[7; 32]));
+        let key = with_key.then(|| Key::from_bytes(&[7; 32]));
         let (address, stop, reflector_thread) = start_reflector(stamps, key.clone());
         let mut totals =
             thread::spawn(move || probe(address, stamps, key.as_ref())).join().expect("no panic");

@@ -46,7 +46,8 @@ pub fn any_packet(data: &[u8]) {
 fn feed_reflector(options: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
     let mut packet = bytes.to_vec();
     authenticate(options, key, &mut packet);
-    let mut reflector = ReflectorState::new(key.cloned(), 1, 10, options & STATEFUL != 0);
+    let (instance, max_per_source_hz, stateful) = (1, 10, options & STATEFUL != 0);
+    let mut reflector = ReflectorState::new(key.cloned(), instance, max_per_source_hz, stateful);
     let source = SocketAddr::from(([10, 0, 0, 1], 40_000));
     // The request arrives twice, because the second request finds a session.
     for _ in 0..2 {
@@ -97,7 +98,7 @@ fn feed_sender(options: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock
         clock.advance(Span::from_millis(3));
         let arrival = ReplyArrival { kernel: None, read: clock.stamp(), ahead: clock.wall_ahead(), epoch: 0 };
         if let Ok(result) = sender.receive(&packet, &arrival) {
-            let observation = result.answered.expect("no step");
+            let observation = result.answered.expect("the clock is not interrupted");
             assert_eq!(observation.exchange.returned, arrival.read.raw);
             assert!(result.refined.is_none() || round == 1, "the first answer refines no earlier exchange");
             assert!(sender.receive(&packet, &arrival).is_err(), "an answer counts once");

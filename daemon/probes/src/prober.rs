@@ -111,7 +111,8 @@ impl Prober {
         let sender = SenderState::new(SenderConfig {
             key: config.key.clone(),
             instance: config.instance,
-            // Only a PEERNet reflector gets octets, because other implementations need not return them.
+            // Only a PEERNet reflector, which `instance` identifies, gets the random octets, because other
+            // implementations need not return them.
             with_nonce: config.instance.is_some(),
             clocks: config.clocks,
             ssid,
@@ -293,7 +294,7 @@ impl Prober {
     // The system also reports errors of single packets here, so the loop continues. The pause prevents a busy loop if
     // the error is permanent.
     async fn pause_after_error(&mut self, error: &io::Error) {
-        tracing::debug!(target = %self.config.target, %error, "failed to receive the reply to a probe");
+        tracing::debug!(target = %self.config.target, %error, "failed to receive a reply or a departure stamp");
         tokio::time::sleep(ERROR_PAUSE).await;
     }
 }

@@ -233,7 +233,7 @@ impl Reflector {
             match error {
                 None => failures = 0,
                 Some(error) if failures < MAX_FAILURES => {
-                    tracing::debug!(%error, "failed to receive a probe");
+                    tracing::debug!(%error, "failed to receive a probe or a departure stamp");
                     failures += 1;
                 }
                 Some(error) => {

@@ -39,7 +39,9 @@ impl RefusalLog {
             (Refusal::Unauthenticated, _) => {
                 "the sender of the probe has another key or none; with [probes] key_file both ends need the same key"
             }
-            (Refusal::TooOften, _) => "raise [probes] max_per_source_hz here, or lower rate_hz there",
+            (Refusal::TooOften, _) => {
+                "raise [probes] max_per_source_hz on this host, or lower [probes] rate_hz on the source of the probes"
+            }
             (Refusal::TooMany, _) => {
                 "peers with a session are still answered; check which hosts send too many probes, or raise [probes] max_per_source_hz"
             }

@@ -50,7 +50,7 @@ impl Schedule {
         self.due().is_some_and(|due| due <= now)
     }
 
-    /// Sets the time of the next probe after a probe was due and sent at `now`.
+    /// Sets the time of the next probe. Called when a probe is due and is sent at `now`.
     pub(crate) fn advance(&mut self, now: MonoTime) {
         if let Some(interval) = self.interval {
             let interval = with_jitter(interval);

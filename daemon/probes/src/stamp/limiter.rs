@@ -38,6 +38,8 @@ struct TokenBucket {
 impl TokenBucket {
     /// Returns whether a reply may be sent now. The bucket gains a token every `interval`.
     fn has_token(self, interval: Span, now: MonoTime) -> bool {
+        // The left side is the time that the bucket would need to become full again after the reply. The bucket holds
+        // the tokens of one second, so an empty bucket needs one second.
         self.full_at.max(now) + interval - now <= Span::from_seconds(1).max(interval)
     }
 

@@ -114,7 +114,8 @@ impl Request {
         })
     }
 
-    /// Writes the whole base packet without its code. `packet` must be at least as long as the base packet.
+    /// Writes the whole base packet without its authentication code. `packet` must be at least as long as the base
+    /// packet.
     pub fn write(&self, mode: Mode, packet: &mut [u8]) {
         let base = &mut packet[..mode.base_bytes()];
         let layout = mode.layout();
@@ -151,7 +152,8 @@ impl Reply {
         })
     }
 
-    /// Writes the whole base packet without its code. `packet` must be at least as long as the base packet.
+    /// Writes the whole base packet without its authentication code. `packet` must be at least as long as the base
+    /// packet.
     pub fn write(&self, mode: Mode, packet: &mut [u8]) {
         let base_fields = Request {
             sequence: self.sequence,

@@ -27,11 +27,11 @@ const MAX_ANSWER_DURATION: Span = Span::from_seconds(4);
 #[derive(Debug)]
 pub struct ReflectorState {
     key: Option<Key>,
-    /// Key of the peers that have a session.
+    /// Key of the peers that have a session with this host.
     session_key: Option<Key>,
     instance: u64,
     limiter: Limiter,
-    /// `None` if sessions are not distinguished.
+    /// `None` if STAMP sessions are not distinguished.
     sessions: Option<Sessions>,
 }
 
@@ -116,17 +116,17 @@ impl PreparedReply {
 }
 
 impl ReflectorState {
-    /// Creates a reflector without any sessions. With a `key` it answers only requests that the key authenticates.
-    /// If it is `stateful`, it distinguishes sessions. Its answers contain `instance`.
+    /// Creates a reflector without peers and STAMP sessions. With a `key` it answers only requests that the key
+    /// authenticates. If it is `stateful`, it distinguishes STAMP sessions. Its answers contain `instance`.
     pub fn new(key: Option<Key>, instance: u64, max_per_source_hz: u32, stateful: bool) -> Self {
         let sessions = stateful.then(Sessions::new);
         let limiter = Limiter::new(max_per_source_hz);
         Self { key, session_key: None, instance, limiter, sessions }
     }
 
-    /// Sets the key that peers get with their session. Requests that this key authenticates get authenticated answers;
-    /// all other requests are answered as without this key. No effect if the reflector has a `key`, because all
-    /// requests then need that key.
+    /// Sets the key that peers get with their session with this host. Requests that this key authenticates get
+    /// authenticated answers; all other requests are answered as without this key. No effect if the reflector has a
+    /// `key`, because all requests then need that key.
     #[must_use]
     pub fn with_session_key(mut self, key: Option<Key>) -> Self {
         self.session_key = key;
@@ -305,7 +305,8 @@ fn is_reply(mode: Mode, packet: &[u8], near: WallTime) -> bool {
     })
 }
 
-/// Returns whether a packet has the form of an authenticated packet with TLVs: an authentication code among them.
+/// Returns whether a packet has at least the length of an authenticated base packet, and an authentication code among
+/// the TLVs after it.
 fn has_authentication_code(packet: &[u8]) -> bool {
     let tlvs = packet.get(Mode::Authenticated.base_bytes()..).unwrap_or_default();
     tlv::headers(tlvs).any(|header| header.kind == tlv::HMAC && header.value.len() == CODE_BYTES)

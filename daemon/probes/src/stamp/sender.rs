@@ -322,6 +322,7 @@ impl SenderState {
             self.ignore_kernel_stamps();
         }
         let kernel_stamp = kernel_stamp.filter(|_| !self.ignores_kernel_stamps);
+        // The probe is looked up again, because `ignore_kernel_stamps` may have changed all pending probes.
         let probe = find_probe(&mut self.pending, reply.request.sequence).ok_or(NO_SUCH_PROBE)?;
         // The program's readings always hold; the kernel's stamps may narrow the bounds.
         let exchange = Exchange {
@@ -337,6 +338,7 @@ impl SenderState {
         };
         let observation = ExchangeObservation {
             exchange,
+            // A STAMP reply does not contain a time of the reflector's monotonic clock.
             cloud_elapsed: None,
             edge_epoch: arrival.epoch,
             cloud_epoch: reflector_times.epoch,
@@ -381,6 +383,8 @@ impl SenderState {
     }
 }
 
+// Reasons that `SenderState::receive` returns for packets that it refuses.
+
 /// Reason for a valid reply to a probe that already counts as lost. All other reasons mean that the reply is invalid.
 pub const LATE_REPLY: &str = "later than the timeout of the probe";
 /// Reason for a reply to none of the remembered probes.
@@ -424,8 +428,8 @@ fn find_probe(pending: &mut VecDeque<PendingProbe>, sequence: u32) -> Option<&mu
 }
 
 /// Sets the departure of the earlier reply `reply_sequence` to `departure` if that is later than the known departure.
-/// Returns the changed exchange. Ignores the reply to the request `reporting_request`, because that reply reports the
-/// departure.
+/// Returns the changed exchange. The reply to the request `reporting_request` reports the departure, so that reply is
+/// not the earlier reply, even if it has the same number.
 // A later stamp of a departure is closer to the true departure. The stamp was made between the readings of the two
 // replies' epochs, so it can be used only if both epochs are equal.
 fn refine_departure(

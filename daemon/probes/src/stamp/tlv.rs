@@ -21,7 +21,7 @@ pub const RAW_STAMPS: u8 = 253;
 pub const UNRECOGNISED: u8 = 0x80;
 /// Flag: the length is wrong for the type or the packet.
 pub const MALFORMED: u8 = 0x40;
-/// Flag: the TLVs are not authenticated.
+/// Flag: the TLVs are not intact ([`are_intact`]).
 pub const NOT_INTACT: u8 = 0x20;
 
 /// Length of the header before the value: flags, type, length. Bytes.
