@@ -31,7 +31,7 @@ pub(crate) fn check(files: &[PathBuf]) -> Exit {
                     }
                     Err(error) => {
                         note(&format_args!(
-                            "the other hosts of the configuration were not asked, because the clock cannot be read: {error}"
+                            "the agent's settings were not examined for remarks, because the clock cannot be read: {error}"
                         ));
                     }
                 }

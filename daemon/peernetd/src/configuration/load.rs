@@ -191,6 +191,7 @@ fn check_remainder(mut remainder: Remainder<File>) -> Vec<(String, String)> {
     let role_problems = missing_role_tables(&file, &remainder.tables_with_mistakes).into_iter();
     let role_problems = role_problems.map(|(key, text)| (key.to_owned(), text.to_owned()));
     let problems = Configuration::from(file).check().into_iter();
+    // Elements of arrays that cannot be read are missing in the remainder, so the later elements have other indices.
     let problems = problems.map(|(key, text)| (remainder.key_in_file(&key), text));
     let is_certain = |(key, _): &(String, String)| {
         let depends_on_table_with_mistakes = |(table, suffix): &(&str, &str)| {
@@ -272,8 +273,8 @@ impl Configuration {
         clock::system(self.agent.as_ref().map_or(ClockIdentity::SYSTEM, |agent| &agent.agent.clock_identity))
     }
 
-    /// Returns the clock that the agent reads: `system_clock`, or the faulty clock that `[clock_fault]` defines, from
-    /// now on.
+    /// Returns the clock that the agent reads: `system_clock`, or a clock with the faults of `[clock_fault]`. The
+    /// faults begin with this call.
     ///
     /// # Errors
     /// If the kernel's boot id cannot be read.
@@ -402,6 +403,7 @@ mod tests {
         ));
         for expected in [
             ":4: agent.io_threads: invalid type",
+            // The default of `fresh_s` is longer than `window_s`. A missing key has the line of its table.
             ":5: clock.fresh_s: ",
             ":6: clock.window_s: ",
             ":7: clock.unknown: unknown field",

@@ -29,8 +29,9 @@ pub(super) fn print(result: &ExaminationResult, now: WallTime) {
         };
         print_to_stdout(format_args!("{severity}: {}\n  → {}", finding.what, finding.advice));
     }
-    if let Some(more) = result.findings().count().checked_sub(MAX_FINDINGS + 1) {
-        print_to_stdout(format_args!("… and {} more (--json shows all)", more + 1));
+    let hidden = result.findings().count().saturating_sub(MAX_FINDINGS);
+    if hidden > 0 {
+        print_to_stdout(format_args!("… and {hidden} more (--json shows all)"));
     }
     let problems = result.findings().filter(|finding| finding.severity == Severity::Problem).count();
     let notices = result.findings().count() - problems;
@@ -98,6 +99,7 @@ fn print_database(report: &Report, now: WallTime) {
     print_table(&["roll-up interval", "oldest starts", "newest starts"], rows);
     let rows = report.gaps.iter().map(|gap| {
         let host = gap.host.clone().unwrap_or_else(|| "unknown".to_owned());
+        // A gap whose events were not counted adds nothing to `gap.events`.
         let events = if gap.uncounted > 0 { format!("≥ {}", gap.events) } else { gap.events.to_string() };
         vec![gap.reason.clone(), host, gap.gaps.to_string(), events, format_age(gap.to_ns, now)]
     });
@@ -126,6 +128,7 @@ fn print_spool(report: &SpoolReport, now: WallTime) {
         format_size(report.disk_free_bytes)
     ));
     let inspection = &report.inspection;
+    // The stream is empty if it could not be read. A finding gives the reason.
     if inspection.stream.is_empty() {
         return print_to_stdout("");
     }
@@ -151,7 +154,10 @@ fn print_spool(report: &SpoolReport, now: WallTime) {
 /// Prints a table with an empty line after it; prints nothing if there are no rows.
 fn print_table(header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
     let rows: Vec<Vec<String>> = rows.collect();
-    let Some(hidden) = (!rows.is_empty()).then(|| rows.len().saturating_sub(MAX_TABLE_LINES)) else { return };
+    if rows.is_empty() {
+        return;
+    }
+    let hidden = rows.len().saturating_sub(MAX_TABLE_LINES);
     print_to_stdout(text(header, &rows[..rows.len() - hidden]));
     if hidden > 0 {
         print_to_stdout(format_args!("… and {hidden} more (--json shows all)"));

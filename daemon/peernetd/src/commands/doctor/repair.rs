@@ -44,6 +44,8 @@ fn print(database: &Path, repaired: &RepairResult) {
         .iter()
         .filter(|table| table.rows > 0 || table.unreadable_ranges > 0)
         .map(|table| {
+            // The counters of runs and the numbers of iterations show how many iterations are lost. Nothing shows this
+            // for the other tables.
             let lost = match (table.table.as_str(), table.unreadable_ranges) {
                 ("iteration", _) => iterations.clone(),
                 (_, 0) => "0".to_owned(),
