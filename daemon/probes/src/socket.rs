@@ -22,6 +22,9 @@ const LOOPBACK_TIMEOUT: Duration = Duration::from_millis(200);
 // A packet gives no result if the clock is set in the meantime.
 const MAX_LOOPBACK_ATTEMPTS: u32 = 3;
 
+/// Argument of [`open_ip`]: `false`, so that no other socket can be bound to the same address and port.
+const REUSE_ADDRESS: bool = false;
+
 /// Source of the timestamps of packets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TimestampSource {
@@ -80,7 +83,7 @@ impl ProbeSocket {
             TimestampSource::Program => &[],
         };
         for &mode in modes {
-            match open_ip(address, mode, false) {
+            match open_ip(address, mode, REUSE_ADDRESS) {
                 Ok(inner) => return Ok(Self { inner, mode, clock, kernel_stamps_disabled: false }),
                 // The kernel does not support the option, as some sandboxes and old kernels do not.
                 Err(error) if is_unsupported_option(&error) => {
@@ -91,7 +94,7 @@ impl ProbeSocket {
         }
         // A socket without kernel stamps is used if the kernel supports none of the wanted modes.
         let mode = GeneralTimestampMode::None;
-        Ok(Self { inner: open_ip(address, mode, false)?, mode, clock, kernel_stamps_disabled: false })
+        Ok(Self { inner: open_ip(address, mode, REUSE_ADDRESS)?, mode, clock, kernel_stamps_disabled: false })
     }
 
     /// Opens a socket for sending to `target`. The socket is bound to any address and port of the same family,
@@ -105,7 +108,8 @@ impl ProbeSocket {
             SocketAddr::V4(_) => SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0)),
             SocketAddr::V6(_) => SocketAddr::from((Ipv6Addr::UNSPECIFIED, 0)),
         };
-        Self::bind(unspecified, stamps, true, clock)
+        let with_departures = true;
+        Self::bind(unspecified, stamps, with_departures, clock)
     }
 
     pub(crate) fn address(&self) -> SocketAddr {
@@ -233,7 +237,7 @@ fn to_program_time(clock: &SharedClock, stamps: TimestampData) -> Option<WallTim
 /// packet has no stamp.
 async fn check_kernel_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
     let loopback = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
-    let socket = open_ip(loopback, GeneralTimestampMode::SoftwareRecv, false)?;
+    let socket = open_ip(loopback, GeneralTimestampMode::SoftwareRecv, REUSE_ADDRESS)?;
     let local = socket.local_addr();
     let epoch = clock.wall_epoch();
     let time_before = clock.wall();

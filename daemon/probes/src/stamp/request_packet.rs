@@ -29,7 +29,7 @@ impl RequestPacket {
         if config.clocks == RelatedClocks::Raw {
             tlv::push(&mut bytes, tlv::RAW_STAMPS, &RawStamps::default().to_value());
         }
-        // The octets are before the code, so that the code covers them. The octets are padding, because
+        // The octets are before the authentication code, so that the code covers them. The octets are padding, because
         // PEERNet reflectors of all releases return padding unchanged.
         let nonce_range = (config.with_nonce && config.key.is_some()).then(|| {
             tlv::push(&mut bytes, tlv::EXTRA_PADDING, &[0; NONCE_BYTES]);
