@@ -5,8 +5,8 @@ use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NODES};
 /// Reason why a tree or a tree delta is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TreeError {
-    /// The root is missing, the root has a parent, or another node has none.
-    #[error("node {0} has no parent, or is the root and has a parent")]
+    /// The root has a parent, another node has none, or the tree has no nodes. In the last case, the number is 0.
+    #[error("node {0} is missing, is a root with a parent, or is no root and has no parent")]
     Orphan(usize),
     /// A node precedes its parent.
     #[error("node {0} precedes its parent")]

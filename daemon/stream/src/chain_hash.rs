@@ -19,7 +19,8 @@ impl ChainHash {
 
     /// Returns the chain hash of the next batch, which has `events` events with the wire form `body`.
     pub fn next(self, events: u32, body: &[u8]) -> Self {
-        // The only field of variable length comes last, so that different fields never have the same bytes.
+        // The only field of variable length comes last, so that different values of the fields never result in the
+        // same sequence of bytes.
         // The hash covers the number of events, too, because no other hash protects the head of a batch.
         let digest = Sha256::new().chain_update(self.0).chain_update(events.to_be_bytes()).chain_update(body);
         let (chain, _) =

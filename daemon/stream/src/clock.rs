@@ -17,10 +17,10 @@ use peernet_logger::{HostId, Slug};
 /// State of a link in one second: the relation between a clock of the edge and a clock of the cloud, and the delays of
 /// data over one network.
 ///
-/// Samples are stored, so that the delays of a past run can be computed again with later exchanges.
+/// Clock samples are stored, so that the delays of a past run can be computed again with later exchanges.
 ///
-/// The relation belongs to the pair of hosts. If two hosts use several networks in a second, the sample of each network
-/// has the same relation period, exchanges, offset and probes, but its own delays.
+/// The relation belongs to the pair of hosts. If two hosts use several networks in a second, the clock sample of each
+/// network has the same relation period, exchanges, offset and probes, but its own delays.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct ClockSample {
     /// Id of the cloud.
@@ -106,7 +106,7 @@ pub struct DelaySecond {
     /// Median of the delays that have a value, with the medians of their lower and of their upper bounds; `None` if no
     /// delay has a value. Agents before 0.3.0 send the bounds of the median delay.
     pub median: Option<DelayPoint>,
-    /// Worst verdict that applies to at least a twentieth of the judged delays.
+    /// Worst verdict such that at least a twentieth of the judged delays have this verdict or a worse verdict.
     pub verdict: Verdict,
 }
 
@@ -197,7 +197,7 @@ pub struct LinkLive {
     pub edge: Option<HostClock>,
     /// Clock of the cloud.
     pub cloud: Option<HostClock>,
-    /// Sample of the last complete second; of the current second so far if the last second has no sample.
+    /// Clock sample of the last complete second; of the current second so far if the last second has no clock sample.
     #[serde(rename = "now")]
     pub latest_sample: ClockSample,
     /// Open connections, one per pipeline, at most [`MAX_PIPELINES`]. Since version 6 of the event stream.
@@ -290,7 +290,7 @@ pub struct HostClock {
     pub claim: Option<ClockClaim>,
     /// Description for people, such as `chrony, stratum 2, to 10.0.0.1`, `kernel, synchronised`, `not synchronised`.
     pub text: String,
-    /// Number of steps, slews and sleeps of the clock since the agent started.
+    /// Number of the clock's current epoch: the number of steps, slews and sleeps of the clock since the agent started.
     pub epoch: u32,
     /// Faults that are injected into the clock.
     #[serde(rename = "rehearsal")]

@@ -166,7 +166,8 @@ pub fn encode_batch(head: &BatchHead, body: &[u8], compress: bool) -> Vec<u8> {
     frame.extend(head.chain.as_bytes());
     frame.extend(head.events_before.to_be_bytes());
     frame.extend(head.events.to_be_bytes());
-    // A reader refuses a body that is longer than a u32 can state.
+    // In place of a length above the largest `u32`, the largest `u32` is written. A reader refuses the body, because
+    // this number is above `MAX_MESSAGE_BYTES`.
     frame.extend(u32::try_from(body.len()).unwrap_or(u32::MAX).to_be_bytes());
     frame.extend(sent_body);
     frame

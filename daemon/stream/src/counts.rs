@@ -146,8 +146,8 @@ impl CountedEvents {
         for CountedRun { run, pipeline, events, last } in &self.runs {
             let count = events
                 .saturating_sub(settled.events.events_of(*run))
-                // The accounted events may all be of this run, because their runs are unknown. The lost events that the
-                // subtraction takes from this run are reported without a run.
+                // The accounted events may all be of this run, because their runs are unknown. If some of them are of
+                // other runs, this count is too low, and the other lost events are reported without a run.
                 .saturating_sub(accounted)
                 .min(unassigned);
             unassigned -= count;

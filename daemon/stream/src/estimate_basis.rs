@@ -18,7 +18,8 @@ pub struct EstimateBasis {
     /// Lowest and highest rate between the two clocks that the exchanges allow, parts per million; `None` if they prove
     /// nothing.
     pub proven_skew_ppm: Option<(f64, f64)>,
-    /// Age of the oldest exchange that bounds the offset; `None` if this exchange is within the configured window.
+    /// Age of the oldest exchange that bounds the offset; `None` if this exchange is not older than the
+    /// configured `[clock] window_s`.
     #[serde(rename = "grown_window")]
     pub oldest_exchange_age: Option<Span>,
     /// `true` if the claims of both hosts' time daemons may narrow the interval.

@@ -19,7 +19,8 @@ pub struct ExperimentPosition {
     #[serde(default, rename = "position", skip_serializing_if = "Option::is_none")]
     pub configuration_index: Option<u32>,
     /// Number of edges that measure the repeat at the same time; `None` if an earlier version ran the experiment.
-    // The wire form lists values without names, so a value that is present follows only values that are present.
+    // The wire form is a list of values without names. `edges` may therefore be present only if `configuration_index`,
+    // which precedes it, is present.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edges: Option<u32>,
 }

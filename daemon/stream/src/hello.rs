@@ -51,8 +51,8 @@ pub struct Hello {
     pub events_before_oldest: u64,
     /// Number of events in all batches of the spool before `first`, in earlier streams; `None` if it is unknown.
     pub events_before_first: Option<u64>,
-    /// Configured length of a batch's body, bytes; a single larger event makes a longer batch. A window is counted in
-    /// batches of this length.
+    /// Configured length of a batch's body, bytes; a single larger event makes a longer batch. The window of
+    /// batches in flight ([`ToAgent::Ack`](crate::ToAgent::Ack)) is counted in batches of this length.
     pub batch_bytes: u32,
     /// Random number of the process. It distinguishes a reconnect from a second process with a copied host id.
     pub process: u64,

@@ -17,16 +17,16 @@
 //!
 //! The guarantee is achieved by the following means:
 //!
-//! - *Missing events* are counted as the difference between two numbers. The head of each batch states the number of
-//!   events in all earlier batches. The stream's row in the database stores this number, and a hello states it for the
-//!   oldest batch that the agent still holds. An aggregator whose database was deleted or restored thus learns how many
-//!   events are missing from the database.
+//! - *Missing events* are counted as a difference: the number of events before the oldest batch that the agent still
+//!   holds, minus the number of events up to the last stored batch. The hello states the first number. The stream's row
+//!   in the database has the second number, which follows from the head of the last stored batch. An aggregator whose
+//!   database was deleted or restored thus learns how many events are missing from the database.
 //! - *Exactly once* follows from the mark: a batch whose number is not above the mark is acknowledged and not stored
 //!   again.
 //! - *The identity of a spool* is its chain hash ([`ChainHash`]). Numbers alone cannot distinguish a restored disk, a
-//!   copied machine, or a spool that lost its last batches in a power failure, from the original spool. Both ends
-//!   compare the chain hash at the mark at each welcome, before anything is deleted. If the chain hashes differ, the
-//!   agent continues in a new stream.
+//!   copied machine, or a spool that lost its last batches in a power failure, from the original spool. Each welcome
+//!   states the chain hash at the mark. Before the agent deletes anything, it compares this chain hash with the chain
+//!   hash of its own batch. If the chain hashes differ, the agent continues in a new stream.
 //! - *Memory* is bounded everywhere: the agent's queue, the memory before the spool, the spool, the bytes in flight,
 //!   and the aggregator's queue. When all these places are full, the newest event is dropped, counted for its run, and
 //!   reported in a gap. `produced = stored + waiting + dropped` always holds.

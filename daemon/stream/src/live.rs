@@ -111,7 +111,8 @@ impl Placement {
         Self { kind: PlacementKind::None, peer, network, address, model: Slug::none(), device }
     }
 
-    /// Returns the placement of observed nodes of another system, which use no model of this program.
+    /// Returns the placement of an observed system whose nodes run on one host. The system uses no model of this
+    /// program.
     pub fn observed() -> Self {
         Self { kind: PlacementKind::Local, model: Slug::observed(), ..Self::sensor_alone() }
     }
@@ -147,7 +148,7 @@ pub struct Second {
     pub at: i64,
     /// Iterations by outcome, without warm-up.
     pub counts: OutcomeCounts,
-    /// Summaries by name of the node in SI units: the stages, `total`, `unattributed`, throughputs and sizes. A
+    /// Summaries in SI units, by the name of the node: the stages, `total`, `unattributed`, throughputs and sizes. A
     /// throughput's summary is over the throughputs of single iterations. Failed iterations and warm-up are not
     /// included.
     pub values: Vec<(Name, Summary)>,

@@ -33,7 +33,7 @@ pub enum ToAggregator {
     Echo {
         /// Host that sends the request.
         host: HostId,
-        /// Number of bytes that the agent sent on this connection before the request.
+        /// Number of bytes that the agent sent on this connection up to the end of the request.
         bytes: u64,
     },
     /// The agent is about to stop, and sends nothing more.

@@ -86,7 +86,8 @@ impl HostSecret {
         code.update(hello.host.id.as_bytes());
         code.update(&hello.process.to_be_bytes());
         code.update(hello.stream.as_bytes());
-        // The only field of variable length comes last, so that different fields never have the same bytes.
+        // The only field of variable length comes last, so that different values of the fields never result in the
+        // same sequence of bytes.
         code.update(aggregator.as_str().as_bytes());
         code
     }

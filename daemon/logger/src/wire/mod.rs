@@ -14,7 +14,10 @@
 //! | 4 throughput | number or nil, lower and upper bound or nil and nil |
 //! | 5 token rate | number or nil |
 //! | 6 custom | kind's name, unit, number or nil |
-//! | delay | `[raw, value or nil, lower and upper bound or nil and nil, source, verdict]` |
+//! | delay | `[raw difference of the stamps, value or nil, lower and upper bound or nil and nil, source, verdict]` |
+//!
+//! The fields of a tree delta have the order of the fields of [`TreeDelta`]: `base` is the number of nodes of the tree
+//! that the delta extends. The host of a node is the position of the host's anchor.
 //!
 //! Times are integers in nanoseconds. A name is its position among the standard names, or a string. Numbers without a
 //! fraction may be written as integers. A tree of 12 nodes takes about 280 bytes. The form is so short because it is

@@ -7,8 +7,8 @@ use super::{VERSION, WireError};
 use crate::limits::{MAX_ANCHORS, MAX_NAME_BYTES, MAX_NODES, MAX_TREE_BYTES};
 use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RawStamps, Transit, Unit, stage};
 
-/// Length of the shortest node, in bytes. The unread input has space for a certain number of such nodes; no capacity
-/// for more nodes is reserved.
+/// Length of the shortest node, in bytes. The unread input cannot contain more nodes than its length divided by this
+/// length. Capacity is reserved for at most this number of nodes of the input.
 // One byte each for the array and the node's parent, name, host, start and kind.
 const MIN_NODE_BYTES: usize = 6;
 /// Length of the shortest anchor, in bytes. It limits the capacity that is reserved for anchors, as above.
@@ -49,6 +49,8 @@ impl<'a> Reader<'a> {
         if self.rest.is_empty() { Ok(()) } else { Err(WireError::Trailing(self.rest.len())) }
     }
 
+    /// Returns the error that the item at the current position is not the expected item. The callers create the error
+    /// before they read, because reading changes the position.
     const fn malformed(&self, expected: &'static str) -> WireError {
         WireError::Malformed { at: self.length - self.rest.len(), expected }
     }
@@ -167,7 +169,7 @@ impl<'a> Reader<'a> {
         if count > MAX_NODES {
             return Err(WireError::Limit { what: "nodes", found: count, limit: MAX_NODES });
         }
-        // The capacity is a little larger than needed, because the edge adds computed nodes.
+        // The capacity is larger by 8 than the input needs, because the edge adds computed nodes.
         let mut nodes = Vec::with_capacity(count.min(self.rest.len() / MIN_NODE_BYTES) + 8);
         for _ in 0..count {
             nodes.push(self.node()?);

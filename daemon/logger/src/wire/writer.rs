@@ -111,9 +111,9 @@ fn node(out: &mut Vec<u8>, node: &Node) {
                 int(out, stamps.received.nanos());
             }
         }
-        Measure::Value(value, symbol) => {
+        Measure::Value(value, value_unit) => {
             number(out, *value);
-            unit(out, symbol);
+            unit(out, value_unit);
         }
         Measure::Throughput(rate) => {
             optional(out, rate.value, number);
@@ -121,9 +121,9 @@ fn node(out: &mut Vec<u8>, node: &Node) {
             optional(out, rate.bounds.map(|(_, hi)| hi), number);
         }
         Measure::TokenRate(rate) => optional(out, *rate, number),
-        Measure::Custom(kind, symbol, value) => {
+        Measure::Custom(kind, value_unit, value) => {
             name(out, kind);
-            unit(out, symbol);
+            unit(out, value_unit);
             optional(out, *value, number);
         }
     }
@@ -135,7 +135,8 @@ fn delay(out: &mut Vec<u8>, delay: &OneWayDelay) {
     optional(out, delay.value, span);
     optional(out, delay.bounds.map(|bounds| bounds.lo), span);
     optional(out, delay.bounds.map(|bounds| bounds.hi), span);
-    // The numbers are positions in `ALL`. Variants may be added at the end of both types, but never moved.
+    // The numbers are positions in `DelaySource::ALL` and `Verdict::ALL`. A variant may be added at the end, but no
+    // variant may move.
     uint(out, delay.source as u64);
     uint(out, delay.verdict as u64);
 }

@@ -114,10 +114,11 @@ fn drive_receiving(script: &mut Script<'_>) {
 /// An agent with a spool, which performs the requested actions or fails.
 struct Agent {
     sending: Sending,
-    jobs: VecDeque<Action>,
+    /// Actions on the spool that the agent has not performed yet.
+    pending_actions: VecDeque<Action>,
     spool: Vec<SpooledBatch>,
     now: Stamp,
-    /// Number of bytes that were sent before the last request for an echo.
+    /// Value of `bytes` in the last request for an echo.
     echo_bytes: u64,
 }
 
@@ -132,9 +133,10 @@ fn drive_sending(script: &mut Script<'_>) {
     let stream = StreamId::from_bytes([1; 16]);
     let state = SpoolState::new(stream);
     let now = Stamp { wall: start_time(), ..Stamp::default() };
-    let sending =
-        Sending::new(config, host(HostId::from_bytes([1; 16])), HostSecret::from_bytes([9; 32]), 1, state);
-    let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now, echo_bytes: 0 };
+    let (host, process) = (host(HostId::from_bytes([1; 16])), 1);
+    let sending = Sending::new(config, host, HostSecret::from_bytes([9; 32]), process, state);
+    let mut agent =
+        Agent { sending, pending_actions: VecDeque::new(), spool: Vec::new(), now, echo_bytes: 0 };
     let mut last_sent = (stream, ChainHash::START, 0);
     for _ in 0..MAX_STEPS {
         if script.is_over() {
@@ -155,7 +157,7 @@ fn drive_sending(script: &mut Script<'_>) {
                         message => panic!("{message:?} was sent"),
                     },
                 },
-                job => agent.jobs.push_back(job),
+                action => agent.pending_actions.push_back(action),
             }
         }
         let Accounting { produced, stored, waiting, dropped, .. } = agent.sending.accounting();
@@ -198,7 +200,7 @@ impl Agent {
     fn answer_next_action(&mut self, fails: bool) {
         let now = self.now;
         let reason = || "the disk fails".to_owned();
-        match self.jobs.pop_front() {
+        match self.pending_actions.pop_front() {
             Some(Action::Append { .. }) if fails => drop(self.sending.on_append_failed(reason(), now)),
             Some(Action::Append { batches, .. }) => {
                 self.spool.extend(batches);
@@ -228,7 +230,7 @@ fn random_message(
 ) -> ToAgent {
     let choice = script.byte();
     let (mut number, mut chain, window) = (number, Some(chain), u32::from(script.byte()));
-    // Without this bit, the message is that of an aggregator that stored everything that was sent.
+    // Without the bit 0x40 of `choice`, the message is that of an aggregator that stored everything that was sent.
     if choice & 0x40 != 0 {
         number = script.number();
         chain = (choice & 0x20 != 0).then(|| script.chain(number));

@@ -11,8 +11,8 @@ use crate::codec::{self, CodecError, MAX_MESSAGE_BYTES, Message};
 use crate::{BatchHead, ChainHash, StreamId, ToAgent, ToAggregator};
 use peernet_logger::HostId;
 
-/// Bit of the first byte of [`any_batch`]: the other bytes are the body of a batch. Without this bit, hardly any random
-/// input would pass the check of the hash.
+/// Bit of the first byte of [`any_batch`]: the other bytes are the body of a batch, for which `any_batch` computes the
+/// hash. Hardly any random frame has the right hash.
 const BODY_FLAG: u8 = 1;
 /// Bit of the first byte of [`any_batch`]: the body is compressed.
 const COMPRESSED_FLAG: u8 = 2;

@@ -8,7 +8,8 @@ use crate::{
 };
 use peernet_logger::HostId;
 
-/// Reader of decisions from bytes. After the last byte, the reader returns zeros.
+/// Reader of decisions from bytes. After the last byte, the reader returns zeros. Several decisions may depend on one
+/// number, so that scripts are short.
 pub(super) struct Script<'a>(pub(super) &'a [u8]);
 
 impl Script<'_> {
