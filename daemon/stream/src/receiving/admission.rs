@@ -34,7 +34,7 @@ pub(super) struct Session {
     pub(super) stream: StreamId,
     pub(super) last_message_at: MonoTime,
     /// Weight of a batch of the length that the hello states; at most the weight of the longest message.
-    pub(super) batch_bytes: u64,
+    pub(super) batch_weight: u64,
     /// Number of another process that claims to be this host, and the time of that process's first hello.
     rival_process: Option<(u64, MonoTime)>,
 }
@@ -47,7 +47,7 @@ impl Session {
             process: hello.process,
             stream: hello.stream,
             last_message_at: now,
-            batch_bytes: batch_weight(MAX_MESSAGE_BYTES.min(hello.batch_bytes as usize)),
+            batch_weight: batch_weight(MAX_MESSAGE_BYTES.min(hello.batch_bytes as usize)),
             rival_process: None,
         }
     }

@@ -55,8 +55,8 @@ impl<C: Eq + Hash> Challenges<C> {
     /// Records the hello of a connection and returns the challenge to be sent. `enrol` requests the secret, because no
     /// secret of the host is known; `nonce` is a new random number.
     ///
-    /// The challenge states the highest version that both ends support, unless it is the version of the hello. Hellos
-    /// without a common version are refused before they are challenged
+    /// The challenge states the highest version that both ends support, unless this version is the oldest version that
+    /// the agent supports. Hellos without a common version are refused before they are challenged
     /// ([`Receiving::version_refusal`](super::Receiving::version_refusal)).
     ///
     /// A repeated hello gets the same challenge again, because on a slow link the proof may be in flight. Any other
@@ -100,8 +100,8 @@ impl<C: Eq + Hash> Challenges<C> {
         let Some(PendingHello { hello, nonce, enrol, .. }) = self.pending.remove(connection) else {
             return ProofResult::Unsolicited;
         };
-        // A secret that was not requested is ignored: it could replace the secret that the host had when it was
-        // challenged.
+        // A secret that was not requested is ignored. Otherwise, if the host's secret was deleted from the database
+        // after the challenge, anybody could give the host a new secret.
         let stated_secret = proof.secret.filter(|_| enrol);
         let Some(secret) = known_secret.or(stated_secret.as_ref()) else { return ProofResult::Unsolicited };
         if secret.verify(&proof.code, &nonce, &hello, &self.aggregator) {

@@ -41,7 +41,7 @@ pub struct ReceivingConfig {
 }
 
 impl ReceivingConfig {
-    /// Creates a configuration with the default times.
+    /// Creates a configuration with the default times and limits.
     pub const fn new(aggregator: Slug) -> Self {
         Self {
             aggregator,
@@ -140,8 +140,9 @@ pub enum HelloResult {
     /// No decision yet; nothing is to be sent, and the agent's next hello is decided. There are three causes:
     ///
     /// - Another process of the same host was active recently. If the other process has ended, the next hello of this
-    ///   process is accepted. Otherwise the other process sends something before the next hello.
-    /// - Batches of the stream that an earlier process sent are not stored yet.
+    ///   process is accepted. Otherwise the other process sends something before the next hello, and the next hello is
+    ///   refused.
+    /// - An earlier process sent batches of the stream that are not stored yet.
     /// - Too many batches of the host are not stored yet.
     Wait,
 }
@@ -174,9 +175,11 @@ pub struct MissingPreviousBatches {
     pub stream: StreamId,
     /// Number of the first batch; 1 if nothing of the stream is known.
     pub from: u64,
-    /// Number of the last known batch; `from` if all missing batches come after the last known batch.
+    /// Number of the last batch before the first batch of the new stream. `from` if only batches after that batch are
+    /// missing, which a killed process sent from memory.
     pub through: u64,
-    /// Number of events in the batches, including batches after the last known batch; `None` if it is unknown.
+    /// Number of events in the missing batches, including those that a killed process sent from memory; `None` if it is
+    /// unknown.
     pub events: Option<u64>,
 }
 
@@ -296,7 +299,7 @@ impl Receiving {
         let missing = progress.handle_hello(hello, mark, is_same_process);
         let (stored, last_mark) = progress.stored();
         self.deferred.remove(stream);
-        self.parts.forget(host);
+        self.parts.remove(host);
         if let Some(replaced_session) = replaced_session {
             self.forget_if_stored(replaced_session.stream);
         }
@@ -340,6 +343,7 @@ impl Receiving {
     /// Returns the answer to a request for an echo ([`ToAggregator::Echo`](super::ToAggregator::Echo)). The answer is
     /// to be sent at once.
     pub fn handle_echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
+        // A host without a session gets a request for a hello instead of the echo.
         self.handle_live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
 
@@ -384,7 +388,7 @@ impl Receiving {
 
     /// Ends the session of an agent that stops. Other agents may use its name and its host id at once.
     pub fn handle_goodbye(&mut self, host: HostId) {
-        self.parts.forget(host);
+        self.parts.remove(host);
         if let Some(session) = self.hosts.remove(&host) {
             self.deferred.remove(session.stream);
             self.forget_if_stored(session.stream);
@@ -432,9 +436,9 @@ impl Receiving {
     /// The window depends on the number of connected hosts and on the host's own batch length, not on the batch lengths
     /// of other hosts: a host that has or states large batches does not slow down the other hosts.
     fn window(&self, host: HostId) -> u32 {
-        let batch_bytes = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
+        let batch_weight = self.hosts.get(&host).map_or(1, |session| session.batch_weight);
         // Each connected host gets an equal share of the memory, so that all hosts together stay within the budget.
-        let batches = self.config.budget_bytes / (self.hosts.len() as u64).max(1) / batch_bytes;
+        let batches = self.config.budget_bytes / (self.hosts.len() as u64).max(1) / batch_weight;
         u32::try_from(batches).unwrap_or(u32::MAX).clamp(1, self.config.max_window.max(1))
     }
 

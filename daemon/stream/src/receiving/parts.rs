@@ -33,14 +33,14 @@ impl PartAssembler {
     /// previous part discards the batch.
     pub(super) fn add(&mut self, part: &Part) -> Option<Bytes> {
         if part.offset == 0 {
-            self.forget(part.host);
+            self.remove(part.host);
             // The buffer grows with the parts that arrive. The total length is only stated by the peer.
             self.incomplete.insert(part.host, IncompleteBatch { total: part.total, bytes: Vec::new() });
         }
         let incomplete = self.incomplete.get_mut(&part.host)?;
         let is_next = incomplete.total == part.total && incomplete.bytes.len() == part.offset as usize;
         if !is_next || self.bytes + part.bytes.len() as u64 > self.max_bytes {
-            self.forget(part.host);
+            self.remove(part.host);
             return None;
         }
         incomplete.bytes.extend_from_slice(&part.bytes);
@@ -48,11 +48,11 @@ impl PartAssembler {
         if incomplete.bytes.len() < incomplete.total as usize {
             return None;
         }
-        self.forget(part.host)
+        self.remove(part.host)
     }
 
     /// Removes the incomplete batch of a host, and returns its bytes.
-    pub(super) fn forget(&mut self, host: HostId) -> Option<Bytes> {
+    pub(super) fn remove(&mut self, host: HostId) -> Option<Bytes> {
         let incomplete = self.incomplete.remove(&host)?;
         self.bytes -= incomplete.bytes.len() as u64;
         Some(incomplete.bytes.into())

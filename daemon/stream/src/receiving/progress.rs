@@ -86,7 +86,7 @@ impl Progress {
         if let Some(mark) = mark {
             self.apply_mark(mark);
         }
-        // No batch of the stream is stored or accepted. What an earlier hello stated is therefore no longer needed.
+        // If no batch of the stream is stored or accepted, what an earlier hello stated is no longer needed.
         if self.mark.is_none() && self.is_all_stored() {
             *self = Self::new(hello, None);
         }
@@ -99,7 +99,7 @@ impl Progress {
             let (host, stream, from) = (self.host, hello.stream, self.next());
             let (chain, process, events_through) =
                 (hello.chain_before_oldest, hello.process, hello.events_before_oldest);
-            let events = self.accepted.events.map(|stored| events_through.saturating_sub(stored));
+            let events = self.accepted.events.map(|accepted| events_through.saturating_sub(accepted));
             // The gap takes the place of the batches; the next batch follows it.
             self.accept(through, chain, events_through);
             MissingBatches { host, stream, from, through, chain, process, events, events_through }
@@ -140,6 +140,8 @@ impl Progress {
     fn handle_repeated(&mut self, head: &BatchHead, window: u32) -> Arrival {
         let number = head.number;
         let pending_batch = self.pending.iter().find(|(pending, _)| *pending == number);
+        // `pending` contains only the last of the batches in a gap, and only the last of the batches that a mark of the
+        // database added. An earlier batch cannot be compared.
         let Some((_, chain)) = pending_batch else {
             return Arrival::Pending;
         };
@@ -215,9 +217,9 @@ impl Progress {
         self.mark = Some(mark);
         self.stored = mark.into();
         if mark.stored >= self.accepted.number {
-            // The database is ahead of the accepted batches in memory: the batch was stored before the aggregator was
-            // restarted.
             if mark.stored > self.accepted.number {
+                // The database is ahead of the accepted batches in memory: the batch was stored before the aggregator
+                // was restarted.
                 self.pending.push_back((mark.stored, mark.chain));
             }
             self.accepted = self.stored;
