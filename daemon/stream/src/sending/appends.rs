@@ -74,7 +74,7 @@ impl Appends {
         self.has_failed
     }
 
-    /// Returns whether batches could not be written and nothing was written since then.
+    /// Returns whether batches could not be written and no transaction has begun since then.
     pub(super) const fn has_failed_with_batches(&self) -> bool {
         self.has_failed_with_batches
     }

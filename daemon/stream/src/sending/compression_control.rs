@@ -60,7 +60,7 @@ impl CompressionControl {
         self.is_compressing
     }
 
-    /// Records that a batch must wait for an acknowledgement.
+    /// Records that a batch must wait for an acknowledgement. A wait for an echo counts like a full window.
     pub(super) fn record_full_window(&mut self, now: MonoTime) {
         self.full_since.get_or_insert(now);
     }
@@ -122,6 +122,9 @@ impl CompressionControl {
 mod tests {
     use super::*;
 
+    const SLOW: bool = true;
+    const NOT_SLOW: bool = false;
+
     fn at(millis: i64) -> MonoTime {
         MonoTime::default() + Span::from_millis(millis)
     }
@@ -162,19 +165,19 @@ mod tests {
         // Each batch is small and is acknowledged immediately, so the window is never full.
         for n in 0..1_000 {
             compression_control.record_ack(1_000, at(100 * n));
-            compression_control.record_idle(false, at(100 * n));
+            compression_control.record_idle(NOT_SLOW, at(100 * n));
         }
         assert!(!compression_control.is_compressing());
         let now = acknowledge_steadily(&mut compression_control, 100_000, 2, 1 << 10);
-        compression_control.record_idle(false, at(now + 9_000));
+        compression_control.record_idle(NOT_SLOW, at(now + 9_000));
         assert!(compression_control.is_compressing());
-        compression_control.record_idle(false, at(now + 10_001));
+        compression_control.record_idle(NOT_SLOW, at(now + 10_001));
         assert!(!compression_control.is_compressing(), "the backlog is gone");
         // On a slow link, compression continues although nothing waits.
         compression_control.record_slow_link();
-        compression_control.record_idle(true, at(now + 30_000));
+        compression_control.record_idle(SLOW, at(now + 30_000));
         assert!(compression_control.is_compressing(), "the link is slow");
-        compression_control.record_idle(false, at(now + 30_000));
+        compression_control.record_idle(NOT_SLOW, at(now + 30_000));
         assert!(!compression_control.is_compressing());
         // An interruption of the connection does not count as a slow link.
         compression_control.record_full_window(at(200_000));
@@ -206,7 +209,7 @@ mod tests {
             let mut compression_control = CompressionControl::new(compression);
             let now = acknowledge_steadily(&mut compression_control, 0, 3, 1 << 10);
             let now = acknowledge_steadily(&mut compression_control, now, 3, 1 << 30);
-            compression_control.record_idle(false, at(now + 60_000));
+            compression_control.record_idle(NOT_SLOW, at(now + 60_000));
             assert_eq!(compression_control.is_compressing(), compresses);
         }
     }

@@ -197,6 +197,7 @@ impl Sending {
             // stored.
             self.schedule_hello(now.mono);
         } else if through >= self.spooler.backlog.oldest() {
+            // After a request to send batches again, `next` may be the number of a batch that was stored meanwhile.
             self.session.record_progress(next.max(through + 1), now.mono);
             self.free_acknowledged(through, None, now);
             self.pass_gap(now);
@@ -226,7 +227,10 @@ impl Sending {
         }
         if welcome.last_stored < acknowledged {
             return match self.has_sent_last_stored(&welcome) {
-                true => self.begin_sending(welcome, true, now),
+                true => {
+                    let aggregator_lost_batches = true;
+                    self.begin_sending(welcome, aggregator_lost_batches, now);
+                }
                 false => self.leave_stream(&welcome, now),
             };
         }
@@ -284,7 +288,8 @@ impl Sending {
             if welcome.last_stored > acknowledged {
                 self.free_acknowledged(welcome.last_stored, scanned, now);
             }
-            self.begin_sending(welcome, false, now);
+            let aggregator_lost_batches = false;
+            self.begin_sending(welcome, aggregator_lost_batches, now);
         } else {
             self.leave_stream(&welcome, now);
         }
@@ -297,6 +302,7 @@ impl Sending {
         let is_sender = |newest_sent: &NewestSentBatch| {
             Some(newest_sent.process) == welcome.process && newest_sent.number >= welcome.last_stored
         };
+        // Without a chain hash, the aggregator has no batch of this stream, and therefore none of a copy.
         welcome.chain.is_none()
             || welcome.process == Some(self.spooler.process())
             || self.renewal.newest_sent_by_earlier_processes().iter().any(is_sender)
@@ -328,7 +334,7 @@ impl Sending {
             .newest_sent_by_earlier_processes()
             .iter()
             .find(|newest_sent| Some(newest_sent.process) == welcome.process);
-        // If the process recorded a batch with this number as sent and the aggregator has a different batch with the
+        // If the process recorded batch `last_stored` as sent, but the aggregator has a different batch with this
         // number, no batch is certain to be stored.
         let last_common = newest_sent
             .filter(|newest_sent| last_stored > newest_sent.number)
@@ -376,6 +382,7 @@ impl Sending {
             return;
         }
         if backlog.add_loaded(batches) == 0 {
+            // Batch `from` is missing, so the search for the end of the gap begins after it.
             self.reader.open_gap(from + 1, backlog);
             self.pass_gap(now);
         }
@@ -388,6 +395,7 @@ impl Sending {
         if !scan.count(from, batches) {
             return;
         }
+        // `finish_comparison` sets the next state.
         let state = std::mem::replace(&mut self.session.state, ConnectionState::Down);
         if let ConnectionState::Scanning { scan, purpose } = state {
             self.finish_comparison(scan.through(), scan.result(), purpose, now);
@@ -410,7 +418,7 @@ impl Sending {
     /// Frees the batches up to `through`, which the aggregator stored.
     fn free_acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
         if scanned.is_some() {
-            // The gap is before the acknowledged batches. Any other gap will be found again.
+            // The known gap begins before the last acknowledged batch. Any other gap will be found again.
             self.reader.forget_gap();
         }
         self.spooler.free_acknowledged(through, scanned, now);

@@ -46,7 +46,8 @@ impl Deletions {
         self.waiting_since.get_or_insert(now);
     }
 
-    /// Adds bytes that were written to the file and whose batches the aggregator stored meanwhile.
+    /// Adds bytes that were written to the file and whose batches the aggregator stored meanwhile. The wait of these
+    /// batches began when they were acknowledged ([`add`](Self::add)).
     pub(super) const fn add_written(&mut self, bytes: u64) {
         self.waiting_bytes += bytes;
     }
@@ -62,7 +63,7 @@ impl Deletions {
     }
 
     /// Returns whether the batches up to `through` are to be deleted now: because there are many of them, because they
-    /// have at least `max_waiting_bytes` bytes, or because they have waited long enough.
+    /// have at least `max_waiting_bytes` bytes, or because they have waited for long or for an unknown time.
     pub(super) fn is_due(&self, through: u64, max_waiting_bytes: u64, now: MonoTime) -> bool {
         through - self.through >= MAX_WAITING_BATCHES
             || self.waiting_bytes >= max_waiting_bytes

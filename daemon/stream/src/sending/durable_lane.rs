@@ -65,8 +65,8 @@ impl DurableLane {
         let frame_bytes = |bytes: usize| bytes.min(part_bytes) + PartialBatch::OVERHEAD;
         if let Some(remaining) = self.partial.as_ref().map(PartialBatch::len) {
             // A batch that was begun is completed first, because the receiver assembles one batch per host at a time.
-            let echo_request =
-                self.request_echo(host, !self.flow.has_capacity(frame_bytes(remaining)), false, now);
+            let (is_waiting, starts_batch) = (!self.flow.has_capacity(frame_bytes(remaining)), false);
+            let echo_request = self.request_echo(host, is_waiting, starts_batch, now);
             return without_batch_start(echo_request.or_else(|| self.next_part(host, part_bytes)));
         }
         let (through, include_unspooled) = spooler.sendable();
@@ -75,12 +75,12 @@ impl DurableLane {
             // Nothing waits, so the link is faster than the events.
             self.compression.record_idle(self.flow.is_slow(), now);
             self.flow.clear_durable_share();
-            return without_batch_start(self.request_echo(host, false, false, now));
+            return without_batch_start(self.request_echo_without_batch(host, now));
         };
         if self.in_flight.is_full(body_bytes, self.max_weight_in_flight()) {
             self.compression.record_full_window(now);
             self.flow.clear_durable_share();
-            return without_batch_start(self.request_echo(host, false, false, now));
+            return without_batch_start(self.request_echo_without_batch(host, now));
         }
         let is_waiting = !self.flow.has_capacity(frame_bytes(body_bytes));
         if is_waiting {
@@ -112,7 +112,13 @@ impl DurableLane {
         Some(frame)
     }
 
-    /// Returns a request for an echo if one is due.
+    /// Returns a request for an echo if one is due while the lane has no batch to hand over.
+    fn request_echo_without_batch(&mut self, host: HostId, now: MonoTime) -> Option<Vec<u8>> {
+        let (is_waiting, starts_batch) = (false, false);
+        self.request_echo(host, is_waiting, starts_batch, now)
+    }
+
+    /// Returns a request for an echo if one is due. The arguments are those of [`FlowControl::request_echo`].
     fn request_echo(
         &mut self,
         host: HostId,

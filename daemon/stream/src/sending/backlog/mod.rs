@@ -67,12 +67,13 @@ pub(super) struct FreedBatches {
 }
 
 impl Backlog {
+    /// Continues from the content of the spool; `budget` bytes of batches are kept in memory for sending.
     pub(super) fn new(spool: &SpoolState, budget: u64) -> Self {
         let oldest = spool.oldest.max(1);
         // A spool without batches continues the numbers after the last batch that it held.
         let newest =
             if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.chain_before_oldest) };
-        // Without batches, no event waits, even if the counts in the spool state otherwise.
+        // Without batches, no event waits, even if the spool's count of waiting events is not zero.
         let waiting_usage = if newest.0 < oldest { Usage::default() } else { spool.waiting_usage };
         let Totals { produced, dropped, .. } = spool.totals;
         Self {
@@ -220,7 +221,8 @@ impl Backlog {
         }
     }
 
-    /// Records that the file advanced to a batch, whether the file contains that batch or not.
+    /// Records that the newest number of the file is at least `through`. The file does not contain that batch if the
+    /// batch was sent from memory and a deletion recorded its number (`Action::Delete`).
     pub(super) fn advance_file(&mut self, through: u64, chain: ChainHash) {
         // Results of writes may arrive after an acknowledgement has advanced the file further.
         if through > self.spooled.0 {
@@ -254,7 +256,10 @@ impl Backlog {
         match number {
             _ if number == self.oldest.number - 1 => Some(self.oldest.previous_chain),
             _ if number == self.spooled.0 && number >= self.oldest.number => Some(self.spooled.1),
-            _ => self.get(number, true).map(|batch| batch.chain),
+            _ => {
+                let include_unspooled = true;
+                self.get(number, include_unspooled).map(|batch| batch.chain)
+            }
         }
     }
 
@@ -340,6 +345,8 @@ impl Backlog {
         if number < self.first_unloaded() || self.first_unloaded() > self.spooled.0 {
             return Some((chain, None));
         }
+        // Without reading, the total size of the batches that are in the file only is known, but not the size of some
+        // of them.
         let usage = (number >= self.spooled.0).then(|| self.file_only_usage());
         let last_chain = self.chain(self.spooled.0)?;
         Some((chain, Some((usage?, last_chain))))

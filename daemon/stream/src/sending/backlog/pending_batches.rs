@@ -65,6 +65,7 @@ impl PendingBatches {
             // At least one batch is chosen, even if this batch alone exceeds the limit.
             is_first || bytes <= max_bytes
         });
+        // Totals of the last chosen batch.
         let mut totals = None;
         let batches: Vec<_> =
             chosen.map(|pending| (totals = Some(&pending.totals), pending.batch.clone()).1).collect();

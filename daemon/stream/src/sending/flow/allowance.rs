@@ -82,7 +82,9 @@ impl Allowance {
         let is_late = round_trip > shortest + MAX_QUEUEING;
         self.late_echoes = if is_late { self.late_echoes.saturating_add(1) } else { 0 };
         let rate = bytes as f64 / round_trip.seconds();
-        self.rates.add(rate, now, round_trip > shortest + MAX_QUEUEING + MAX_QUEUEING);
+        // After a delay of more than twice the longest queue, the link may be slower, and the earlier rates too high.
+        let discard_earlier = round_trip > shortest + MAX_QUEUEING + MAX_QUEUEING;
+        self.rates.add(rate, now, discard_earlier);
         let best = self.rates.best();
         // A path with a long round trip needs a longer queue, or the link is idle between bursts.
         let min_queueing = TARGET_QUEUEING.max(Span::from_nanos(shortest.nanos() / 2));

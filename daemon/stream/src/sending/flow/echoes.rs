@@ -13,7 +13,8 @@ const MAX_PENDING: usize = 64;
 /// A request for an echo.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EchoRequest {
-    /// Position of the request in the connection, which the aggregator sends back.
+    /// Number of bytes that were handed to the connection up to the end of the request. The aggregator sends this
+    /// number back.
     pub(super) position: u64,
     /// Time at which the request was sent.
     pub(super) at: MonoTime,
