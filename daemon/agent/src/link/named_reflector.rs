@@ -56,7 +56,7 @@ impl NamedReflector {
         };
         let (results, mut received_results) = mpsc::channel(RESULT_CAPACITY);
         let mut probing = pin!(target.probe(shared, pace, &self.probing, results));
-        let mut monitor = AnswerMonitor::new(peer.clone(), false);
+        let mut monitor = AnswerMonitor::new(peer.clone(), target.key.is_some());
         loop {
             tokio::select! {
                 Some(result) = received_results.recv() => {
@@ -72,6 +72,7 @@ impl NamedReflector {
     /// free-running clock.
     pub(super) fn live(&self, rate_hz: f64, now: Stamp, wall_ahead: Interval) -> ReflectorLive {
         let mut probing = lock(&self.probing).clone();
+        // The stored rate is the rate at which probing started.
         if let Probing::On { rate_hz: shown_rate_hz, .. } = &mut probing {
             *shown_rate_hz = rate_hz;
         }
@@ -124,11 +125,13 @@ impl ReflectorAnswers {
                 }
                 self.round_trips.push_back(observation.exchange.round_trip());
             }
+            // The probe was counted as answered before; this exchange has a better stamp.
             ProbeResult::Refined(observation) => self.learn(observation),
         }
     }
 
-    /// Adds an exchange to the relation. If exchanges are refused, the offset becomes stale or contradictory.
+    /// Adds an exchange to the relation. The result is not needed: if the relation refuses exchanges, the offset
+    /// becomes stale or contradictory.
     fn learn(&mut self, observation: &ExchangeObservation) {
         let _ = self.relation.learn(observation);
     }
@@ -187,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn wall_offset_is_relation_minus_own_wall_lead() {
+    fn wall_offset_is_relation_offset_minus_wall_ahead() {
         let mut answers = ReflectorAnswers::new(RelationSettings::default());
         let millis = Span::from_millis;
         let now = Stamp {

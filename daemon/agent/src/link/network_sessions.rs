@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use peernet_stream::NetworkName;
 
 /// Number of closed seconds for which a network still gets clock samples after its last session has ended.
-// The oldest session sends the probes for the pair of hosts, over any network. Within this time the probes that were in
-// flight when another session ended are answered or lost.
+// The oldest session of the link sends all probes, and the samples of each network count these probes. Within this time
+// most of the probes that were in flight at the end of the network's last session are answered or lost.
 const LINGER_SECONDS: u8 = 2;
 
 /// Sessions by network. The network of the last session is not removed, so that later clock samples have a network.

@@ -42,13 +42,14 @@ async fn run_over_session(
     let id = session.id;
     let authenticated = link.shared.probes.key_for(&session).is_some();
     let (mut peer_clock, mut own_clock) = (session.clock.clone(), link.shared.host.host_clock.clone());
-    // The newest announcements may have arrived before, so they are handled once more.
+    // The newest announcements may have arrived before this call. After this mark the loop below handles them.
     peer_clock.mark_changed();
     own_clock.mark_changed();
     let (results, mut received_results) = mpsc::channel(RESULT_CAPACITY);
     let mut probing = pin!(probe(link, &session, results));
     let clock = &link.shared.host.clock;
     let mut proving = pin!(prove(&session.clock_peers, clock, |proof| link.set_same_clock(proof)));
+    // Only a configured key can differ between both ends: the session's key comes from the cloud.
     let mut monitor = AnswerMonitor::new(link.cloud.name.clone(), link.shared.probes.key.is_some());
     loop {
         let end_of_second = pin!(tokio::time::sleep(time_to_next_second(clock.wall().unix_nanos())));

@@ -32,8 +32,8 @@ struct Inner {
     serving_cloud: Mutex<BTreeMap<Slug, Cloud>>,
     /// Tracker of the tasks. Each link has one task, which ends with the link's last session.
     tasks: TaskTracker,
-    /// First panic of one of these tasks.
-    first_panic: watch::Sender<Option<LinkPanic>>,
+    /// Latest panic of one of these tasks; `None` if no task has panicked.
+    task_panic: watch::Sender<Option<LinkPanic>>,
     next_session: AtomicU64,
     /// Number of sessions that have ended.
     ended_sessions: AtomicU64,
@@ -75,7 +75,7 @@ impl Links {
             by_cloud: Mutex::default(),
             serving_cloud: Mutex::default(),
             tasks: TaskTracker::new(),
-            first_panic: watch::Sender::new(None),
+            task_panic: watch::Sender::new(None),
             next_session: AtomicU64::new(0),
             ended_sessions: AtomicU64::new(0),
         }))
@@ -160,7 +160,7 @@ impl Links {
     /// # Errors
     /// When one of the tasks panicked.
     pub(crate) async fn run(self, stop: CancellationToken) -> Result<(), LinkPanic> {
-        let mut first_panic = self.0.first_panic.subscribe();
+        let mut task_panic = self.0.task_panic.subscribe();
         let all_sessions_ended = async {
             stop.cancelled().await;
             self.0.tasks.close();
@@ -169,7 +169,7 @@ impl Links {
         tokio::select! {
             biased;
             // A link without its task would silently lose its clock relation, so a panic of the task ends the agent.
-            panic = first_panic.wait_for(Option::is_some) => match panic {
+            panic = task_panic.wait_for(Option::is_some) => match panic {
                 Ok(panic) => panic.clone().map_or(Ok(()), Err),
                 Err(_) => Ok(()),
             },
@@ -181,7 +181,7 @@ impl Links {
     async fn supervise(self, link: Arc<CloudLink>) {
         let peer = link.name().clone();
         if AssertUnwindSafe(probing::run_link_task(link)).catch_unwind().await.is_err() {
-            self.0.first_panic.send_replace(Some(LinkPanic { peer }));
+            self.0.task_panic.send_replace(Some(LinkPanic { peer }));
         }
     }
 
@@ -224,6 +224,7 @@ impl Drop for LinkedSession {
 /// Returns the host that answers probes: the host of the address, or for the address of a name service the host at the
 /// other end of the connection.
 fn cloud_host(session: &peernet_networks::Session, address: &Address) -> String {
+    // In an address with the name of a listener, the host is the host of the name service.
     let remote_addresses = address.listener_name().and_then(|_| session.statistics_reader().addresses());
     remote_addresses.map_or_else(|| address.host(), |addresses| addresses.remote.ip().to_string())
 }

@@ -1,4 +1,5 @@
-//! Decides which steps, jumps, lost proofs and violated assumptions are reported, and how often. No I/O.
+//! Decides which steps, jumps, violated assumptions and lost proofs of a common clock are reported, and how often. No
+//! I/O.
 
 use peernet_clock::{ProvenSkew, RawTime, Span, ViolatedLimit};
 
@@ -49,6 +50,8 @@ impl ReportLimit {
 
 impl ClockReports {
     /// Records whose clock was stepped. A step without a restart is recorded only if another step is already recorded.
+    // A step does not restart a relation without exchanges. If an earlier recorded step has removed the exchanges, both
+    // steps belong to the same restart. Otherwise there is no restart to report.
     pub(super) const fn record_steps(&mut self, is_restarted: bool, (edge, cloud): (bool, bool)) {
         let is_recorded = is_restarted || self.stepped_clocks.0 || self.stepped_clocks.1;
         self.stepped_clocks.0 |= is_recorded && edge;
@@ -97,7 +100,7 @@ impl ClockReports {
         self.ended_proof = None;
     }
 
-    /// Returns the report of a proof whose connection ended more than [`ENDED_PROOF_DELAY`] ago.
+    /// Returns the report of a proof whose connection ended at least [`ENDED_PROOF_DELAY`] ago.
     pub(super) fn report_ended_proof(&mut self, now: RawTime) -> Option<LostProof> {
         let (reason, at) = self.ended_proof.take_if(|(_, at)| (now - *at).abs() >= ENDED_PROOF_DELAY)?;
         let unreported = self.lost_proofs.try_report(at)?;
@@ -167,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn lost_proofs_are_counted_in_reports_per_minute() {
+    fn lost_proofs_are_reported_once_per_minute_with_count() {
         let mut reports = ClockReports::default();
         let mut unreported =
             |millis| reports.report_lost_proof(NotProven::PeerTime, at(millis)).map(|lost| lost.unreported);
@@ -183,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn proof_that_ends_with_session_is_not_reported() {
+    fn ended_proof_is_reported_unless_proven_again() {
         let mut reports = ClockReports::default();
         assert!(reports.report_lost_proof(connection_ended(), at(0)).is_none());
         assert!(reports.report_ended_proof(at(999)).is_none(), "the session may still end");

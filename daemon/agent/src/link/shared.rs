@@ -18,6 +18,7 @@ use crate::same_clock::ClockPeers;
 /// The parts of the agent that links use.
 #[derive(Clone, Debug)]
 pub(crate) struct LinkContext {
+    /// Name of this host.
     pub(crate) name: Slug,
     pub(crate) clock: SharedClock,
     /// State of this host's clocks.
@@ -29,6 +30,7 @@ pub(crate) struct LinkContext {
 /// State that all links share.
 #[derive(Debug)]
 pub(super) struct SharedLinkState {
+    /// The parts of this host's agent that links use.
     pub(super) host: LinkContext,
     pub(super) relation: RelationSettings,
     pub(super) probes: ProbeSettings,
