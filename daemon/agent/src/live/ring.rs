@@ -30,7 +30,7 @@ pub(crate) struct SentSeconds(Vec<(i64, u64)>);
 impl Ring {
     /// Adds an iteration that ended within the second `at` (Unix time).
     pub(super) fn record(&mut self, at: i64, outcome: &Outcome, warm_up: bool, tree: &Tree) {
-        // A second in which only iterations of the warm-up end has no statistics.
+        // A warm-up iteration is not in the statistics; only the result of an episode in its tree is.
         if warm_up && !has_episode_result(tree) {
             return;
         }

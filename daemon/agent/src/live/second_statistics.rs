@@ -51,6 +51,7 @@ impl SecondStatistics {
     pub(super) fn record(&mut self, outcome: &Outcome, warm_up: bool, tree: &Tree) {
         self.counts.add(outcome, warm_up);
         let is_in_statistics = *outcome == Outcome::Ok && !warm_up;
+        // Probable index of the next name in `values`.
         let mut hint = 0;
         for (_, node, value) in tree.counted_nodes().iter() {
             let name = &node.name;
@@ -105,8 +106,10 @@ impl SecondStatistics {
 
 /// Returns whether an iteration of the warm-up has a value that statistics include: the result of an episode.
 pub(super) fn has_episode_result(tree: &Tree) -> bool {
-    let nodes = tree.counted_nodes();
-    nodes.iter().any(|(_, node, value)| value.is_some() && is_value_in_statistics(&node.name, false))
+    let (nodes, is_in_statistics) = (tree.counted_nodes(), false);
+    nodes
+        .iter()
+        .any(|(_, node, value)| value.is_some() && is_value_in_statistics(&node.name, is_in_statistics))
 }
 
 /// Summaries by name, in the order in which the names first occurred.

@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn unsupported_version_is_refused_with_both_versions() {
+    fn other_versions_and_invalid_documents_are_refused() {
         let error = StampAnswer::read(&document(r#"{"version": 2, "stamps": {}}"#))
             .expect_err("version 2 is not supported");
         for part in ["version 2", "version 1", "update"] {

@@ -36,6 +36,7 @@ impl ObservedPipelines {
     pub(crate) fn from_config(config: &AgentConfig) -> Self {
         let pipeline = |pipeline: &PipelineConfig| match &pipeline.placement {
             PlacementConfig::Observe(observed) if pipeline.start == StartMode::Boot => {
+                // The pipeline's pairing has the same timeout: after it, the key belongs to another message there, too.
                 let pipeline_stamps = ObservedPipeline::new(observed.pair_by, Span::from(pipeline.timeout()));
                 Some((pipeline.name.clone(), Arc::new(pipeline_stamps)))
             }
@@ -54,8 +55,8 @@ impl ObservedPipelines {
     pub(crate) fn refusal_reason(&self, host: &Slug) -> Option<String> {
         self.0.is_empty().then(|| {
             format!(
-                "host {host} observes no topics; add a [[pipeline]] with placement = {{ kind = \"observe\", … }} to its agent, \
-                 for the same messages"
+                "host {host} observes no topics; add a [[pipeline]] with placement = {{ kind = \"observe\", … }} to \
+                 its agent; the pipeline must observe the same messages as the requesting pipeline"
             )
         })
     }
