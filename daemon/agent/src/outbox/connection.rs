@@ -86,6 +86,7 @@ impl Connection {
                 MonitorEvent::HandshakeFailed { reason, .. } => {
                     return Err(ConnectionError::Handshake(reason));
                 }
+                // The attempt failed, and the library waits until its next attempt.
                 MonitorEvent::ConnectDelayed { .. } => return Err(diagnose(address).await),
                 MonitorEvent::Disconnected { reason, .. } | MonitorEvent::ConnectStopped { reason, .. } => {
                     return Err(ConnectionError::Disconnected(reason));

@@ -104,6 +104,7 @@ impl Outbox {
         (description, secret): (HostDescription, HostSecret),
         context: OutboxContext,
     ) -> Self {
+        // The event queue already has the counter.
         let OpenSpool { file, state, quarantined, was_empty, counter: _ } = spool;
         let OutboxContext { clock, incidents, runs, live } = context;
         let reports = Reports::new(incidents);
@@ -184,8 +185,8 @@ fn sending_config(config: &AgentConfig) -> SendingConfig {
         // If the configured memory is small, most of it must remain for iterations.
         reserve_events: RESERVED_EVENTS.min(memory.events / 8),
         compression: spool.compression.into(),
-        // Pauses before batches are sent again to an aggregator whose queue is full; longer than the round trip of any
-        // link.
+        // The first and the longest pause before batches are sent again to an aggregator whose queue is full; both are
+        // longer than the round trip of any link.
         first_pause: Span::from_seconds(1),
         longest_pause: Span::from_seconds(10),
         refused_pause: Span::from_seconds(1),

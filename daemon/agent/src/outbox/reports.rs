@@ -146,6 +146,7 @@ impl Reports {
     }
 
     /// Reports that the spool continues in a new stream.
+    // Incidents about the spool have the kind `Gap`, because there is no separate kind for the spool.
     pub(super) fn report_renewal(&self, stored: u64, newest: u64) {
         let text = format!(
             "this spool is a copy or was restored: its newest batch has the number {newest}, and the aggregator has batches \
@@ -193,8 +194,8 @@ impl Reports {
         self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text);
     }
 
-    /// Logs that events are dropped, and when no more events are dropped. The aggregator learns of dropped events from
-    /// the gaps in the stream.
+    /// Logs that events are dropped, and later that no more events are dropped. The aggregator learns of dropped events
+    /// from the gaps in the stream.
     pub(super) fn report_dropping(&mut self, accounting: &Accounting, now: MonoTime) {
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
         match self.dropping.update(accounting.dropped, now) {

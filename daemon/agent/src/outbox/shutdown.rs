@@ -9,7 +9,7 @@ use tokio::time::Instant;
 #[derive(Debug)]
 pub(super) struct Shutdown {
     deadline: Instant,
-    /// Longest time in which the aggregator stores no event.
+    /// Time without a newly stored event after which the outbox no longer waits for the aggregator.
     progress_timeout: Duration,
     /// Time at which the aggregator was last seen to store an event.
     latest_progress: Instant,

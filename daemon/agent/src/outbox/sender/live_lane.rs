@@ -7,7 +7,7 @@ use crate::live::Receipt;
 use crate::outbox::connection::Connection;
 use crate::outbox::live_sources::LiveSources;
 
-/// Live lane of one connection.
+/// Live lane of the connection to the aggregator; stays in use when the connection is replaced.
 #[derive(Debug)]
 pub(super) struct LiveLane {
     sources: LiveSources,

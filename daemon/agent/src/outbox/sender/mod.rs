@@ -292,6 +292,7 @@ impl Sender {
                 "stopped before these events were in the spool or stored: they are lost; a gap reports them after the next \
                  start"
             ),
+            // The spool lacks the number of lost events, but the next start computes it from the counter's file.
             Err(reason) if has_counter_file => tracing::warn!(
                 events,
                 %reason,

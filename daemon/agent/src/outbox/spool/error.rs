@@ -121,7 +121,8 @@ impl SpoolError {
         }
     }
 
-    /// Returns the damage, without the advice of errors that are not caused by damage.
+    /// Returns a text that describes the damage. The text omits the advice of `Open` and `Migrate`, which is about
+    /// other causes.
     pub(super) fn damage(&self) -> String {
         match self {
             Self::Open { path, source } => format!("the spool {} is damaged: {source}", path.display()),

@@ -77,6 +77,8 @@ impl SpoolFile {
         if !self.reserve.allocate() && !batches.is_empty() {
             return Err(SpoolFileError::Full { action: ACTION, path: self.path.clone() });
         }
+        // `unreported` is set if it is known which batches of an earlier, killed process are stored. The file in which
+        // that process counted its events is then removed below.
         let counter_to_remove = match totals.unreported {
             Some(_) => killed_process::unresolved_counter(&mut self.connection)
                 .await
@@ -186,8 +188,8 @@ impl SpoolFile {
         self.sync(ACTION).await
     }
 
-    /// Returns some of the unused pages to the file system, after a backlog. Returns whether further pages may be
-    /// returned.
+    /// Gives some of the unused pages back to the file system, after a backlog. Returns whether another call may give
+    /// back further pages.
     pub(in crate::outbox) async fn shrink(&mut self) -> Result<bool, SpoolFileError> {
         let result = vacuum(&mut self.connection).await;
         match result.map_err(self.file_error("shrink")) {
@@ -321,6 +323,8 @@ impl SpoolFile {
             }
             return Err(self.file_error(action)(error));
         }
+        // If the file was moved during the transaction, the result must be an error: the next process does not find the
+        // committed rows.
         self.check_in_place()
     }
 

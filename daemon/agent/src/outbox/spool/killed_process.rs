@@ -16,12 +16,15 @@ struct PreviousProcess {
     /// Counts of the process's settled events by run, as encoded by [`encode_counts`].
     #[sqlx(rename = "counted")]
     settled_counts: Option<Vec<u8>>,
+    /// Number of those settled events that are in batches.
     #[sqlx(rename = "taken")]
     batched: Option<i64>,
+    /// Time of the last settled event.
     #[sqlx(rename = "counted_ns")]
     last_settled_ns: Option<i64>,
 }
 
+/// The unresolved batches of an earlier process, as stored in the file; see [`UnresolvedBatches`].
 #[derive(FromRow)]
 struct UnresolvedRow {
     /// Name of the file in which the process counted its events.
@@ -34,7 +37,9 @@ struct UnresolvedRow {
     last_settled_ns: Option<i64>,
     #[sqlx(rename = "told")]
     reported_drops: i64,
-    events: i64,
+    /// Number of events in all batches that were written to the spool.
+    #[sqlx(rename = "events")]
+    spooled_events: i64,
 }
 
 /// A loss that no gap has reported yet.
@@ -107,7 +112,7 @@ pub(super) async fn read_unresolved(
                 last: row.last_settled_ns.map(WallTime::from_unix_nanos),
             },
             reported_drops: row.reported_drops.cast_unsigned(),
-            spooled_events: row.events.cast_unsigned(),
+            spooled_events: row.spooled_events.cast_unsigned(),
         })
     }))
 }
@@ -192,17 +197,17 @@ pub(super) async fn start_counter(
     Ok(counter)
 }
 
-/// Writes the state. `is_unresolved` is `true` if [`SpoolState::unresolved`] now has the batches of the previous
-/// process.
+/// Writes the state. `previous_is_unresolved` is `true` if [`SpoolState::unresolved`] now has the batches of the
+/// previous process.
 async fn write_state(
     connection: &mut SqliteConnection,
     state: &SpoolState,
-    is_unresolved: bool,
+    previous_is_unresolved: bool,
     counter: &EventCounter,
 ) -> Result<(), sqlx::Error> {
     match &state.unresolved {
         None => sqlx::query("DELETE FROM unresolved").execute(&mut *connection).await.map(drop)?,
-        Some(unresolved) if is_unresolved => {
+        Some(unresolved) if previous_is_unresolved => {
             sqlx::query(
                 "INSERT OR REPLACE INTO unresolved (id, counter, counted, taken, counted_ns, told, events) \
                  SELECT id, counter, coalesce(counted, ?), coalesce(taken, 0), counted_ns, ?, ? FROM stream",
@@ -213,6 +218,7 @@ async fn write_state(
             .execute(&mut *connection)
             .await?;
         }
+        // These batches belong to a process before the previous one, and are in the table already.
         Some(_) => {}
     }
     sqlx::query(

@@ -145,13 +145,17 @@ async fn connect_despite_full_disk(
     host: HostId,
     reserve: &mut Reserve,
 ) -> Result<ConnectedSpool, SpoolError> {
-    let result = match connect(path, host, true).await {
-        Err(error) if error.may_be_full_disk() && reserve.release() => connect(path, host, true).await,
+    let counts_events = true;
+    let result = match connect(path, host, counts_events).await {
+        Err(error) if error.may_be_full_disk() && reserve.release() => {
+            connect(path, host, counts_events).await
+        }
         result => result,
     };
     match result {
         Err(error) if error.may_be_full_disk() => {
-            let connected = connect(path, host, false).await?;
+            let counts_events = false;
+            let connected = connect(path, host, counts_events).await?;
             tracing::warn!(%error, "the spool's disk is full; if the agent is killed, its lost events are not reported");
             Ok(connected)
         }
@@ -191,6 +195,7 @@ async fn prepare(
     // SQLite opens a read-only file without an error; the start of a write transaction fails.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut *connection).await.map_err(cannot_open)?;
     set_application_id(path, connection).await?;
+    // `None` means up to the newest migration; with `true` the migrations would be recorded but not executed.
     MIGRATIONS.run_direct(None, connection, false).await.map_err(|source| match source {
         MigrateError::VersionMissing(found) => {
             let newest_known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
@@ -257,7 +262,8 @@ struct StreamRow {
     produced: i64,
     dropped: i64,
     gaps: i64,
-    told: i64,
+    #[sqlx(rename = "told")]
+    reported_drops: i64,
 }
 
 /// Returns the stream of the file; creates it in a new file.
@@ -332,19 +338,19 @@ impl StreamRow {
         let id = |text: &str| text.parse().map_err(|_| SpoolDefect::StreamId(text.to_owned()));
         let acknowledged_chain = chain_from_column(&self.chain)?;
         let acknowledged = self.acknowledged.cast_unsigned();
-        let newest = match (waiting.newest, waiting.chain) {
+        let (newest, newest_chain) = match (waiting.newest, waiting.chain) {
             (Some(newest), Some(bytes)) => (newest.cast_unsigned(), chain_from_column(&bytes)?),
             _ => (acknowledged, acknowledged_chain),
         };
-        if newest.0 < acknowledged || self.first.cast_unsigned() > acknowledged + 1 {
-            return Err(SpoolDefect::BatchNumbers { first: self.first, acknowledged, newest: newest.0 });
+        if newest < acknowledged || self.first.cast_unsigned() > acknowledged + 1 {
+            return Err(SpoolDefect::BatchNumbers { first: self.first, acknowledged, newest });
         }
-        if waiting.batches.cast_unsigned() != newest.0 - acknowledged {
+        if waiting.batches.cast_unsigned() != newest - acknowledged {
             tracing::warn!(
                 batches = waiting.batches,
                 "the spool lacks some of the batches {} to {}",
                 acknowledged + 1,
-                newest.0
+                newest
             );
         }
         Ok(SpoolState {
@@ -354,7 +360,7 @@ impl StreamRow {
             events_before_first: self.events_before_first.map(i64::cast_unsigned),
             oldest: acknowledged + 1,
             chain_before_oldest: acknowledged_chain,
-            newest,
+            newest: (newest, newest_chain),
             since: waiting.since_ns.map(WallTime::from_unix_nanos),
             waiting_usage: Usage {
                 events: waiting.events.cast_unsigned(),
@@ -364,7 +370,7 @@ impl StreamRow {
                 produced: self.produced.cast_unsigned(),
                 dropped: self.dropped.cast_unsigned(),
                 gaps: self.gaps.cast_unsigned(),
-                reported_drops: self.told.cast_unsigned(),
+                reported_drops: self.reported_drops.cast_unsigned(),
                 submitted: SubmittedEvents::default(),
                 newest_sent: None,
                 unreported: None,

@@ -20,8 +20,8 @@ use super::quarantine::with_suffix;
 
 /// Tables that are copied whole: the state of the stream.
 const STATE_TABLES: [&str; 4] = ["stream", "reached", "unreported", "unresolved"];
-/// Minimum number of bytes that a batch takes in a file. A damaged file may contain a wrong number of batches; a number
-/// that does not fit into the length of the file is ignored.
+/// Minimum number of bytes that a batch takes in a file. The batch numbers in a damaged file may be wrong, so a number
+/// of lost batches for which the file is too short is ignored.
 const MIN_BATCH_BYTES: u64 = 16;
 
 /// Batches of a quarantined spool: recovered and lost.
@@ -115,6 +115,7 @@ async fn fill(
 ) -> Result<RecoveredBatches, RecoveryError> {
     let cannot_create = |error: &dyn std::error::Error| RecoveryError::Create(error.to_string());
     set_application_id(spool, target).await.map_err(|error| cannot_create(&error))?;
+    // `None` means up to the newest migration; with `true` the migrations would be recorded but not executed.
     MIGRATIONS.run_direct(None, target, false).await.map_err(|error| cannot_create(&error))?;
     sqlx::query("BEGIN IMMEDIATE").execute(&mut *target).await?;
     for table in STATE_TABLES {
@@ -198,11 +199,14 @@ async fn copy_batches(
     if recovered.batches == 0 {
         return Err(RecoveryError::NoBatch);
     }
+    // The loop ended at the first batch that was not copied.
+    let first_lost = number;
     let newest: Result<Option<i64>, _> =
         sqlx::query_scalar("SELECT MAX(number) FROM batch").fetch_one(&mut *source).await;
-    let lost = newest.ok().flatten().map(|newest| newest.saturating_sub(number - 1).max(0).cast_unsigned());
+    let lost =
+        newest.ok().flatten().map(|newest| newest.saturating_sub(first_lost - 1).max(0).cast_unsigned());
     recovered.lost_batches = lost.filter(|lost| *lost <= file_bytes / MIN_BATCH_BYTES);
-    for lost_number in (number..).take(recovered.lost_batches.unwrap_or(0) as usize) {
+    for lost_number in (first_lost..).take(recovered.lost_batches.unwrap_or(0) as usize) {
         let events: Result<Option<u32>, _> = sqlx::query_scalar("SELECT events FROM batch WHERE number = ?")
             .bind(lost_number)
             .fetch_optional(&mut *source)
@@ -215,7 +219,8 @@ async fn copy_batches(
 
 /// Counts the events of lost batches as dropped, so that they do not count as stored. The events also count as
 /// reported, because an incident reports them and no gap must report them again. If losses of earlier processes are not
-/// reported yet, the counts stay as they are, because these losses refer to the counts.
+/// reported yet, the counts stay as they are, because these losses refer to the counts. The counts also stay if more
+/// events would count as dropped than as produced.
 async fn count_losses(target: &mut SqliteConnection, lost_events: u64) -> Result<(), sqlx::Error> {
     sqlx::query(
         "UPDATE stream SET dropped = dropped + ?1, told = told + ?1

@@ -53,6 +53,7 @@ pub(super) async fn insert(
         .bind(totals.reported_drops.cast_signed())
         .execute(&mut *connection)
         .await?;
+    // `unreported` is set if it is known which batches of the earlier process are stored.
     if let Some(unreported) = &totals.unreported {
         killed_process::resolve(connection, totals.reported_drops, unreported).await?;
     }
@@ -94,8 +95,8 @@ async fn begin(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     sqlx::query("BEGIN IMMEDIATE").execute(connection).await.map(drop)
 }
 
-/// Returns some unused pages to the file system if the unused pages outnumber the used pages by more than
-/// [`SPARE_PAGES`]. Returns whether further pages may be returned.
+/// Gives some unused pages back to the file system if the unused pages outnumber the used pages by more than
+/// [`SPARE_PAGES`]. Returns whether another call may give back further pages.
 ///
 /// With fewer unused pages, SQLite would have to move many used pages from the end of the file, and the next batches
 /// would need the space again.

@@ -147,6 +147,7 @@ async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, request: SpoolRequ
             SpoolResult::Appended(flag_if_corrupt(file, result))
         }
         SpoolRequest::Load { from, bytes } => {
+            // `load` returns damage in its result and not as an error, so there is no error to flag.
             SpoolResult::Loaded(file.load(from, bytes).await.map_err(Into::into))
         }
         SpoolRequest::Delete { through, chain } => {
