@@ -26,8 +26,10 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &LoadPlan) {
     for table in TABLES {
         // In the order of arrival: one batch of each run after the other.
         let number = if table == "iteration" { "number" } else { "iteration" };
-        let select =
-            format!("SELECT * FROM {table} ORDER BY ({number} - 1) / {}, run, {number}", plan.iterations);
+        let select = format!(
+            "SELECT * FROM {table} ORDER BY ({number} - 1) / {}, run, {number}",
+            plan.iterations_per_batch
+        );
         let mut rows = sqlx::query(AssertSqlSafe(select)).fetch_all(&mut source).await.expect("reads");
         let rows: Vec<_> = rows.drain(..).map(|row| row_values(&row)).collect();
         let statement = |count: usize| -> Arc<str> {
@@ -36,6 +38,7 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &LoadPlan) {
         };
         tables.push((statement(ROWS_PER_STATEMENT), statement(rows.len() % ROWS_PER_STATEMENT), rows));
     }
+    // The second table is `node`.
     let nodes = tables[1].2.len();
     let mut target = SqliteConnectOptions::new()
         .filename(to)
@@ -57,13 +60,14 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &LoadPlan) {
     for index in 0..transactions {
         sqlx::query("BEGIN").execute(&mut target).await.expect("begins");
         for (full_statement, last_statement, rows) in &tables {
-            // Parts are cut at whole statements so that each of the two statements is prepared once.
+            // Each transaction inserts a share of each table. Shares are cut at whole statements so that each of the
+            // two statements is prepared once.
             let statements = rows.len().div_ceil(ROWS_PER_STATEMENT);
-            let part_start =
+            let share_start =
                 |index: usize| rows.len().min(statements * index / transactions * ROWS_PER_STATEMENT);
-            for part in rows[part_start(index)..part_start(index + 1)].chunks(ROWS_PER_STATEMENT) {
-                let sql = if part.len() == ROWS_PER_STATEMENT { full_statement } else { last_statement };
-                insert(&mut target, sql, part).await;
+            for chunk in rows[share_start(index)..share_start(index + 1)].chunks(ROWS_PER_STATEMENT) {
+                let sql = if chunk.len() == ROWS_PER_STATEMENT { full_statement } else { last_statement };
+                insert(&mut target, sql, chunk).await;
             }
         }
         sqlx::query("COMMIT").execute(&mut target).await.expect("commits");

@@ -73,6 +73,7 @@ async fn send(socket: Socket, load: Load, mut window: u32, batch_interval: Durat
             ToAgent::Ack { stream, through, window: new_window } if stream == load.stream => {
                 (stored, window) = (through as usize, new_window);
             }
+            // The first batch has the number 1 and the index 0.
             ToAgent::Resend { from, .. } => next = from as usize - 1,
             other => panic!("unexpected {other:?}"),
         }

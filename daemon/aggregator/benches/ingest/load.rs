@@ -27,9 +27,9 @@ const ITERATION_BYTES: u64 = 540;
 pub(crate) struct LoadPlan {
     pub(crate) agents: u64,
     /// Number of batches of each agent.
-    pub(crate) batches: u64,
+    pub(crate) batches_per_agent: u64,
     /// Number of iterations of each batch.
-    pub(crate) iterations: u64,
+    pub(crate) iterations_per_batch: u64,
     /// Interval between two iterations of an agent, seconds.
     interval_s: f64,
 }
@@ -62,19 +62,20 @@ impl LoadPlan {
         let target_rate = if agents >= 1_000 { 350_000.0 } else { 500_000.0 };
         let interval_s = NODES as f64 * agents as f64 / target_rate;
         let iterations_by_age = (BATCH_AGE_S / interval_s) as u64;
-        let iterations = iterations_by_age.clamp(1, (BATCH_NODES / NODES).min(BATCH_BYTES / ITERATION_BYTES));
-        let batches = nodes.div_ceil(agents * iterations * NODES);
-        Self { agents, batches, iterations, interval_s }
+        let iterations_per_batch =
+            iterations_by_age.clamp(1, (BATCH_NODES / NODES).min(BATCH_BYTES / ITERATION_BYTES));
+        let batches_per_agent = nodes.div_ceil(agents * iterations_per_batch * NODES);
+        Self { agents, batches_per_agent, iterations_per_batch, interval_s }
     }
 
     /// Number of nodes of all agents together.
     pub(crate) fn nodes(&self) -> u64 {
-        self.agents * self.batches * self.iterations * NODES
+        self.agents * self.batches_per_agent * self.iterations_per_batch * NODES
     }
 
     /// Time in which the iterations of one batch are produced, seconds.
     pub(crate) fn batch_s(&self) -> f64 {
-        self.iterations as f64 * self.interval_s
+        self.iterations_per_batch as f64 * self.interval_s
     }
 
     /// Builds the messages of one agent, whose measuring begins at `start`.
@@ -85,9 +86,9 @@ impl LoadPlan {
         let (mut previous_chain, mut events_before) = (ChainHash::START, 0);
         let mut frames = Vec::new();
         let mut longest = 0;
-        for number in 1..=self.batches {
+        for number in 1..=self.batches_per_agent {
             let run_start = (number == 1).then(|| generate::run_started(run, "line", start));
-            let numbers = (number - 1) * self.iterations + 1..=number * self.iterations;
+            let numbers = (number - 1) * self.iterations_per_batch + 1..=number * self.iterations_per_batch;
             let iterations = numbers.map(|n| {
                 let at = start + peernet_clock::Span::from_seconds_f64(n as f64 * self.interval_s);
                 Event::Iteration(generate::iteration_at(run, n, (host, cloud), at, &mut random))
@@ -109,8 +110,10 @@ impl LoadPlan {
             events_before = head.events_through();
             previous_chain = chain;
             longest = longest.max(body.len());
-            frames.push(Bytes::from(codec::encode_batch(&head, &body, false)));
+            let compress = false;
+            frames.push(Bytes::from(codec::encode_batch(&head, &body, compress)));
         }
+        // The first batch also contains the start of the run, for which 1,024 bytes are allowed.
         assert!(longest as u64 <= BATCH_BYTES + 1_024, "agents would cut a batch before {longest} bytes");
         let hello = Hello {
             protocol: STREAM_VERSIONS.oldest(),
@@ -132,13 +135,13 @@ impl LoadPlan {
 
 impl fmt::Display for LoadPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { agents, batches, iterations, interval_s } = self;
+        let Self { agents, batches_per_agent, iterations_per_batch, interval_s } = self;
         write!(
             f,
             "{agents} agents: {} nodes in {} batches of {} nodes, an iteration every {:.3} ms",
             self.nodes(),
-            agents * batches,
-            iterations * NODES,
+            agents * batches_per_agent,
+            iterations_per_batch * NODES,
             interval_s * 1e3
         )
     }

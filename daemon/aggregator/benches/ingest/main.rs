@@ -55,6 +55,7 @@ fn number(text: &str) -> u64 {
 
 /// Runs all rounds and prints the table of results.
 async fn run_rounds(nodes: u64, rounds: u64, agents: &[u64]) {
+    // 0 stands for the aggregator's default.
     let commit_nodes = std::env::var("COMMIT_NODES").unwrap_or_else(|_| "0".to_owned());
     for agents in agents {
         let plan = LoadPlan::new(*agents, nodes);
@@ -69,9 +70,9 @@ async fn run_rounds(nodes: u64, rounds: u64, agents: &[u64]) {
                 (folder.path().join("aggregator.sqlite"), folder.path().join("bare.sqlite"));
             let (agents, nodes) = (agents.to_string(), nodes.to_string());
             let mut server = Role::start(&["server", path_text(&aggregator_database), &commit_nodes]);
-            let address = server.line();
+            let address = server.read_line();
             let mut generator = Role::start(&["generator", &address, &agents, &nodes]);
-            let seconds: f64 = generator.line().parse().expect("seconds");
+            let seconds: f64 = generator.read_line().parse().expect("seconds");
             generator.end();
             let peak = server.peak_kib() as f64 / 1024.0;
             server.end();
@@ -82,7 +83,7 @@ async fn run_rounds(nodes: u64, rounds: u64, agents: &[u64]) {
                 &agents,
                 &nodes,
             ]);
-            let bare_seconds: f64 = bare_loop.line().parse().expect("seconds");
+            let bare_seconds: f64 = bare_loop.read_line().parse().expect("seconds");
             bare_loop.end();
             let stored = query_number(&aggregator_database, "SELECT count(*) FROM node").await;
             let bytes = query_number(
@@ -134,7 +135,7 @@ impl Role {
     }
 
     /// Reads the next line that the child prints.
-    fn line(&mut self) -> String {
+    fn read_line(&mut self) -> String {
         let mut line = String::new();
         self.lines.read_line(&mut line).expect("reads");
         line.trim().to_owned()

@@ -89,8 +89,8 @@ pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
             tables_with_mistakes.insert(part.name);
         }
     }
-    // Every part by itself is valid, so the first mistake concerns the file as a whole.
     if mistakes.is_empty() {
+        // Every part by itself is valid, so the first mistake concerns the file as a whole.
         return (vec![first_mistake], None);
     }
     let valid_document = Spanned::new(root.span(), valid_tables);
@@ -165,7 +165,8 @@ impl<'a> Part<'a> {
         while mistakes.len() < MAX_MISTAKES {
             let result = serde_path_to_error::deserialize::<_, T>(Deserializer::from(document.clone()));
             let Err(error) = result else {
-                // Nothing remains if a key was removed that is required at the top of this part.
+                // Nothing valid remains if the part as a whole was removed, for example because a key that it
+                // requires was removed.
                 document.get_ref().get(self.name.as_str())?;
                 removed_keys.extend(removed.iter().map(|steps: &Vec<Step>| self.key(steps)));
                 return Some(document);
@@ -186,6 +187,7 @@ impl<'a> Part<'a> {
                 mistakes.push(Mistake { key: String::new(), error });
                 return None;
             }
+            // A missing key cannot be removed, so the search in this part ends with its first missing key.
             let is_removed = missing.is_none() && remove_key(document.get_mut(), &steps, &mut removed);
             mistakes.push(Mistake { key: self.key(&steps), error: error.into_inner() });
             if !is_removed {
@@ -225,6 +227,7 @@ impl<'a> Part<'a> {
         let mut key = String::new();
         for (position, step) in steps.iter().enumerate() {
             match (step, self.index) {
+                // In the part's document the element has the index 0; `index` is its index in the file.
                 (Step::Element(_), Some(index)) if position == 1 => key += &format!("[{index}]"),
                 (Step::Element(index), _) => key += &format!("[{index}]"),
                 (Step::Key(name), _) if key.is_empty() => key += name,
