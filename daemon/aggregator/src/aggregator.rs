@@ -92,6 +92,7 @@ impl Aggregator {
             tracker.apply(LiveEvent::Run(host, run, number), clock.stamp());
         }
         for (host, stored) in hosts {
+            // The time of the host's newest stored event is unknown at the start.
             tracker.apply(LiveEvent::Stored(host, stored, None), clock.stamp());
         }
         let (queue, queued_items) = ingest::queue();
@@ -104,8 +105,8 @@ impl Aggregator {
         let (snapshots, live) = watch::channel(tracker.shared_snapshot(clock.stamp()));
         let (closed_database_sender, closed_database) = oneshot::channel();
         let (readiness_sender, readiness) = watch::channel(Readiness::Ready);
-        // A batch that does not fit into the queue has to be sent again, which costs more than waiting; so
-        // the window never exceeds the queue's capacity.
+        // A batch that does not fit into the queue has to be sent again, which costs more than waiting. The windows of
+        // all agents therefore share the queue's capacity.
         let (budget_bytes, max_window) = (ingest::CAPACITY_BYTES as u64, ingest::MAX_WINDOW);
         let challenges = Challenges::new(name.clone());
         let hosts = Hosts::new(config.max_hosts, host_secrets);
@@ -259,8 +260,7 @@ impl RunningAggregator {
             let failure = match ended {
                 Ok((_, Err(failure))) => Some(failure),
                 Ok((id, Ok(()))) => {
-                    // `self.stop` is a child token: perhaps the tasks have not noticed its cancellation yet, but their
-                    // end is expected.
+                    // The end of a task is expected after `stop` was cancelled, and after another task failed.
                     let is_unexpected = !self.stop.is_cancelled() && result.is_ok();
                     is_unexpected.then(|| Failure::TaskEnded(self.name(id)))
                 }

@@ -26,7 +26,7 @@ pub struct LiveState {
     pub aggregator: Slug,
     /// Address that agents connect to, with the actual port.
     pub listening: String,
-    /// All hosts that have sent a message, sorted by name.
+    /// Hosts that have sent a message, sorted by name. A host that has been silent for a long time is removed.
     pub hosts: Vec<Arc<HostSnapshot>>,
     /// All pipelines, sorted by host name and name.
     pub pipelines: Vec<Arc<PipelineSnapshot>>,
@@ -260,7 +260,7 @@ pub struct Window {
     pub values: Vec<(Name, QuantityStatistics)>,
     /// Amounts of data and transfer times of both directions.
     pub transfers: Transfers,
-    /// Half-widths of the bounds of the one-way delays: `upload`, `download`.
+    /// Bounds of the one-way delays `upload` and `download`: half-widths, ends and verdicts.
     pub bounds: Vec<DelayAccuracy>,
 }
 

@@ -187,12 +187,14 @@ async fn serve(
     let mut check_interval = tokio::time::interval(CHECK_INTERVAL);
     // A commit may take longer than the interval; checks that were missed need not be made up for.
     check_interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    // Retention starts at once: limits may have changed while the aggregator was stopped.
+    // `More` requests a step of retention. The first step comes at once, because the limits may have changed while the
+    // aggregator was stopped. Each check and each commit requests further steps.
     let (mut commits, mut retention_step) = (0_u64, StepResult::More);
     // Whether damage was known at the previous check.
     let mut was_damaged = false;
     loop {
         let mut group = Vec::new();
+        // Goodbyes that the previous database could not store are stored first, without other work.
         if state.departed_hosts.is_empty() {
             let first = tokio::select! {
                 // Requests come first: they are rare, and their senders wait for the answer.
@@ -238,6 +240,7 @@ async fn serve(
         }
         match store(writer, &work, context, state).await {
             Ok(true) => {}
+            // The task was stopped before the group was stored.
             Ok(false) => return ServeEnd::Finished,
             Err(error) => {
                 // Agents send batches again, but no goodbyes. Goodbyes are therefore kept for the reopened database.
@@ -273,16 +276,16 @@ async fn check_and_maintain(
 ) -> Result<(), CommitError> {
     writer.check_file()?;
     ensure_undamaged(&context.integrity)?;
-    let maintained = async {
+    let maintenance = async {
         writer.store_clock_readings(context.clock.stamp(), &mut state.incidents).await?;
         let connections = state.connections.observe(&context.snapshots.borrow(), context.clock.mono());
         if !connections.is_empty() {
             writer.store_connections(&connections).await?;
         }
-        writer.bound_log(MAX_WAL_BYTES).await
+        writer.bound_write_ahead_log(MAX_WAL_BYTES).await
     };
-    maintained.await.or_else(|error: CommitError| {
-        // A full disk is reported by the next commit.
+    maintenance.await.or_else(|error: CommitError| {
+        // An error that leaves the connection usable, such as a full disk, is reported by the next commit.
         if error.leaves_connection_usable() { Ok(()) } else { Err(error) }
     })
 }

@@ -51,7 +51,8 @@ pub(super) struct Newcomer {
 }
 
 impl Hosts {
-    /// Creates the table of the stored hosts, oldest first. At most `max_hosts` hosts are stored.
+    /// Creates the table of the known hosts. `stored` are the hosts in the database, oldest first. At most `max_hosts`
+    /// hosts are stored.
     pub(crate) fn new(max_hosts: usize, stored: Vec<(HostId, Option<HostSecret>)>) -> Self {
         let mut hosts = Self {
             max_hosts,

@@ -43,13 +43,13 @@ impl Reopening {
         // SQLite checkpoints its -wal file when the last connection is closed. The readers are closed before the
         // writer, because a read-only connection cannot do that.
         self.store.close().await;
-        let (former, closed) = database.close().await;
+        let (former_files, closed) = database.close().await;
         if let Err(error) = closed {
             tracing::debug!(%error, database = %self.path.display(), "cannot close the database cleanly");
         }
         loop {
             pause(backoff.next(), context).await?;
-            match OpenDatabase::reopen(&self.path, self.retention, &self.integrity, &former).await {
+            match OpenDatabase::reopen(&self.path, self.retention, &self.integrity, &former_files).await {
                 Ok((database, state)) => {
                     self.store.reopen();
                     let _ended = context.store_events.send(StoreEvent::Opened(Box::new(state))).await;

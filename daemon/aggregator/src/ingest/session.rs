@@ -66,7 +66,8 @@ impl IngestSession {
 
     /// Processes a frame of a connection.
     pub(super) fn handle_frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
-        // The first bytes of a frame show its kind, so that batches are not decoded twice.
+        // The first bytes of a frame show its kind, so that batches are not decoded twice. A batch may arrive in parts:
+        // `handle_part` returns the frame of the batch when all parts have arrived.
         if let Some(part) = codec::decode_part(frame) {
             if self.has_session(from, part.host)
                 && let Some(frame) = self.receiving.handle_part(&part, now.mono)
@@ -84,6 +85,7 @@ impl IngestSession {
             Ok(ToAggregator::Hello(hello)) => self.handle_hello(from, hello, now),
             Ok(ToAggregator::Proof(proof)) => self.handle_proof(from, proof, now),
             Ok(ToAggregator::Live(update)) => {
+                // `handle_live` returns an answer only for a host without a session.
                 if self.has_session(from, update.host)
                     && self.receiving.handle_live(update.host, now.mono).is_none()
                 {
@@ -97,6 +99,7 @@ impl IngestSession {
                 }
             }
             Ok(ToAggregator::Goodbye(host)) => {
+                // Nothing of a newcomer is stored, so nothing remains to be done after dropping a newcomer.
                 if self.has_session(from, host) && !self.forget_newcomer(host) {
                     self.receiving.handle_goodbye(host);
                     self.routes.remove(host);
@@ -209,6 +212,7 @@ impl IngestSession {
             (Arrival::Rejected(Some(reply)) | Arrival::Unknown(reply), _) => {
                 self.output.reply(from.connection, reply);
             }
+            // No accepted batch gets here: `Accept` is for an intact body, and `AcceptDamaged` for a damaged body.
             (Arrival::Pending | Arrival::Rejected(None) | Arrival::Accept | Arrival::AcceptDamaged, _) => {}
         }
     }

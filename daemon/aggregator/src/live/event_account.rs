@@ -4,8 +4,8 @@ use peernet_clock::{MonoTime, Span, WallTime};
 use peernet_store::StoredCounts;
 use peernet_stream::Accounting;
 
+use super::lag_estimator::LagEstimator;
 use super::limits;
-use super::storage_lag::StorageLag;
 use crate::live_state::RejectedBatches;
 
 /// The events of one host: produced, waiting, rejected and stored.
@@ -13,7 +13,7 @@ use crate::live_state::RejectedBatches;
 pub(super) struct EventAccount {
     /// The host's own counts.
     accounting: Accounting,
-    lag_estimate: StorageLag,
+    lag_estimator: LagEstimator,
     /// The database's counts.
     stored: StoredCounts,
     /// Numbers of batches that arrived and were not stored.
@@ -27,7 +27,7 @@ impl EventAccount {
     pub(super) fn update(&mut self, accounting: Accounting, sent: WallTime, now: MonoTime) {
         self.accounting = accounting;
         limits::limit_accounting(&mut self.accounting);
-        self.lag_estimate.observe(self.storage_lag(Some(sent)), self.accounting.stored, now);
+        self.lag_estimator.observe(self.storage_lag(Some(sent)), self.accounting.stored, now);
     }
 
     /// Replaces the database's counts. Duplicates are counted here, because they do not reach the database.
@@ -52,9 +52,9 @@ impl EventAccount {
         sent.zip(oldest).map(|(sent, oldest)| (sent - oldest).max(Span::ZERO))
     }
 
-    /// Returns the estimate of the storage lag's change.
-    pub(super) const fn lag_estimate(&self) -> &StorageLag {
-        &self.lag_estimate
+    /// Returns the estimator of the storage lag's decrease.
+    pub(super) const fn lag_estimator(&self) -> &LagEstimator {
+        &self.lag_estimator
     }
 
     /// Returns the host's counts.

@@ -1,8 +1,8 @@
 //! The current state of one host.
 //!
-//! A host is connected, has said goodbye, or is away. An agent that stops cleanly sends a last live update and a
-//! goodbye, so its pipelines have ended. A host that became silent without a goodbye is away: it is unknown whether its
-//! pipelines still run.
+//! A host is connected, has said goodbye, or is silent. An agent that stops cleanly sends a last live update and a
+//! goodbye, so its pipelines have ended. The pipelines of a host that became silent without a goodbye are away: it is
+//! unknown whether these pipelines still run.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -56,8 +56,8 @@ impl Host {
         }
     }
 
-    /// Processes another hello. After the start of a new process the values of the previous process remain, marked as
-    /// away, so that counters do not drop to zero for a moment.
+    /// Processes another hello. After the start of a new process the values of the previous process remain, so that
+    /// counters do not drop to zero for a moment. The pipelines of the previous process are marked as away.
     pub(super) fn introduce(&mut self, mut description: HostDescription, process: u64, now: Stamp) {
         limits::limit_description(&mut description, &mut self.discarded_items);
         if self.description.name != description.name {
@@ -65,7 +65,8 @@ impl Host {
             self.links.values_mut().for_each(Link::invalidate_snapshot);
         }
         self.description = description;
-        if !self.presence.introduce(process, now) {
+        let is_same_process = self.presence.introduce(process, now);
+        if !is_same_process {
             self.mark_silent();
         }
         self.snapshot = None;
@@ -132,7 +133,8 @@ impl Host {
         }
     }
 
-    /// Applies the database's counts.
+    /// Applies the database's counts. `newest` is the time of the host's newest stored event on the host's clock;
+    /// `None` if it is unknown.
     pub(super) fn update_stored(&mut self, stored: StoredCounts, newest: Option<WallTime>) {
         self.events.update_stored(stored, newest);
         self.snapshot = None;
@@ -213,7 +215,7 @@ impl Host {
             clock_ahead: self.presence.clock_ahead(),
             behind: self.events.storage_lag(self.presence.sent()),
             // The rate is not valid while the host is disconnected, because nothing is stored then.
-            catching_up: self.events.lag_estimate().estimate().filter(|_| self.is_connected()),
+            catching_up: self.events.lag_estimator().estimate().filter(|_| self.is_connected()),
             clock: self.clock.clone(),
             metrics: self.metrics.current().clone(),
             history: self.metrics.points(),

@@ -45,7 +45,8 @@ impl Link {
         discarded_items: &mut u64,
     ) {
         limits::limit_link(&mut live, discarded_items);
-        // Seconds after the newest second are dropped: they were reported before the edge's clock was set back.
+        // Seconds of the history that are later than this update are dropped: they were reported before the edge's
+        // clock was set back.
         let newest_second = (sent + MAX_STATE_SKEW).unix_seconds();
         drop(self.history.split_off(&newest_second.saturating_add(1)));
         let second = second_of(live.latest_sample.at);

@@ -6,6 +6,7 @@
 
 mod event_account;
 mod host;
+mod lag_estimator;
 pub(crate) mod limits;
 mod link;
 mod metrics_history;
@@ -13,7 +14,6 @@ mod percentiles;
 mod pipeline;
 mod presence;
 mod second_statistics;
-mod storage_lag;
 pub(crate) mod task;
 #[cfg(test)]
 mod tests;
@@ -60,7 +60,8 @@ pub(crate) enum LiveEvent {
     Goodbye(HostId),
     /// A host was refused.
     Refused(RefusedHost),
-    /// The database's counts of a host, and the time of its newest stored event on the host's clock.
+    /// The database's counts of a host, and the time of its newest stored event on the host's clock; `None` if that
+    /// time is unknown.
     Stored(HostId, StoredCounts, Option<WallTime>),
     /// A duplicate batch arrived.
     Duplicate(HostId),
@@ -190,7 +191,8 @@ impl LiveTracker {
         }
     }
 
-    /// Applies the database's counts of a host. Returns whether the host is in the live state.
+    /// Applies the database's counts of a host, and the time of its newest stored event if that time is known. Returns
+    /// whether the host is in the live state.
     fn update_stored(&mut self, id: HostId, stored: StoredCounts, newest: Option<WallTime>) -> bool {
         let previous = self.hosts.get(&id).map(Host::stored).or_else(|| self.stored_counts.get(&id).copied());
         // Only the increase is added, so that the totals do not change when a host leaves the live state.
@@ -301,6 +303,7 @@ impl LiveTracker {
 }
 
 /// Adds the increase of a host's stored counts to the totals. Saturates, because a host may state any number.
+// Duplicates are counted at their arrival. No reader of the totals uses the other counts.
 const fn add_increase(total: &mut StoredCounts, previous: StoredCounts, current: StoredCounts) {
     total.events = total.events.saturating_add(current.events.saturating_sub(previous.events));
     total.nodes = total.nodes.saturating_add(current.nodes.saturating_sub(previous.nodes));

@@ -87,7 +87,8 @@ impl SecondStatistics {
         })
     }
 
-    /// Returns the numbers of a window of `seconds` complete seconds, of which `covered_s` seconds have data.
+    /// Returns the numbers of a window of `seconds` complete seconds and the incomplete second. `covered_s` is the time
+    /// that the data cover, including the incomplete second.
     pub(super) fn window(&self, seconds: u32, covered_s: f64) -> Window {
         let total = self.counts.total();
         let statistics = |(name, summary): &(Name, Summary)| {

@@ -380,7 +380,7 @@ async fn replaced_spool_leaves_one_gap() {
     let hello = hello_of(test_store.edge, StreamId::from_bytes([9; 16]), None);
     let expected =
         StreamRecord { was_used: true, last_stream: Some(hello.stream), ..StreamRecord::default() };
-    assert_eq!(test_store.writer.streams().record(&hello, None), expected);
+    assert_eq!(test_store.writer.streams().stream_record(&hello, None), expected);
 }
 
 #[tokio::test]
@@ -393,7 +393,7 @@ async fn missing_batches_of_previous_stream_are_one_gap() {
     let hello = hello_of(test_store.edge, new, Some(old));
     let expected =
         StreamRecord { last_stream: Some(old), previous_mark: Some(mark), ..StreamRecord::default() };
-    assert_eq!(test_store.writer.streams().record(&hello, None), expected);
+    assert_eq!(test_store.writer.streams().stream_record(&hello, None), expected);
     let (host, missing_previous) =
         (hello.host, Some(MissingPreviousBatches { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous_stream, first, replaced) = (1, Some(old), 5, None);

@@ -254,7 +254,7 @@ impl Writer {
     /// SQLite writes the log from its start again only if no reader uses the log at the moment of a commit. One long
     /// reader, or many short readers that overlap, therefore make the log grow. Without further commits the log keeps
     /// its size.
-    pub async fn bound_log(&mut self, max_bytes: u64) -> Result<(), CommitError> {
+    pub async fn bound_write_ahead_log(&mut self, max_bytes: u64) -> Result<(), CommitError> {
         let bytes = std::fs::metadata(self.file.log_path()).map_or(0, |log| log.len());
         if bytes <= max_bytes {
             return Ok(());

@@ -62,7 +62,7 @@ struct Row {
 impl Streams {
     /// Returns the record from which a hello is answered. `seniority` is the rank of the host by age among the stored
     /// hosts.
-    pub fn record(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
+    pub fn stream_record(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
         let mark_of = |stream| self.marks.get(&stream).copied();
         StreamRecord {
             mark: mark_of(hello.stream),

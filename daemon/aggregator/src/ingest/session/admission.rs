@@ -69,7 +69,7 @@ impl IngestSession {
             self.output.count_deferred_hello();
             return;
         };
-        let record = self.store.streams.record(&hello, self.hosts.seniority(host));
+        let record = self.store.streams.stream_record(&hello, self.hosts.seniority(host));
         // A welcome acknowledges all batches up to the stream's mark. While the database is closed, it is unknown
         // whether these batches are still stored, so the agent has to wait and repeats its hello.
         if !self.store.is_open() && record.mark.is_some_and(|mark| hello.oldest <= mark.stored) {

@@ -21,7 +21,7 @@ const MIN_RATE: f64 = 0.02;
 /// Exponentially weighted sums, from which the rates are computed in constant memory. The rates are unbiased
 /// from the first second on, because the sums and the observed time decay equally.
 #[derive(Debug, Default)]
-pub(super) struct StorageLag {
+pub(super) struct LagEstimator {
     /// The previous update: its time, the lag, and the number of stored events.
     last_update: Option<(MonoTime, Span, u64)>,
     /// Observed time, seconds.
@@ -32,7 +32,7 @@ pub(super) struct StorageLag {
     stored_events: f64,
 }
 
-impl StorageLag {
+impl LagEstimator {
     /// Adds an observation: the storage lag, and the number of events stored until then. The estimate restarts if no
     /// event waits (`None`).
     pub(super) fn observe(&mut self, lag: Option<Span>, stored: u64, now: MonoTime) {
@@ -81,7 +81,7 @@ mod tests {
     }
 
     /// Observes four updates a second from `from` to `to` seconds. `lag_at` returns the lag at a time.
-    fn observe(estimator: &mut StorageLag, from: i32, to: i32, lag_at: impl Fn(f64) -> f64) {
+    fn observe(estimator: &mut LagEstimator, from: i32, to: i32, lag_at: impl Fn(f64) -> f64) {
         for quarter in from * 4..to * 4 {
             let time = f64::from(quarter) / 4.0;
             let stored = (time * 20_000.0) as u64;
@@ -91,11 +91,11 @@ mod tests {
 
     #[test]
     fn falling_lag_yields_time_left() {
-        let mut lag = StorageLag::default();
-        observe(&mut lag, 0, 1, |time| 11_520.0 - 48.0 * time);
-        assert_eq!(lag.estimate(), None, "one second supports no rate");
-        observe(&mut lag, 1, 30, |time| 11_520.0 - 48.0 * time);
-        let estimate = lag.estimate().expect("the lag falls");
+        let mut estimator = LagEstimator::default();
+        observe(&mut estimator, 0, 1, |time| 11_520.0 - 48.0 * time);
+        assert_eq!(estimator.estimate(), None, "one second supports no rate");
+        observe(&mut estimator, 1, 30, |time| 11_520.0 - 48.0 * time);
+        let estimate = estimator.estimate().expect("the lag falls");
         assert!((estimate.rate - 48.0).abs() < 1e-6, "{estimate:?}");
         assert!((estimate.events_per_second - 20_000.0).abs() < 1.0, "{estimate:?}");
         let remaining_s = (11_520.0 - 48.0 * 29.75) / 48.0;
@@ -105,37 +105,37 @@ mod tests {
     #[test]
     fn growing_constant_or_small_lag_yields_no_rate() {
         for lag_at in [|time: f64| 100.0 + time, |_: f64| 100.0, |time: f64| (4.0 - time * 0.1).max(0.1)] {
-            let mut lag = StorageLag::default();
-            observe(&mut lag, 0, 30, lag_at);
-            assert_eq!(lag.estimate(), None);
+            let mut estimator = LagEstimator::default();
+            observe(&mut estimator, 0, 30, lag_at);
+            assert_eq!(estimator.estimate(), None);
         }
     }
 
     #[test]
     fn estimate_follows_rate_and_smooths_steps() {
-        let mut lag = StorageLag::default();
-        observe(&mut lag, 0, 60, |time| 10_000.0 + time);
-        observe(&mut lag, 60, 120, |time| 10_060.0 - 20.0 * (time - 60.0));
-        let estimate = lag.estimate().expect("the lag falls");
+        let mut estimator = LagEstimator::default();
+        observe(&mut estimator, 0, 60, |time| 10_000.0 + time);
+        observe(&mut estimator, 60, 120, |time| 10_060.0 - 20.0 * (time - 60.0));
+        let estimate = estimator.estimate().expect("the lag falls");
         assert!((estimate.rate - 20.0).abs() < 0.3, "{estimate:?}");
         // Batches of four seconds each: the age of the oldest waiting event falls in steps.
-        let mut lag = StorageLag::default();
-        observe(&mut lag, 0, 60, |time| 10_000.0 - 40.0 * (time / 4.0).floor() * 4.0);
-        let estimate = lag.estimate().expect("the lag falls");
+        let mut estimator = LagEstimator::default();
+        observe(&mut estimator, 0, 60, |time| 10_000.0 - 40.0 * (time / 4.0).floor() * 4.0);
+        let estimate = estimator.estimate().expect("the lag falls");
         assert!((30.0..50.0).contains(&estimate.rate), "{estimate:?}");
     }
 
     #[test]
     fn estimate_restarts_after_silence_or_new_spool() {
-        let mut lag = StorageLag::default();
-        observe(&mut lag, 0, 30, |time| 10_000.0 - 20.0 * time);
-        lag.observe(Some(Span::from_seconds(5_000)), 40_000_000, at(120.0));
-        assert_eq!(lag.estimate(), None, "a silence restarts the estimate");
-        observe(&mut lag, 121, 130, |time| 5_000.0 - 20.0 * (time - 121.0));
-        assert_eq!(lag.estimate().map(|estimate| estimate.rate.round()), Some(20.0));
-        lag.observe(Some(Span::from_seconds(4_000)), 3, at(130.0));
-        assert_eq!(lag.estimate(), None, "a replaced spool restarts the estimate");
-        lag.observe(None, 4, at(131.0));
-        assert_eq!(lag.estimate(), None, "no event waits");
+        let mut estimator = LagEstimator::default();
+        observe(&mut estimator, 0, 30, |time| 10_000.0 - 20.0 * time);
+        estimator.observe(Some(Span::from_seconds(5_000)), 40_000_000, at(120.0));
+        assert_eq!(estimator.estimate(), None, "a silence restarts the estimate");
+        observe(&mut estimator, 121, 130, |time| 5_000.0 - 20.0 * (time - 121.0));
+        assert_eq!(estimator.estimate().map(|estimate| estimate.rate.round()), Some(20.0));
+        estimator.observe(Some(Span::from_seconds(4_000)), 3, at(130.0));
+        assert_eq!(estimator.estimate(), None, "a replaced spool restarts the estimate");
+        estimator.observe(None, 4, at(131.0));
+        assert_eq!(estimator.estimate(), None, "no event waits");
     }
 }
