@@ -93,7 +93,8 @@ impl Agent {
         clock: SharedClock,
         stop: CancellationToken,
     ) -> Result<RunningAgent, StartError> {
-        start(config, version, clock, stop, None, None).await
+        let (tap, results) = (None, None);
+        start(config, version, clock, stop, tap, results).await
     }
 
     /// Starts the agent as [`start`](Self::start) does, for a program that runs it in the foreground. Each event also
@@ -133,14 +134,14 @@ async fn start(
     let id = host_id(&config.agent.state_dir)?;
     let secret =
         config.agent.aggregator.as_ref().map(|_| host_secret(&config.agent.state_dir)).transpose()?;
-    let fingerprints = argument_key(&config.agent.state_dir)?;
+    let fingerprint_key = argument_key(&config.agent.state_dir)?;
     let probes = ProbeSettings::read(&config.probes, &config.clock)?;
     let spool = crate::outbox::open_spool(&config, id, &clock).await?;
     let counter = spool.as_ref().map(|spool| spool.counter.clone()).unwrap_or_default();
     let (event_queue, receiver) = crate::event_queue::create(&config.agent, &clock, counter);
     let event_queue = event_queue.with_tap(tap.clone());
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
-    let bank = Arc::new(build_bank(&config, &clock, fingerprints.clone(), incidents.clone()));
+    let bank = Arc::new(build_bank(&config, &clock, fingerprint_key.clone(), incidents.clone()));
     let (publish_clock, host_clock) = watch::channel(host_clock::initial_state(&clock));
     let link_context = LinkContext {
         name: name.clone(),
@@ -181,7 +182,7 @@ async fn start(
         bank: Arc::clone(&bank),
         links: links.clone(),
         observed: observed.clone(),
-        fingerprints,
+        fingerprint_key,
         inspection: Arc::clone(&inspection),
     };
     let live_statistics = start_pipelines(&mut tasks, io.handle(), &pipelines, &config, &context);
@@ -318,7 +319,10 @@ impl RunningAgent {
     /// the model.
     pub fn load_model(&self, model: &Slug) -> JoinHandle<Result<(), LoadError>> {
         let (bank, model) = (Arc::clone(&self.bank), model.clone());
-        tokio::task::spawn_blocking(move || bank.load(&model, None).map(drop))
+        tokio::task::spawn_blocking(move || {
+            let default_device = None;
+            bank.load(&model, default_device).map(drop)
+        })
     }
 
     /// Returns the number of events that did not fit into the tap of [`Agent::start_with_tap`].
@@ -330,7 +334,9 @@ impl RunningAgent {
     /// does not have yet, the links, the clock, the host's metrics and the counts of events.
     pub fn live_update(&self) -> LiveUpdate {
         let accounting = self.stoppable.outbox.as_ref().map(Outbox::accounting).unwrap_or_default();
-        self.live.update(self.host.id, self.host.clock.wall(), accounting).0
+        // Nothing is sent to the aggregator here, so nothing is marked as sent with the receipt.
+        let (update, _receipt) = self.live.update(self.host.id, self.host.clock.wall(), accounting);
+        update
     }
 
     /// Waits until the aggregator has stored all events of this host, until it has stored no event for `patience`, or
@@ -400,16 +406,16 @@ async fn unload(bank: Arc<Bank>, timeout: Duration) -> Result<(), Failure> {
 fn build_bank(
     config: &AgentConfig,
     clock: &SharedClock,
-    fingerprints: FingerprintKey,
+    fingerprint_key: FingerprintKey,
     incidents: Incidents,
 ) -> Bank {
     let bank = Bank::new(config.models.clone(), config.onnxruntime.clone(), Arc::clone(clock));
-    let bank = match serve::calibration(config) {
+    let bank = match serve::calibration_model(config) {
         Some(built_in) => bank.with_built_in(built_in),
         None => bank,
     };
     let unload_incidents = incidents.clone();
-    let bank = bank.with_folders(config.bank.clone()).with_fingerprints(fingerprints);
+    let bank = bank.with_folders(config.bank.clone()).with_fingerprint_key(fingerprint_key);
     let bank = bank.on_load(move |pool| {
         let mut text =
             format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.load_duration().seconds());

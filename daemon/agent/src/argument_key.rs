@@ -24,8 +24,8 @@ pub fn argument_key(folder: &Path) -> Result<FingerprintKey, IdentityError> {
     read_or_create(folder, FILE_NAME, read_key, || hexadecimal(&random_key())).map(FingerprintKey::new)
 }
 
-/// Copies the key of the state directory `from` to the state directory `to`, unless `to` has a key. The fingerprints of
-/// both agents can then be compared.
+/// Copies the key of the state directory `from` to the state directory `to`, unless `to` has a key. Equal arguments
+/// then have equal fingerprints in the agents of both directories.
 ///
 /// # Errors
 /// Those of [`argument_key`].

@@ -90,7 +90,7 @@ impl Report {
         if let Err(error) = settings.check() {
             self.add(format!("{key}.{}", error.key), format!("{} {}", error.value, error.problem));
         }
-        // A value that any network refuses is reported, even if the configuration does not use that network.
+        // A value that at least one network refuses is reported, even if the configuration does not use that network.
         for network in NetworkKind::ALL {
             if let Err(error) = network.check_settings(settings) {
                 self.add(format!("{key}.{}", error.key), error.problem);

@@ -76,7 +76,7 @@ impl Bank {
 
     /// Adds a key for fingerprints. Facts then identify the arguments of programs by fingerprints made with this key.
     #[must_use]
-    pub fn with_fingerprints(mut self, key: FingerprintKey) -> Self {
+    pub fn with_fingerprint_key(mut self, key: FingerprintKey) -> Self {
         self.fingerprint_key = Some(key);
         self
     }

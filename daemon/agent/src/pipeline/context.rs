@@ -21,7 +21,7 @@ pub(crate) struct PipelineContext {
     /// Stamps of the messages that this host's pipelines observe. Peers may query these stamps.
     pub(crate) observed: ObservedPipelines,
     /// Secret key for the fingerprint that stands for a program's arguments in the facts of a run.
-    pub(crate) fingerprints: FingerprintKey,
+    pub(crate) fingerprint_key: FingerprintKey,
     /// Settings of the inspection of this host's conditions before a run.
     pub(crate) inspection: Arc<InspectionSettings>,
 }

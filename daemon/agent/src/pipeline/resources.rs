@@ -80,13 +80,13 @@ impl PipelineResources {
         config: Arc<PipelineConfig>,
         live_state: Arc<PipelineLiveState>,
         clock: SharedClock,
-        fingerprints: &FingerprintKey,
+        fingerprint_key: &FingerprintKey,
     ) -> Result<Self, AssembleError> {
         let sensor_config = config.sensor.as_ref().ok_or(AssembleError::NoSensor)?;
         let sensor = sensor_config.open(&clock)?;
         let transforms = config.transforms.iter().map(TransformKind::build).collect::<Result<Vec<_>, _>>()?;
         let mut facts = sensor.facts();
-        facts.extend(sensor_config.arguments_fact(fingerprints));
+        facts.extend(sensor_config.arguments_fact(fingerprint_key));
         if !transforms.is_empty() {
             facts.push(("Transforms".to_owned(), transforms_text(&transforms)));
         }
@@ -98,7 +98,7 @@ impl PipelineResources {
         let actuator = ActuatorExecutor::new(&config.actuator, &clock)?;
         facts.extend(config.actuator.facts());
         facts.extend(actuator.iter().flat_map(|actuator| actuator.facts().iter().cloned()));
-        facts.extend(config.actuator.arguments_fact(fingerprints));
+        facts.extend(config.actuator.arguments_fact(fingerprint_key));
         let needs_resets = sensor.resets() || actuator.as_ref().is_some_and(ActuatorExecutor::needs_resets);
         let needs_advances = sensor.advances();
         let sensor = SensorExecutor::new(SensorChain { sensor, transforms }, &config.name)

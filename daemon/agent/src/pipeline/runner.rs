@@ -170,9 +170,10 @@ impl Runner {
     /// Sets up sensor, transforms and actuator on a blocking thread.
     async fn assemble(&self) -> Result<PipelineResources, AssembleError> {
         let (config, live_state) = (Arc::clone(&self.config), Arc::clone(&self.live_state));
-        let (clock, fingerprints) = (Arc::clone(&self.context.host.clock), self.context.fingerprints.clone());
+        let (clock, fingerprint_key) =
+            (Arc::clone(&self.context.host.clock), self.context.fingerprint_key.clone());
         self.live_state.set_sensor_busy_since(Some(clock.mono()));
-        let assembling = move || PipelineResources::assemble(config, live_state, clock, &fingerprints);
+        let assembling = move || PipelineResources::assemble(config, live_state, clock, &fingerprint_key);
         let assembled = tokio::task::spawn_blocking(assembling).await;
         self.live_state.set_sensor_busy_since(None);
         assembled.unwrap_or_else(|panic| Err(panic.into()))

@@ -53,7 +53,7 @@ impl ServeEndpoints {
         } else {
             (Vec::new(), vec![None; listeners.len()])
         };
-        let built_in = calibration(config).map(|model| model.name().clone());
+        let built_in = calibration_model(config).map(|model| model.name().clone());
         Ok(Some(Self { instance, probe_key, built_in, listeners, reflectors, probes }))
     }
 
@@ -65,7 +65,7 @@ impl ServeEndpoints {
 
 /// Returns the built-in model that answers with its input; `None` if the model is switched off, or if a configured
 /// model has the same name.
-pub(crate) fn calibration(config: &AgentConfig) -> Option<ModelConfig> {
+pub(crate) fn calibration_model(config: &AgentConfig) -> Option<ModelConfig> {
     let is_enabled = config.serve.as_ref().is_some_and(|serve| serve.calibration);
     let name: Slug = CALIBRATION.parse().ok()?;
     let is_name_free = config.models.iter().all(|model| *model.name() != name);

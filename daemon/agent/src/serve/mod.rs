@@ -11,7 +11,7 @@ mod request_counts;
 mod served;
 mod service;
 
-pub(crate) use endpoints::{ServeEndpoints, calibration};
+pub(crate) use endpoints::{ServeEndpoints, calibration_model};
 pub use served::ServedCounts;
 
 use std::collections::HashMap;

@@ -95,7 +95,7 @@ fn context(
         },
         events: EventSinks { event_queue, incidents, runs: Runs::default() },
         bank: Arc::new(Bank::new(config.models, config.onnxruntime, clock)),
-        fingerprints: FingerprintKey::new([0; 32]),
+        fingerprint_key: FingerprintKey::new([0; 32]),
         links: Links::new(link_context, &config.clock, probes),
         observed: crate::observed::ObservedPipelines::default(),
         inspection: Arc::default(),
@@ -168,7 +168,7 @@ async fn outcomes_after_reconnect(requesting_run: impl FnOnce(RunId) -> RunId) -
         Arc::clone(&pipeline),
         Arc::clone(&live_state),
         Arc::clone(&clock),
-        &context.fingerprints,
+        &context.fingerprint_key,
     )
     .expect("a sensor that can be opened");
     let description = crate::pipeline::describe_planned(&pipeline.placement);
