@@ -51,6 +51,7 @@ fn check_content(report: &mut Report, config: &AgentConfig) {
         let text = format!("{} is a folder; name a file, such as spool.sqlite, in it", path.display());
         return report.add("spool.file", text);
     }
+    // Without an aggregator no spool is opened. `check_spool` has reported an empty path.
     if config.agent.aggregator.is_none() || path.as_os_str().is_empty() {
         return;
     }
@@ -87,6 +88,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let (state, notes) = (folder.path(), folder.path().join("notes.txt"));
         assert!(problems(state, &notes).is_empty(), "the start creates a missing file");
+        // A truncated header of an SQLite file may belong to a damaged spool, so the check accepts such a file.
         for (content, objection) in [("", ""), ("notes", "not a spool"), ("SQLite format 3", "")] {
             std::fs::write(&notes, content).expect("it can be written");
             let problem_texts = problems(state, &notes).join(" ");

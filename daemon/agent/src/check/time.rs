@@ -220,6 +220,7 @@ mod tests {
             ["probes.rate_hz", "probes.idle_rate_hz"]
         );
         assert_eq!(problems_of_probes("rate_hz = 1001"), ["probes.rate_hz"]);
+        // The default of `rate_hz` is 10.
         assert_eq!(problems_of_probes("idle_rate_hz = 11"), ["probes.idle_rate_hz"]);
         assert_eq!(
             problems_of_probes("padding_bytes = 1301\nmax_per_source_hz = 0"),

@@ -71,10 +71,12 @@ fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
         let Some(celsius) = read_value::<f64>(&zone.join("temp")).map(|millis| millis / 1e3) else {
             continue;
         };
-        let passive_types = list_entries(&zone, "trip_point_").into_iter().filter(|path| {
+        // At a passive trip point the kernel slows the host down. At the other types the kernel starts a fan, notifies
+        // the driver, or shuts the host down.
+        let passive_type_files = list_entries(&zone, "trip_point_").into_iter().filter(|path| {
             path.to_string_lossy().ends_with("_type") && read_text(path).as_deref() == Some("passive")
         });
-        let trip_points = passive_types.filter_map(|path| {
+        let trip_points = passive_type_files.filter_map(|path| {
             let temperature_file = path.to_string_lossy().replace("_type", "_temp");
             read_value::<f64>(Path::new(&temperature_file))
                 .map(|millis| millis / 1e3)

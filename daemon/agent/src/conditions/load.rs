@@ -106,7 +106,7 @@ pub(super) fn steal_time(settings: &InspectionSettings) -> Option<Finding> {
     let stat = read_text(&settings.proc.join("stat"))?;
     let times = stat.lines().find_map(|line| line.strip_prefix("cpu "))?;
     let times: Vec<u64> = times.split_ascii_whitespace().filter_map(|ticks| ticks.parse().ok()).collect();
-    // Guest time is included in user time.
+    // Only the first eight times are added: the guest times that follow are included in the user times.
     let (steal, total) = (*times.get(7)?, times.iter().take(8).sum::<u64>());
     (steal > 0 && total > 0).then_some(())?;
     let share = steal as f64 / total as f64;

@@ -122,10 +122,11 @@ fn container(settings: &InspectionSettings) -> Option<String> {
 /// such as `docker.service`.
 fn is_container_of(manager: &str, component: &str) -> bool {
     // Kubernetes names the group of a container of containerd `cri-containerd-ID.scope`.
-    let Some(rest) = component.strip_prefix("cri-").unwrap_or(component).strip_prefix(manager) else {
+    let Some(after_manager) = component.strip_prefix("cri-").unwrap_or(component).strip_prefix(manager)
+    else {
         return false;
     };
-    let starts_with = |ending: &str| rest.starts_with(ending);
+    let starts_with = |start: &str| after_manager.starts_with(start);
     !component.ends_with(".service")
-        && (rest.is_empty() || ["-", ".slice", ".payload"].into_iter().any(starts_with))
+        && (after_manager.is_empty() || ["-", ".slice", ".payload"].into_iter().any(starts_with))
 }

@@ -16,10 +16,10 @@ pub struct ClockConfig {
     /// freely, the intervals of delays hold while the real change is slower. Default: 1.
     pub max_drift_change_ppm_per_s: f64,
     /// Longest time between an exchange with a peer and a delay that the exchange bounds. The newest eight exchanges
-    /// bound all delays, however far away in time. Seconds, 10 to 86400. Default: 10.
+    /// are an exception: they bound a delay at any distance in time. Seconds, 10 to 86400. Default: 10.
     pub window_s: f64,
-    /// Longest time between a delay and the nearest exchange of another message. A delay without such an exchange is
-    /// `stale`. Seconds, 0.1 to 3600, at most `window_s`. Default: 10.
+    /// Longest time between the delay of a message and the nearest exchange that does not include this message. A delay
+    /// without such an exchange is `stale`. Seconds, 0.1 to 3600, at most `window_s`. Default: 10.
     pub fresh_s: f64,
     /// `true` if the claims of both hosts' time daemons narrow the intervals of delays. Default: `false`.
     pub trust_time_daemons: bool,
@@ -59,6 +59,7 @@ impl ClockConfig {
             max_drift_ppm: self.max_drift_ppm,
             max_drift_change_ppm_per_s: self.max_drift_change_ppm_per_s,
             window: Span::from_seconds_f64(self.window_s),
+            // The shortest retention suffices, because an agent judges only the delays of recent messages.
             retention: Span::from_seconds_f64(self.window_s),
             max_fresh_age: Span::from_seconds_f64(self.fresh_s),
             trust_time_daemons: self.trust_time_daemons,

@@ -24,9 +24,9 @@ pub struct HostConfig {
     /// port 5550. Without this key the agent measures and serves, and nothing is stored.
     #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "event_stream_address")]
     pub aggregator: Option<Address>,
-    /// Name of the clock that this agent reads. Agents of one machine with equal names can prove that they read the
-    /// same clock; one-way delays between them are then exact. Peers treat a clock with another name as a separate
-    /// clock, for tests and clock fault injection. Default: `system`.
+    /// Name of the clock that this agent reads. Agents of one machine whose clocks have equal names can prove that
+    /// they read the same clock; one-way delays between them are then exact. Peers treat a clock with another name as a
+    /// separate clock, for tests and clock fault injection. Default: `system`.
     pub clock_identity: String,
     /// Number of threads that send and receive samples, for all pipelines and peers together; sensors and models have
     /// separate threads. One thread carries some gigabytes per second. Where one thread suffices, more threads only add
@@ -70,7 +70,8 @@ impl Default for HostConfig {
     }
 }
 
-/// Deserialises the address of an aggregator; only networks that carry the event stream are accepted.
+/// Deserialises the address of an aggregator. The error for an invalid address recommends only networks that carry the
+/// event stream. The check of the configuration refuses a valid address of another network.
 fn event_stream_address<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Address>, D::Error> {
     let text: Option<String> = Deserialize::deserialize(deserializer)?;
     let address = text.map(|text| text.parse()).transpose();

@@ -198,7 +198,7 @@ impl Default for WarmUp {
 }
 
 /// Limits at which a pipeline stops by itself; it stops at the first limit that is reached. Without a limit it runs for
-/// ever, and a new run starts at midnight UTC.
+/// ever, and a new run starts at each midnight UTC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limit {

@@ -34,9 +34,9 @@ pub struct ProbesConfig {
     /// Maximum number of answered probes per second for one address (in IPv6: for one /64 network); 1 to 10000. All
     /// addresses that have no session with this host share one limit, which is ten times as high. Default: 100.
     pub max_per_source_hz: u32,
-    /// Additional STAMP reflectors of any vendor. The key is the name of a peer; the reflector is shown with the link
-    /// to that peer. The value is the address of the reflector, `udp://HOST:PORT`; without a port, port 862 is used. No
-    /// delay depends on the clocks of these reflectors. Default: none.
+    /// Additional STAMP reflectors of any vendor: `{ PEER = "udp://HOST:PORT" }`. The reflector is shown with the link
+    /// to the peer whose name is `PEER`. Without a port, port 862 is used. No delay depends on the clocks of these
+    /// reflectors. Default: none.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub reflectors: BTreeMap<Slug, ReflectorAddress>,
 }

@@ -38,21 +38,22 @@ impl FromStr for ReflectorAddress {
 
 fn parse(text: &str) -> Option<ReflectorAddress> {
     let rest = text.strip_prefix("udp://")?;
-    let (host, port) = match rest.strip_prefix('[') {
+    let (host, port_suffix) = match rest.strip_prefix('[') {
         Some(bracketed) => {
-            let (host, port) = bracketed.split_once(']')?;
+            let (host, port_suffix) = bracketed.split_once(']')?;
             host.parse::<std::net::Ipv6Addr>().ok()?;
-            (host, port)
+            (host, port_suffix)
         }
         None => rest.split_at(rest.find(':').unwrap_or(rest.len())),
     };
-    let is_host = |char: char| char.is_ascii_alphanumeric() || matches!(char, '.' | '-' | '_' | ':');
-    let port = match port.strip_prefix(':') {
+    let is_host_char = |char: char| char.is_ascii_alphanumeric() || matches!(char, '.' | '-' | '_' | ':');
+    let port = match port_suffix.strip_prefix(':') {
         Some(port) => port.parse().ok().filter(|port| *port != 0)?,
-        None if port.is_empty() => ReflectorAddress::DEFAULT_PORT,
+        None if port_suffix.is_empty() => ReflectorAddress::DEFAULT_PORT,
         None => return None,
     };
-    (!host.is_empty() && host.chars().all(is_host)).then(|| ReflectorAddress { host: host.to_owned(), port })
+    (!host.is_empty() && host.chars().all(is_host_char))
+        .then(|| ReflectorAddress { host: host.to_owned(), port })
 }
 
 impl fmt::Display for ReflectorAddress {

@@ -19,8 +19,8 @@ pub struct ServeConfig {
     pub network: Option<NetworkKind>,
     /// `true` if peers may use the built-in echo model `calibration`, which `peernet calibrate` needs. Default: true.
     pub calibration: bool,
-    /// Time limits and bounds of each session. Bounds on all sessions together, such as `max_sessions`, apply to each
-    /// address.
+    /// Time limits and bounds of each session. Bounds on all sessions together, such as `max_sessions`, apply
+    /// separately to each address.
     pub session: SessionSettings,
 }
 

@@ -29,7 +29,7 @@ pub struct SpoolConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CompressionMode {
-    /// Batches are compressed while the link is the bottleneck.
+    /// Batches are compressed while the connection to the aggregator is the bottleneck.
     #[default]
     Auto,
     /// Every batch is compressed.

@@ -2,8 +2,9 @@
 //!
 //! From the time an event is queued until its batch is in the spool, only the memory of this process contains the
 //! event. To count the events that a kill loses, each event is counted before it is queued, in a file in shared memory.
-//! The file has one count for each run. With each batch the spool stores how many of the counted events it accounts
-//! for. The next process reports the difference as a gap (`outbox/spool/killed_process.rs`).
+//! The file has one count for each run. With each batch the spool stores how many of the counted events are settled so
+//! far: they are in batches or were dropped. The next process reports the difference between the counted and the
+//! settled events as a gap (`outbox/spool/killed_process.rs`).
 //!
 //! The file is in `/dev/shm`, because a write to a disk can wait for that disk, which would disturb the measurements.
 //! The file is written and not mapped, because a failed write to a mapping would end the process. After a restart of
@@ -57,7 +58,7 @@ const TOTAL_OFFSET: u64 = 8;
 const NUMBERS_BYTES: usize = 24;
 const NAME_OFFSET: usize = NUMBERS_BYTES + 16;
 /// Offset of the slots for batches that were sent without being in the spool. The number of a batch selects the slot.
-/// Each slot has five numbers: the process, the number of the batch, and three counts up to and including the batch.
+/// Each slot has the five numbers of a [`SentUnspooled`].
 const SENT_OFFSET: usize = RECORD_BYTES * (1 + MAX_COUNTED_RUNS);
 const SENT_RECORD_BYTES: usize = 40;
 /// Offset of the identity of the spool that the counts belong to.
@@ -119,12 +120,12 @@ impl EventCounter {
 
     /// Returns the name of the file, by which the next process finds it.
     pub(crate) fn name(&self) -> Option<String> {
-        self.lock_file().map(|count_file| count_file.name.clone())
+        self.lock_counts().map(|count_file| count_file.name.clone())
     }
 
     /// Counts an event that is about to be queued.
     pub(crate) fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>, now: WallTime) {
-        if let Some(mut count_file) = self.lock_file() {
+        if let Some(mut count_file) = self.lock_counts() {
             let result = count_file.count(pipeline, run, now);
             count_file.log_first_failure(result);
         }
@@ -132,7 +133,8 @@ impl EventCounter {
 
     /// Records a batch that is about to be sent without being in the spool.
     pub(crate) fn record_sent_unspooled(&self, sent: SentUnspooled) {
-        if let Some(mut count_file) = self.lock_file().filter(|count_file| count_file.last_sent != Some(sent))
+        if let Some(mut count_file) =
+            self.lock_counts().filter(|count_file| count_file.last_sent != Some(sent))
         {
             count_file.last_sent = Some(sent);
             let SentUnspooled { process, number, batched, reported_drops, events } = sent;
@@ -144,21 +146,21 @@ impl EventCounter {
         }
     }
 
-    /// Frees the record of an ended run if the spool has all events of the run, in batches or as dropped. `events` is the
-    /// number of the run's events that the spool has. Returns whether the record is free.
-    pub(crate) fn release(&self, run: RunId, events: u64) -> bool {
-        let Some(mut count_file) = self.lock_file() else { return true };
+    /// Frees the record of an ended run if all events of the run are settled: in batches or dropped. `settled_events`
+    /// is the number of the run's settled events. Returns whether all events are settled.
+    pub(crate) fn release_if_settled(&self, run: RunId, settled_events: u64) -> bool {
+        let Some(mut count_file) = self.lock_counts() else { return true };
         let Some((record_index, counted_events)) = count_file.runs.get(&run).copied() else { return true };
-        if counted_events == events {
+        if counted_events == settled_events {
             let result = count_file.release(run, record_index);
             count_file.log_first_failure(result);
         }
-        counted_events == events
+        counted_events == settled_events
     }
 
     /// Creates the file again, with the same counts, if it was deleted.
     pub(crate) fn recreate_if_deleted(&self) {
-        if let Some(mut count_file) = self.lock_file() {
+        if let Some(mut count_file) = self.lock_counts() {
             let result = count_file.recreate_if_deleted();
             count_file.log_first_failure(result);
         }
@@ -166,7 +168,7 @@ impl EventCounter {
 
     /// Returns the number of all counted events; `None` if events are not counted.
     pub(crate) fn total(&self) -> Option<u64> {
-        self.lock_file().map(|count_file| count_file.total)
+        self.lock_counts().map(|count_file| count_file.total)
     }
 
     /// Removes the file. Called when no counted event can be lost any more.
@@ -176,7 +178,7 @@ impl EventCounter {
         }
     }
 
-    fn lock_file(&self) -> Option<MutexGuard<'_, CountFile>> {
+    fn lock_counts(&self) -> Option<MutexGuard<'_, CountFile>> {
         self.0.as_ref().map(|count_file| count_file.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }

@@ -154,7 +154,7 @@ impl QueueReceiver {
 impl Overflow {
     /// Returns the number of dropped events whose gaps were not taken yet.
     pub(crate) fn dropped(&self) -> u64 {
-        // A drop that this thread does not see yet is taken by the next call.
+        // A drop that this thread does not see yet is taken by the next call of `take_gaps`.
         self.dropped.load(Ordering::Relaxed)
     }
 
@@ -174,7 +174,7 @@ impl Overflow {
     fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
         let now = self.clock.wall();
         let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
-        // The drop is added under the lock, so that `take_gaps` cannot subtract it from `dropped` before.
+        // The drop is added under the lock, so that `take_gaps` cannot subtract it before it is added.
         self.dropped.fetch_add(1, Ordering::Relaxed);
         let gap = gaps.entry((pipeline.cloned(), run)).or_insert_with(|| Gap {
             pipeline: pipeline.cloned(),

@@ -9,18 +9,18 @@ use tokio::sync::mpsc;
 /// Channel to the program that runs the agent. Clones share the channel. Sending never waits.
 #[derive(Clone, Debug)]
 pub(crate) struct EventTap {
-    listener: mpsc::Sender<Event>,
+    sender: mpsc::Sender<Event>,
     missed_events: Arc<AtomicU64>,
 }
 
 impl EventTap {
-    pub(crate) fn new(listener: mpsc::Sender<Event>) -> Self {
-        Self { listener, missed_events: Arc::default() }
+    pub(crate) fn new(sender: mpsc::Sender<Event>) -> Self {
+        Self { sender, missed_events: Arc::default() }
     }
 
     /// Sends an event, or counts it as missed if the channel is full.
     pub(super) fn offer(&self, event: Event) {
-        if self.listener.try_send(event).is_err() {
+        if self.sender.try_send(event).is_err() {
             self.missed_events.fetch_add(1, Ordering::Relaxed);
         }
     }

@@ -88,8 +88,8 @@ impl Tracking {
     /// Returns the report of a line that was read at `at`.
     ///
     /// The documented bound of the clock's error is `|system time| + root dispersion + root delay / 2`. The sign of the
-    /// first term is known, and chrony slews the clock towards zero. Therefore the interval spans from the estimate to
-    /// zero, extended by the other two terms at both ends.
+    /// system time is known, and chrony slews the clock until the system time is zero. Therefore the interval spans
+    /// from the estimate to zero, extended by the other two terms at both ends.
     pub(super) fn to_report(&self, at: MonoTime) -> SourceReport {
         let claim = (self.is_synchronised && !self.is_local).then(|| Claim {
             at,
@@ -167,7 +167,7 @@ mod tests {
     use super::*;
 
     // Output of chronyc 4.3.
-    const BIASED: &str = "7F000001,127.0.0.1,11,1795179452.504467807,0.049999367,0.000000412,0.000000412,-1.446,0.001,10.048,0.000005846,0.000007896,0.3,Normal\n";
+    const SLOW_CLOCK: &str = "7F000001,127.0.0.1,11,1795179452.504467807,0.049999367,0.000000412,0.000000412,-1.446,0.001,10.048,0.000005846,0.000007896,0.3,Normal\n";
     const OWN_CLOCK: &str = "7F7F0101,,10,1795179451.641823310,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,0.000000000,0.000000000,0.0,Normal\n";
     const NOT_SYNCHRONISED: &str = "00000000,,0,0.000000000,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,1.000000000,1.000000000,0.0,Not synchronised\n";
 
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn slow_clock_has_negative_error() {
-        let report = report(BIASED);
+        let report = report(SLOW_CLOCK);
         assert_eq!(report.text, "chrony, stratum 11, to 127.0.0.1");
         let claim = report.claim.expect("chrony was synchronised");
         let bound = Span::from_nanos(7896 + 5846 / 2);
@@ -204,17 +204,17 @@ mod tests {
 
     #[test]
     fn invalid_tracking_report_is_refused_with_reason() {
-        for line in ["", "506 Cannot talk to daemon", "a,b,c", &BIASED.replace("0.000005846", "nan")] {
+        for line in ["", "506 Cannot talk to daemon", "a,b,c", &SLOW_CLOCK.replace("0.000005846", "nan")] {
             assert!(Tracking::parse(line).is_err(), "{line}");
         }
         let error =
-            Tracking::parse(&BIASED.replace("0.049999367", "slow")).expect_err("a field is not a number");
+            Tracking::parse(&SLOW_CLOCK.replace("0.049999367", "slow")).expect_err("a field is not a number");
         assert_eq!(error.to_string(), "system time \"slow\" is not a number");
     }
 
     #[test]
     fn measurements_before_step_are_not_accepted() {
-        let old_answer = Tracking::parse(BIASED).expect("chronyc printed it");
+        let old_answer = Tracking::parse(SLOW_CLOCK).expect("chronyc printed it");
         let new_answer = Tracking { measured_at: "1795179453.193074185".to_owned(), ..old_answer.clone() };
         let mut answer_freshness = AnswerFreshness::new(0);
         assert!(answer_freshness.accepts(&old_answer, 0));

@@ -24,7 +24,7 @@ pub(super) struct Claim {
     pub(super) at: MonoTime,
     /// The interval at that time.
     pub(super) error: Interval,
-    /// Rate at which the interval widens at summary ends, parts per million.
+    /// Rate at which the interval widens at each of its two ends, parts per million.
     pub(super) growth_ppm: f64,
 }
 

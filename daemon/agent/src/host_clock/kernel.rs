@@ -43,7 +43,8 @@ fn error_bound(state: Timex) -> (Option<Span>, String) {
         // systemd-timesyncd sets both fields to zero, whether the error is microseconds or tens of milliseconds.
         return (None, "kernel, synchronised by a daemon that states no error".to_owned());
     }
-    // phc2sys sets only `maxerror` to zero, at each update, once a second or more often.
+    // phc2sys sets only `maxerror` to zero, at each update, once a second or more often. Zero is no bound, so the
+    // kernel's growth in one second is the smallest bound.
     let bound = max_error_us.max(KERNEL_GROWTH_US);
     (Some(Span::from_micros(bound)), "kernel, synchronised, probably by PTP".to_owned())
 }

@@ -50,9 +50,10 @@ const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 /// Number of checks between two announcements of the difference of wall clock and free-running clock to peers.
 const CHECKS_BETWEEN_ANNOUNCEMENTS: u32 = 100;
 /// Number of checks between two such announcements while a time daemon claims an error bound of the wall clock.
-const CHECKS_BETWEEN_CLAIMS: u32 = 10;
+// The number is smaller, because a peer widens the claim by the drift since the latest announcement.
+const CHECKS_BETWEEN_ANNOUNCEMENTS_WITH_CLAIM: u32 = 10;
 
-/// Returns the state of the clocks before any source was queried.
+/// Returns the state of this host's clocks before any source was queried, in the form that peers receive.
 pub(crate) fn initial_state(clock: &SharedClock) -> PeerClock {
     PeerClock {
         claim: None,
@@ -107,7 +108,7 @@ pub(crate) async fn run(
                     "not queried since the clock was disturbed".clone_into(&mut published.text);
                 }
                 let checks_between = if published.claim.is_some() {
-                    CHECKS_BETWEEN_CLAIMS
+                    CHECKS_BETWEEN_ANNOUNCEMENTS_WITH_CLAIM
                 } else {
                     CHECKS_BETWEEN_ANNOUNCEMENTS
                 };

@@ -181,8 +181,8 @@ mod tests {
             let faults = ClockFaults { offset: Span::ZERO, drift_ppm, steps: Vec::new(), since };
             let inner = Arc::clone(&manual) as SharedClock;
             let clock: SharedClock = Arc::new(FaultyClock::new(inner, identity, faults));
-            let (listener, events) = mpsc::channel(100);
-            let event_queue = EventQueue::discarding().with_tap(Some(EventTap::new(listener)));
+            let (sender, events) = mpsc::channel(100);
+            let event_queue = EventQueue::discarding().with_tap(Some(EventTap::new(sender)));
             let incidents = Incidents::new(Arc::clone(&clock), event_queue);
             let sys = tempfile::tempdir().expect("a folder");
             let clocksource = Clocksource::from_sysfs(sys.path());

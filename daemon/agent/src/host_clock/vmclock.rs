@@ -1,4 +1,6 @@
 //! Disruptions of the clocks that a hypervisor reports through `vmclock` devices of Linux (`linux/vmclock-abi.h`).
+//!
+//! A device contains a marker: a number that the hypervisor changes at each disruption.
 
 use std::fs::File;
 use std::io;

@@ -6,8 +6,7 @@ use peernet_networks::PeerClock;
 /// Longest time between the reading of a host's clocks and the arrival of the announcement at the other host.
 const MAX_TRANSIT: Span = Span::from_seconds(1);
 
-/// The clock of a host that the link's clock relation relates to the clock of the other host, and the host's latest
-/// announcement.
+/// One of the two clocks that the link's clock relation relates, and the latest announcement of its host.
 #[derive(Debug)]
 pub(super) struct AnnouncedClock {
     /// The latest announcement.
@@ -97,6 +96,9 @@ mod tests {
 
     use super::*;
 
+    const FREE_RUNNING: bool = true;
+    const WALL: bool = false;
+
     fn announcement_with_claim(raw_epoch: u32) -> PeerClock {
         let millis = |lo, hi| Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) };
         PeerClock {
@@ -113,11 +115,11 @@ mod tests {
     #[test]
     fn claim_widens_when_related_to_free_running_clock() {
         let at = RawTime::from_nanos(0);
-        let announced = AnnouncedClock::new(announcement_with_claim(0), true, at);
+        let announced = AnnouncedClock::new(announcement_with_claim(0), FREE_RUNNING, at);
         let claim = announced.claim(at + Span::from_seconds(9), 100.0).expect("the announcement has a claim");
         let expected = Interval { lo: Span::from_millis(-5_003), hi: Span::from_millis(-4_997) };
         assert_eq!(claim.error, expected, "10 s at 100 ppm are 1 ms at each end");
-        let wall_clock_of_host = AnnouncedClock::new(announcement_with_claim(0), false, at);
+        let wall_clock_of_host = AnnouncedClock::new(announcement_with_claim(0), WALL, at);
         assert_eq!(
             wall_clock_of_host.claim(at + Span::from_seconds(9), 100.0),
             announcement_with_claim(0).claim
@@ -127,7 +129,7 @@ mod tests {
     #[test]
     fn claim_from_before_interruption_is_void() {
         let at = RawTime::from_nanos(0);
-        let mut announced = AnnouncedClock::new(announcement_with_claim(0), true, at);
+        let mut announced = AnnouncedClock::new(announcement_with_claim(0), FREE_RUNNING, at);
         assert!(announced.begin_epoch(1) && !announced.begin_epoch(1));
         assert_eq!(announced.claim(at, 100.0), None);
         assert_eq!(announced.announce(announcement_with_claim(0), at), None);

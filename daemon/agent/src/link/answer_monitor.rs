@@ -146,8 +146,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn late_answers_are_the_reason_unless_one_is_refused() {
-        let mut monitor = AnswerMonitor::new("cloud".parse().expect("a name"), true);
+    fn late_answers_are_reason_unless_reply_is_refused() {
+        let has_key = true;
+        let mut monitor = AnswerMonitor::new("cloud".parse().expect("a name"), has_key);
         let address = "udp://10.0.0.3:862".to_owned();
         let mut shown_state = Probing::On { address, rate_hz: 10.0, stamps: "kernel".into() };
         let now = MonoTime::from_nanos(0);

@@ -27,7 +27,7 @@ const MAX_OVERDUE: Span = Span::from_seconds(2);
 #[derive(Debug)]
 pub(super) struct LinkClockState {
     peer: HostId,
-    name: Slug,
+    peer_name: Slug,
     relation: Relation,
     period: RelationPeriod,
     current_second: LinkSecond,
@@ -62,18 +62,20 @@ pub(super) struct MessageDelay {
 
 impl LinkClockState {
     pub(super) fn new(
-        (peer, name): (HostId, Slug),
+        (peer, peer_name): (HostId, Slug),
         relation: Relation,
         (edge, cloud): (PeerClock, PeerClock),
         now: Stamp,
     ) -> Self {
         let current_second = LinkSecond::new(now.wall.unix_seconds());
+        // A link relates the edge's free-running clock to either clock of the cloud, `Raw` or `RawToWall`.
+        let is_edge_free_running = true;
         let is_cloud_free_running = relation.settings().clocks == RelatedClocks::Raw;
-        let edge = AnnouncedClock::new(edge, true, now.raw);
+        let edge = AnnouncedClock::new(edge, is_edge_free_running, now.raw);
         let cloud = AnnouncedClock::new(cloud, is_cloud_free_running, now.raw);
         let mut clock_state = Self {
             peer,
-            name,
+            peer_name,
             relation,
             period: RelationPeriod::new(),
             current_second,
@@ -100,7 +102,9 @@ impl LinkClockState {
     /// and all probes of that session are counted. Another session sends the probes from then on.
     pub(super) fn settle_sessions(&mut self, now: Stamp) -> ClockStateChanges {
         let mut changes = self.advance_second(now);
-        for network in self.networks.take_ended(0) {
+        // All probes are counted, so no network stays for further seconds.
+        let closed_seconds = 0;
+        for network in self.networks.take_ended(closed_seconds) {
             if !self.current_second.is_empty() {
                 let offset = self.relation.offset(now.raw, now.wall);
                 changes.samples.push(self.sample(&network, now, offset));
@@ -253,6 +257,7 @@ impl LinkClockState {
     pub(super) fn handle_cloud_announcement(&mut self, clock: PeerClock, now: RawTime) -> ClockStateChanges {
         let old_epoch = self.cloud.wall_epoch();
         if let Some(epoch) = self.cloud.announce(clock, now) {
+            // The announcement does not contain the edge's epoch. 0 is never newer than the latest known epoch.
             self.update_relation((0, Some(epoch)), |relation| relation.restart_after_cloud_step(epoch));
         }
         self.update_claims(now);
@@ -266,7 +271,7 @@ impl LinkClockState {
     /// Closes the current second if the second has passed.
     pub(super) fn advance_second(&mut self, now: Stamp) -> ClockStateChanges {
         let mut changes = ClockStateChanges::default();
-        self.start_new_period(now, &mut changes);
+        self.replace_void_period(now, &mut changes);
         if now.wall.unix_seconds() != self.current_second.start_s {
             self.update_claims(now.raw);
             changes.lost_proof = self.reports.report_ended_proof(now.raw);
@@ -347,7 +352,7 @@ impl LinkClockState {
         now: Stamp,
         changes: &mut ClockStateChanges,
     ) {
-        self.start_new_period(now, changes);
+        self.replace_void_period(now, changes);
         let settings = *self.relation.settings();
         match learn_result {
             LearnResult::Refused(_) => return,
@@ -372,9 +377,9 @@ impl LinkClockState {
         self.current_second.add_exchange(&observation.exchange, settings.max_drift_ppm);
     }
 
-    /// Starts a new relation period after a step. The current second is closed without an offset, because its exchanges
-    /// preceded the step.
-    fn start_new_period(&mut self, now: Stamp, changes: &mut ClockStateChanges) {
+    /// Starts a new relation period if a step has made the current period void. The current second is then closed
+    /// without an offset, because its exchanges preceded the step.
+    fn replace_void_period(&mut self, now: Stamp, changes: &mut ClockStateChanges) {
         if self.period.is_void() {
             let is_current = now.wall.unix_seconds() == self.current_second.start_s;
             let at = if is_current { now } else { edge_time(now, self.current_second.end()) };
@@ -415,17 +420,19 @@ impl LinkClockState {
                 .clocks
                 .are_free_running()
                 .then_some(settings.max_drift_change_ppm_per_s),
+            // `max_ppm` is below `min_ppm` if the skew changed.
             proven_skew_ppm: self
                 .relation
                 .proven_skew()
                 .map(|skew| (skew.min_ppm.min(skew.max_ppm), skew.max_ppm.max(skew.min_ppm))),
+            // The age is stored only if an exchange from before the window bounds the offset.
             oldest_exchange_age: self.relation.window_span(at.raw).filter(|span| *span > settings.window),
             claims_trusted: settings.trust_time_daemons,
             probes_authenticated: self.current_second.authenticated,
         };
         ClockSample {
             peer: self.peer,
-            peer_name: self.name.clone(),
+            peer_name: self.peer_name.clone(),
             at: at.wall,
             relation_period: self.period.id(),
             max_drift_ppm: settings.max_drift_ppm,

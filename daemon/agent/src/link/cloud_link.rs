@@ -362,9 +362,9 @@ fn raw_difference(tree: &Tree, transit: NodeId) -> Option<Span> {
 
 /// Returns the sum of the delays of both directions: the edge's waiting time minus the time on the cloud, each by the
 /// monotonic clock of its host.
-fn sum_of_delays(log: &Recorder, up: NodeId, down: NodeId, arrived: Stamp) -> Option<Span> {
-    let tree = log.tree();
-    let waiting_time = log.offset(arrived.mono) - tree.get(up)?.start;
+fn sum_of_delays(recorder: &Recorder, up: NodeId, down: NodeId, arrived: Stamp) -> Option<Span> {
+    let tree = recorder.tree();
+    let waiting_time = recorder.offset(arrived.mono) - tree.get(up)?.start;
     // The starts of the cloud's nodes count from the arrival of the message. A negative result means that the cloud's
     // times are wrong.
     Some(waiting_time - tree.get(down)?.start).filter(|span| !span.is_negative())

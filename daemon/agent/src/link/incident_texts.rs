@@ -74,7 +74,7 @@ pub(super) fn lost_proof_text(lost_proof: &LostProof, edge: &Slug, cloud: &Slug)
     )
 }
 
-/// Returns the text about the number of events that were not reported since the last report.
+/// Returns the text about the number of jumps or lost proofs that were not reported since the last report.
 fn unreported_text(unreported: u32) -> String {
     match unreported {
         0 => String::new(),
@@ -86,6 +86,7 @@ fn unreported_text(unreported: u32) -> String {
 /// Returns the text of a proven skew beyond the limit.
 pub(super) fn excess_text(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
     let ExcessSkew { proven, limit_ppm } = excess;
+    // `max_ppm` is below `min_ppm` if the skew changed.
     let (min, max) = (proven.min_ppm.min(proven.max_ppm), proven.max_ppm.max(proven.min_ppm));
     format!(
         "the exchanges prove that the clock of {cloud} gains {min:.1} to {max:.1} ppm on that of {edge}, more than [clock] \
@@ -157,6 +158,11 @@ mod tests {
         for part in ["desk seems to have jumped 0.039 s back", "11 times more", "path", "clock jumped"] {
             assert!(text.contains(part), "{text}");
         }
+    }
+
+    #[test]
+    fn excess_text_names_range_and_limit() {
+        let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
         let proven = ProvenSkew { min_ppm: 61.25, max_ppm: 140.0 };
         let text = excess_text(ExcessSkew { proven, limit_ppm: 50.0 }, &edge, &cloud);
         assert!(text.contains("61.2 to 140.0 ppm") && text.contains("max_drift_ppm = 50 "), "{text}");

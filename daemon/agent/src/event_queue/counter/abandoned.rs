@@ -1,7 +1,6 @@
 //! Removal of files of counts that no spool needs any more.
 
 use std::fs::{self, File};
-use std::path::Path;
 
 use uuid::Uuid;
 
@@ -40,7 +39,7 @@ pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {
 /// Returns whether this is the name of a file of counts.
 fn is_count_file_name(name: &str) -> bool {
     let id = name.strip_prefix("peernet-").and_then(|name| name.strip_suffix(".count"));
-    id.is_some_and(|id| Uuid::try_parse(id).is_ok()) && Path::new(name).file_name().is_some()
+    id.is_some_and(|id| Uuid::try_parse(id).is_ok())
 }
 
 /// Returns whether no process counts in a file and no process can need it later. The check locks the file.

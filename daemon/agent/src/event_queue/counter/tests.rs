@@ -39,8 +39,8 @@ fn another_process_reads_what_was_counted() {
     let runs = vec![run(first, 5, 5), run(second, 1, 7)];
     assert_eq!(counted_events, CountedEvents { total: 7, last: at(7), sent, runs });
 
-    assert!(!counter.release(second, 0), "the spool does not account for the event of this run");
-    assert!(counter.release(first, 5) && counter.release(second, 1));
+    assert!(!counter.release_if_settled(second, 0), "the spool does not account for the event of this run");
+    assert!(counter.release_if_settled(first, 5) && counter.release_if_settled(second, 1));
     let counted_events = read(&name, &owner).expect("readable");
     assert_eq!((counted_events.total, counted_events.runs.len()), (7, 0));
     counter.remove();
@@ -82,7 +82,7 @@ fn runs_beyond_capacity_are_counted_in_total() {
         (counted_events.total, counted_events.runs.len()),
         (MAX_COUNTED_RUNS as u64 + 1, MAX_COUNTED_RUNS)
     );
-    assert!(counter.release(runs[0], 1));
+    assert!(counter.release_if_settled(runs[0], 1));
     counter.count(None, Some(RunId::random()), at(2));
     let counted_events = read(&counter.name().expect("a file"), &owner).expect("readable");
     assert_eq!(

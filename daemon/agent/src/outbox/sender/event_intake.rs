@@ -66,7 +66,7 @@ impl EventIntake {
     /// Frees the counter's records of ended runs whose events are all in the spool, stored or dropped.
     pub(super) fn release_runs(&self, state_machine: &mut Sending) {
         for (run, events) in state_machine.settled_runs() {
-            if self.receiver.counter.release(run, events) {
+            if self.receiver.counter.release_if_settled(run, events) {
                 state_machine.forget_run(run);
             }
         }
