@@ -12,11 +12,11 @@ use peernet_probes::ProbeResult;
 use peernet_stream::{ClockSample, EstimateBasis, HostClock, NetworkName};
 
 use super::announced_clock::AnnouncedClock;
-use super::judged_stamps::{Crossing, HostStamp};
 use super::link_second::LinkSecond;
 use super::network_sessions::NetworkSessions;
 use super::relation_period::RelationPeriod;
 use super::reports::{ClockReports, ExcessSkew, LostProof, Restart, SuspectedJump};
+use super::transit_stamps::{HostStamp, TransitStamps};
 use crate::host_clock::describe_clock;
 use crate::same_clock::NotProven;
 
@@ -157,11 +157,16 @@ impl LinkClockState {
     /// Judges the delays of observed messages, one in each direction.
     // These delays update neither the clock relation nor the current second, because both stamps are receptions: the
     // departure of the message is not stamped.
-    pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
+    pub(super) fn judge_stamps(
+        &self,
+        up: &TransitStamps,
+        down: Option<&TransitStamps>,
+    ) -> [Option<OneWayDelay>; 2] {
         let is_current = |stamp: &HostStamp, clock: &AnnouncedClock| stamp.epoch == Some(clock.epoch());
         let is_up_current = is_current(&up.sender, &self.edge) && is_current(&up.receiver, &self.cloud);
-        let is_down_current =
-            |down: &Crossing| is_current(&down.sender, &self.cloud) && is_current(&down.receiver, &self.edge);
+        let is_down_current = |down: &TransitStamps| {
+            is_current(&down.sender, &self.cloud) && is_current(&down.receiver, &self.edge)
+        };
         if let Some(down) = down.filter(|down| is_up_current && is_down_current(down)) {
             let [up_difference, down_difference] =
                 self.relation.reception_differences(up.times(), down.times());
@@ -170,12 +175,12 @@ impl LinkClockState {
                 Some(down.with_raw_difference(down_difference)),
             ];
         }
-        let judge = |crossing: &Crossing, is_current: bool, direction| {
-            let (sent, received) = crossing.times();
+        let judge = |stamps: &TransitStamps, is_current: bool, direction| {
+            let (sent, received) = stamps.times();
             if is_current {
-                crossing.with_raw_difference(self.relation.reception_difference(direction, sent, received))
+                stamps.with_raw_difference(self.relation.reception_difference(direction, sent, received))
             } else {
-                crossing.stepped_delay()
+                stamps.stepped_delay()
             }
         };
         [

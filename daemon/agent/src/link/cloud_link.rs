@@ -19,10 +19,10 @@ use super::clock_state::{ClockStateChanges, LinkClockState, MessageDelay};
 use super::connections::Connections;
 use super::correction::{correct, sent_bits};
 use super::incident_texts::{excess_text, jump_text, lost_proof_text, restart_text, wall_set_text};
-use super::judged_stamps::Crossing;
 use super::named_reflector::NamedReflector;
 use super::probe_pace::ProbePace;
 use super::shared::{Session, SharedLinkState, lock};
+use super::transit_stamps::TransitStamps;
 use crate::incidents::IncidentSubject;
 use crate::same_clock::NotProven;
 
@@ -137,12 +137,12 @@ impl CloudLink {
     ) {
         let epochs = observation.map(|observation| (Some(observation.edge_epoch), observation.cloud_epoch));
         let (edge, cloud) = epochs.unwrap_or_default();
-        let crossings = Crossing::in_tree(tree, up, (edge, cloud)).zip(Crossing::in_tree(
+        let stamps_of_messages = TransitStamps::in_tree(tree, up, (edge, cloud)).zip(TransitStamps::in_tree(
             tree,
             first_partial_answer,
             (cloud, edge),
         ));
-        let Some((up, down)) = crossings else { return };
+        let Some((up, down)) = stamps_of_messages else { return };
         let [_, delay] = self.judge_stamps(&up, Some(&down));
         if let Some(Measure::Transit(transit)) = tree.measure_mut(first_partial_answer) {
             transit.delay = delay;
@@ -167,7 +167,11 @@ impl CloudLink {
     }
 
     /// Judges the delays of observed messages, one in each direction. The relation does not learn from them.
-    pub(crate) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
+    pub(crate) fn judge_stamps(
+        &self,
+        up: &TransitStamps,
+        down: Option<&TransitStamps>,
+    ) -> [Option<OneWayDelay>; 2] {
         lock(&self.clock_state).judge_stamps(up, down)
     }
 

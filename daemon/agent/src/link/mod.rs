@@ -20,7 +20,6 @@ mod connections;
 mod correction;
 mod downsampled;
 mod incident_texts;
-mod judged_stamps;
 mod link_second;
 mod named_reflector;
 mod network_sessions;
@@ -31,11 +30,12 @@ mod registry;
 mod relation_period;
 mod reports;
 mod shared;
+mod transit_stamps;
 
-pub(crate) use judged_stamps::{Crossing, EpochWatch, HostStamp};
 pub use registry::Cloud;
 pub(crate) use registry::{LinkedSession, Links};
 pub(crate) use shared::{LinkContext, ProbeSettings};
+pub(crate) use transit_stamps::{EpochWatch, HostStamp, TransitStamps};
 
 #[cfg(test)]
 pub(crate) use correction::correct;

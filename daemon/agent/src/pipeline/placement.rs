@@ -19,7 +19,7 @@ use super::context::PipelineContext;
 use super::local_requester::{CancelOnDrop, LocalRequester};
 use crate::conditions::{InspectionSettings, inspect_host_in_time};
 use crate::config::{ObserveConfig, PipelineConfig, PlacementConfig, RemoteConfig};
-use crate::link::{Crossing, LinkedSession};
+use crate::link::{LinkedSession, TransitStamps};
 use crate::same_clock::ClockSocket;
 
 /// An open placement: a loaded model, a session with a peer, or nothing.
@@ -120,7 +120,11 @@ impl Placement {
 
     /// Returns the judged delays, up and down, of messages that were observed here and at the peer; `None` without a
     /// peer.
-    pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
+    pub(super) fn judge_stamps(
+        &self,
+        up: &TransitStamps,
+        down: Option<&TransitStamps>,
+    ) -> [Option<OneWayDelay>; 2] {
         match self {
             Self::Local(_) | Self::None => [None, None],
             Self::Remote { link, .. } => link.judge_stamps(up, down),

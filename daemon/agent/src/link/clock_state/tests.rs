@@ -373,7 +373,7 @@ fn sample_has_basis_and_end_of_second() {
 
 /// Returns the stamps of an observed input message and of its output message, in these epochs: 30 ms to a cloud that is
 /// 5 s ahead, 20 ms there, 5 ms back.
-fn crossings(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
+fn stamps_of_messages(sent: i64, edge: u32, cloud: u32) -> (TransitStamps, TransitStamps) {
     let edge_stamp = |millis| HostStamp {
         wall: at(sent + millis),
         raw: RawTime::from_wall(at(sent + millis)),
@@ -384,21 +384,21 @@ fn crossings(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
         raw: RawTime::from_wall(at(sent + 5000 + millis)),
         epoch: Some(cloud),
     };
-    let up = Crossing { sender: edge_stamp(0), receiver: cloud_stamp(30) };
-    (up, Crossing { sender: cloud_stamp(50), receiver: edge_stamp(55) })
+    let up = TransitStamps { sender: edge_stamp(0), receiver: cloud_stamp(30) };
+    (up, TransitStamps { sender: cloud_stamp(50), receiver: edge_stamp(55) })
 }
 
 #[test]
 fn observed_stamps_are_judged_without_learning() {
     let mut clock_state = clock_state();
-    let (up, down) = crossings(0, 0, 0);
+    let (up, down) = stamps_of_messages(0, 0, 0);
     let [unrelated, _] = clock_state.judge_stamps(&up, Some(&down));
     assert_eq!(unrelated.map(|delay| delay.verdict), Some(Verdict::Unsynchronised));
     for sent in [0, 100, 200, 300] {
         let _ = clock_state.judge(&network(), &exchange(sent, 5000), MESSAGE_DELAYS, now(sent + 4));
     }
     let before = clock_state.relation.exchange_counts();
-    let (up, down) = crossings(320, 0, 0);
+    let (up, down) = stamps_of_messages(320, 0, 0);
     let [up_delay, down_delay] = clock_state.judge_stamps(&up, Some(&down));
     for (delay, truth) in [(up_delay, 30), (down_delay, 5)] {
         let (delay, truth) = (delay.expect("it is judged"), Span::from_millis(truth));
@@ -428,7 +428,7 @@ fn observed_stamps_of_another_epoch_are_stepped() {
         let _ = clock_state.judge(&network(), &exchange(sent, 5000), MESSAGE_DELAYS, now(sent + 4));
     }
     let verdicts = |clock_state: &LinkClockState, edge, cloud| {
-        let (up, down) = crossings(320, edge, cloud);
+        let (up, down) = stamps_of_messages(320, edge, cloud);
         clock_state.judge_stamps(&up, Some(&down)).map(|delay| delay.map(|delay| delay.verdict))
     };
     let stepped = [Some(Verdict::Stepped); 2];
@@ -436,7 +436,7 @@ fn observed_stamps_of_another_epoch_are_stepped() {
     assert_eq!(verdicts(&clock_state, 0, 1), stepped, "the relation does not know of the step yet");
     let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(400).raw);
     assert_eq!(verdicts(&clock_state, 0, 0), stepped, "the stamps were made before the step");
-    let (mut up, _) = crossings(320, 0, 1);
+    let (mut up, _) = stamps_of_messages(320, 0, 1);
     up.sender.epoch = None;
     assert_eq!(clock_state.judge_stamps(&up, None)[0].map(|delay| delay.verdict), Some(Verdict::Stepped));
 }

@@ -14,7 +14,7 @@ use super::PeerDescription;
 use crate::config::{ObserveConfig, PairBy, RemoteConfig};
 use crate::host::Host;
 use crate::incidents::IncidentSubject;
-use crate::link::Crossing;
+use crate::link::TransitStamps;
 use crate::observed::{MODEL, StampAnswer, StampRequest};
 use crate::pipeline::context::PipelineContext;
 use crate::pipeline::placement::{OpenFailure, Placement};
@@ -239,7 +239,7 @@ impl PeerConnection {
     }
 
     /// Judges the delays of messages by the link's clock relation.
-    pub(super) fn judge(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
+    pub(super) fn judge(&self, up: &TransitStamps, down: Option<&TransitStamps>) -> [Option<OneWayDelay>; 2] {
         self.placement.judge_stamps(up, down)
     }
 

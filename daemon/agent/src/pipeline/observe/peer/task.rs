@@ -13,7 +13,7 @@ use super::pending::{PeerAnswer, PendingPairs};
 use super::reception::{ReceptionReport, ReceptionWatch};
 use super::{Pair, SettledPair, record_without_peer};
 use crate::host::Host;
-use crate::link::Crossing;
+use crate::link::TransitStamps;
 use crate::observed::MAX_KEYS;
 use crate::pipeline::observe::record;
 use crate::reconnect_backoff::ReconnectBackoff;
@@ -212,7 +212,7 @@ impl PeerTask {
         // A delay needs the clock relation, which belongs to a connection to this peer. Without a connection the stamps
         // are recorded without delays.
         let connection = self.connection.as_ref().filter(|connection| connection.host == answer.peer);
-        let judge = |up: &Crossing, down: Option<&Crossing>| {
+        let judge = |up: &TransitStamps, down: Option<&TransitStamps>| {
             connection.map_or([None, None], |connection| connection.judge(up, down))
         };
         self.settle(record_with_peer(self.connector.host(), pair, answer, judge));
@@ -272,7 +272,7 @@ fn record_with_peer(
     host: &Host,
     pair: &Pair,
     answer: &PeerAnswer,
-    judge: impl FnOnce(&Crossing, Option<&Crossing>) -> [Option<OneWayDelay>; 2],
+    judge: impl FnOnce(&TransitStamps, Option<&TransitStamps>) -> [Option<OneWayDelay>; 2],
 ) -> SettledPair {
     let (tree, ended) =
         record::tree_with_peer_stamps((&host.clock, host.id), answer.peer, pair, &answer.stamps, judge);

@@ -6,7 +6,7 @@ use peernet_logger::{
 };
 
 use super::{add_count, add_topics, start_and_end, started_iteration};
-use crate::link::{Crossing, HostStamp};
+use crate::link::{HostStamp, TransitStamps};
 use crate::observed::ObservedPair;
 use crate::pipeline::iteration;
 use crate::pipeline::observe::peer::Pair;
@@ -28,7 +28,7 @@ pub(in crate::pipeline::observe) fn tree_with_peer_stamps(
     peer: HostId,
     pair: &Pair,
     peer_stamps: &ObservedPair,
-    judge: impl FnOnce(&Crossing, Option<&Crossing>) -> [Option<OneWayDelay>; 2],
+    judge: impl FnOnce(&TransitStamps, Option<&TransitStamps>) -> [Option<OneWayDelay>; 2],
 ) -> (Tree, Stamp) {
     let (input, output) = (&pair.input, &pair.output);
     let (started, ended) = start_and_end(input, output);
@@ -36,8 +36,8 @@ pub(in crate::pipeline::observe) fn tree_with_peer_stamps(
     let mut recorder = Recorder::starting_at(SharedClock::clone(clock), host, started);
     let mut transport = None;
     if let Some(arrival_stamp) = peer_stamps.input() {
-        let up = Crossing { sender: input.received_message.host_stamp, receiver: arrival_stamp };
-        let down = |departure_stamp| Crossing { sender: departure_stamp, receiver: output.host_stamp };
+        let up = TransitStamps { sender: input.received_message.host_stamp, receiver: arrival_stamp };
+        let down = |departure_stamp| TransitStamps { sender: departure_stamp, receiver: output.host_stamp };
         let return_path = peer_stamps
             .output()
             .zip(peer_stamps.elapsed())
@@ -92,7 +92,7 @@ pub(in crate::pipeline::observe) fn tree_without_peer_stamps(
 }
 
 /// Returns the nodes `inference` and `download`, which the peer's stamps determine.
-fn peer_nodes(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [Node; 2] {
+fn peer_nodes(down: &TransitStamps, elapsed: Span, delay: Option<OneWayDelay>) -> [Node; 2] {
     // The elapsed time is negative if the observed node answered before the peer's agent received the input message.
     let elapsed = elapsed.max(Span::ZERO);
     let node = |name, start, measure| Node { parent: Some(NodeId::ROOT), name, host: PEER, start, measure };
@@ -175,7 +175,7 @@ mod tests {
     }
 
     /// Judges delays like a relation that knows the offset exactly.
-    fn judge(up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
+    fn judge(up: &TransitStamps, down: Option<&TransitStamps>) -> [Option<OneWayDelay>; 2] {
         let up = up.receiver.wall - up.sender.wall - PEER_CLOCK_OFFSET;
         let down = down.map(|down| down.receiver.wall - down.sender.wall + PEER_CLOCK_OFFSET);
         [Some(OneWayDelay::same_clock(up)), down.map(OneWayDelay::same_clock)]
@@ -275,7 +275,7 @@ mod tests {
         let late = pair.input.received_message.message.received_at + Span::from_millis(61);
         pair.input.received_message = received_message(late);
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
-        let judge = |up: &Crossing, down: Option<&Crossing>| {
+        let judge = |up: &TransitStamps, down: Option<&TransitStamps>| {
             let exact = |difference| OneWayDelay {
                 value: Some(difference),
                 ..OneWayDelay::unsynchronised(difference)

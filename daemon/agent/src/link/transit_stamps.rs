@@ -1,4 +1,4 @@
-//! Stamps of messages that agents observe at both ends of a link.
+//! Stamps of a message at both ends of a link, from which the delay of the message is judged.
 
 use peernet_clock::{Clock, MonoTime, OneWayDelay, RawTime, Stamp, WallTime};
 use peernet_logger::{Measure, NodeId, RawStamps, Transit, Tree};
@@ -16,12 +16,12 @@ pub(crate) struct HostStamp {
 
 /// Stamps of one message at the two ends of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Crossing {
+pub(crate) struct TransitStamps {
     pub(crate) sender: HostStamp,
     pub(crate) receiver: HostStamp,
 }
 
-impl Crossing {
+impl TransitStamps {
     /// Returns the stamps of a transit in a tree, with the given epochs of sender and receiver. `None` if the message
     /// has not arrived, or if the transit has no stamps of the free-running clocks.
     pub(super) fn in_tree(
