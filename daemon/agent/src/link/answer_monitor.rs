@@ -85,7 +85,9 @@ impl AnswerMonitor {
                 // The probe stays in flight until it is answered or lost: a refused packet may be forged.
                 self.refusals = self.refusals.saturating_add(1);
                 self.refusal_reason = Some(reason);
-                if let Some(times) = self.log.count_event(reason, None, now) {
+                // Lines about all senders of one reason are limited together.
+                let sender_address = None;
+                if let Some(times) = self.log.count_event(reason, sender_address, now) {
                     tracing::warn!(
                         peer = %self.peer, times,
                         "a reply to a probe was refused: {reason} (logged at most once a minute, with the count)"
