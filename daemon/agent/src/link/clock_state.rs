@@ -425,7 +425,7 @@ impl LinkClockState {
                 .clocks
                 .are_free_running()
                 .then_some(settings.max_drift_change_ppm_per_s),
-            // `max_ppm` is below `min_ppm` if the skew changed.
+            // `max_ppm` can be below `min_ppm` if the skew changed.
             proven_skew_ppm: self
                 .relation
                 .proven_skew()
