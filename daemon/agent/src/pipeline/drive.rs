@@ -41,7 +41,7 @@ pub(super) async fn drive(
                 pipeline_loop.resources.actuator.clone(),
             ));
         }
-        if pipeline_loop.start_iteration() {
+        if pipeline_loop.perform_due_action() {
             // Without this call, a loop in which no part waits would never yield its thread to other tasks.
             tokio::task::consume_budget().await;
             continue;

@@ -76,7 +76,8 @@ pub(super) struct PipelineLoop<'a> {
     in_flight: Vec<StartedIteration>,
     /// Reason for the end; set once no further iteration starts.
     end_reason: Option<LoopEnd>,
-    backoff: FailureBackoff,
+    /// Pauses between iterations of a closed loop that fail.
+    iteration_backoff: FailureBackoff,
     /// Number of failures of the sensor since its latest sample.
     consecutive_sensor_failures: u32,
     /// Pauses between preparations that fail.
@@ -89,7 +90,7 @@ impl<'a> PipelineLoop<'a> {
         run: &'a mut Run,
         context: &'a PipelineContext,
     ) -> Self {
-        let (in_flight, backoff) = (Vec::new(), FailureBackoff::default());
+        let (in_flight, iteration_backoff) = (Vec::new(), FailureBackoff::default());
         let mut pipeline_loop = Self {
             resources,
             run,
@@ -97,7 +98,7 @@ impl<'a> PipelineLoop<'a> {
             queued: None,
             in_flight,
             end_reason: None,
-            backoff,
+            iteration_backoff,
             consecutive_sensor_failures: 0,
             preparation_backoff: FailureBackoff::default(),
         };
@@ -147,7 +148,7 @@ impl<'a> PipelineLoop<'a> {
 
     /// Does what is due now: ends the loop, starts a preparation, or starts an iteration. Returns `false` if nothing is
     /// due.
-    pub(super) fn start_iteration(&mut self) -> bool {
+    pub(super) fn perform_due_action(&mut self) -> bool {
         self.end_reported_episode();
         if !self.can_start() {
             return false;
@@ -189,8 +190,8 @@ impl<'a> PipelineLoop<'a> {
         true
     }
 
-    /// Returns the time at which [`start_iteration`](Self::start_iteration) must be called again if no event occurs
-    /// before.
+    /// Returns the time at which [`perform_due_action`](Self::perform_due_action) must be called again if no event
+    /// occurs before.
     pub(super) fn next_wakeup(&mut self) -> Option<MonoTime> {
         if !self.can_start() {
             return None;
@@ -272,7 +273,7 @@ impl<'a> PipelineLoop<'a> {
     /// Returns the end of the pause after failures; `None` if the loop does not pause.
     fn paused_until(&self, now: MonoTime) -> Option<MonoTime> {
         // `None` is less than any time.
-        self.backoff.paused_until(now).max(self.preparation_backoff.paused_until(now))
+        self.iteration_backoff.paused_until(now).max(self.preparation_backoff.paused_until(now))
     }
 
     /// Queues a sample as the next iteration, records a failure of the sensor, or ends the loop at the end of samples.
@@ -354,7 +355,7 @@ impl<'a> PipelineLoop<'a> {
         let closed_loop = self.resources.schedule.is_closed();
         if closed_loop {
             // Only a closed loop repeats failures as fast as it can. The rate of an open loop limits them.
-            self.backoff.record_outcome(&outcome, ended.mono);
+            self.iteration_backoff.record_outcome(&outcome, ended.mono);
         }
         let episode = iteration.position.episode;
         let has_pending = self.has_pending(episode);
