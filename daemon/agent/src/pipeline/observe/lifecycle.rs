@@ -36,15 +36,16 @@ pub(in crate::pipeline) async fn run_to_end(
             Ok(Some(source)) => source,
             Ok(None) => {
                 if let Some(active_run) = active_run {
-                    let lost = "the agent stopped before the output message came";
-                    end_without_source(active_run, lost, EndReason::Stopped, runner).await;
+                    let loss_reason = "the agent stopped before the output message came";
+                    end_without_source(active_run, loss_reason, EndReason::Stopped, runner).await;
                 }
                 return Ok(());
             }
             Err(error) => {
                 if let Some(active_run) = active_run {
-                    let lost = "the topics could no longer be observed before the output message came";
-                    end_without_source(active_run, lost, EndReason::Failed(error.to_string()), runner).await;
+                    let loss_reason = "the topics could no longer be observed before the output message came";
+                    let end_reason = EndReason::Failed(error.to_string());
+                    end_without_source(active_run, loss_reason, end_reason, runner).await;
                 }
                 return Err(error.into());
             }
@@ -58,7 +59,8 @@ pub(in crate::pipeline) async fn run_to_end(
                     source.close().await;
                     return Ok(());
                 }
-                let run = start_run(runner, config, &source, peer.as_ref(), false).await;
+                let is_continuation = false;
+                let run = start_run(runner, config, &source, peer.as_ref(), is_continuation).await;
                 active_run.insert((run, Observation::new(config, runner, peer)))
             }
         };
@@ -68,7 +70,8 @@ pub(in crate::pipeline) async fn run_to_end(
                 SessionEnd::Midnight => {
                     run.end(EndReason::Finished, &runner.context);
                     // The subscriptions and the observation continue; only the run is a new one.
-                    *run = start_run(runner, config, &source, observation.peer(), true).await;
+                    let is_continuation = true;
+                    *run = start_run(runner, config, &source, observation.peer(), is_continuation).await;
                 }
                 SessionEnd::Limit => break Some(EndReason::Finished),
                 SessionEnd::Stopped => break Some(EndReason::Stopped),
@@ -90,15 +93,15 @@ pub(in crate::pipeline) async fn run_to_end(
     }
 }
 
-/// Ends a run that has no source at present. The open iterations end with the reason `lost`.
+/// Ends a run that has no source at present. The open iterations are recorded as lost, with the text `loss_reason`.
 async fn end_without_source(
     (mut run, mut observation): (Run, Observation<'_>),
-    lost: &str,
-    reason: EndReason,
+    loss_reason: &str,
+    end_reason: EndReason,
     runner: &Runner,
 ) {
-    observation.abandon(lost, &mut run, runner).await;
-    run.end(reason, &runner.context);
+    observation.abandon(loss_reason, &mut run, runner).await;
+    run.end(end_reason, &runner.context);
     observation.close().await;
 }
 

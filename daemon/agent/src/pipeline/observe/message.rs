@@ -24,7 +24,8 @@ pub(super) struct TopicMessage {
 }
 
 impl TopicMessage {
-    /// Returns the key by which the message is paired, or the reason why it cannot be paired.
+    /// Returns the key by which the message is paired, or the reason why it cannot be paired. The key is `None` if
+    /// messages are paired by their order.
     pub(super) fn key(&self, pair_by: PairBy) -> Result<Option<i64>, &'static str> {
         match pair_by {
             PairBy::Stamp => self

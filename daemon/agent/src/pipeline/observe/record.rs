@@ -19,6 +19,10 @@ use crate::pipeline::progress::Position;
 /// difference means that another clock made the stamp, for example the clock of a simulation.
 const MAX_AGE: Span = Span::from_seconds(3600);
 
+/// Observed messages have no intended starts. An observed iteration is therefore recorded without lateness, like an
+/// iteration of a closed loop.
+const CLOSED_LOOP: bool = true;
+
 /// Name of the number of output messages without an input message since the previous answered iteration. Absent if the
 /// number is zero.
 const OUTPUT_UNMATCHED: Name = Name::from_static("output-unmatched");
@@ -95,7 +99,8 @@ pub(super) fn tree_of_pair(
     let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
     log.record_timer(stage::INFERENCE, started.mono, ended.mono);
     add_topics(log.tree_mut(), input, output, ended.mono - started.mono, unpaired_counts);
-    (iteration::close(log, &started_iteration(input.position, started), ended.mono, true, None), ended)
+    let (iteration, no_transport) = (started_iteration(input.position, started), None);
+    (iteration::close(log, &iteration, ended.mono, CLOSED_LOOP, no_transport), ended)
 }
 
 /// Returns the times at which the iteration of a pair began and ended.
@@ -133,7 +138,8 @@ pub(super) fn tree_without_output(
     let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
     // The next answered iteration records the number of missing messages.
     add_topic(log.tree_mut(), &INPUT, input, Span::ZERO, 0);
-    iteration::close(log, &started_iteration(position, started), ended.mono, true, None)
+    let (iteration, no_transport) = (started_iteration(position, started), None);
+    iteration::close(log, &iteration, ended.mono, CLOSED_LOOP, no_transport)
 }
 
 /// Adds the values of one message and of its topic to a tree, at `at` after the start of the iteration.

@@ -15,7 +15,7 @@ use super::record::{self as trees, Input, ReceivedMessage, UnpairedCounts};
 use super::source::{Source, SourceError};
 use super::stamps::MessageStamps;
 use super::topic::Topic;
-use crate::config::ObserveConfig;
+use crate::config::{ObserveConfig, PairBy};
 use crate::observed::Side;
 use crate::pipeline::context::PipelineContext;
 use crate::pipeline::run::Run;
@@ -61,8 +61,8 @@ impl<'a> Observation<'a> {
     pub(super) fn new(config: &'a ObserveConfig, runner: &Runner, peer: Option<PeerStamps>) -> Self {
         let PipelineContext { host, observed, .. } = &runner.context;
         let timeout = Span::from(runner.config.timeout());
-        let published = observed.find(&runner.config.name);
-        let stamps = MessageStamps::new(SharedClock::clone(&host.clock), published);
+        let published_stamps = observed.find(&runner.config.name);
+        let stamps = MessageStamps::new(SharedClock::clone(&host.clock), published_stamps);
         Self {
             config,
             timeout,
@@ -272,14 +272,19 @@ impl<'a> Observation<'a> {
             }
             Resolution::Unanswered { input, cause } => {
                 let ObserveConfig { output, pair_by, .. } = self.config;
-                let (key_name, millis) = (pair_by.describe(), self.timeout.nanos() / 1_000_000);
+                let same_key = match pair_by {
+                    PairBy::Stamp | PairBy::Sequence => format!(" with the same {}", pair_by.describe()),
+                    // Messages that are paired by their order have no key.
+                    PairBy::Order => String::new(),
+                };
+                let millis = self.timeout.nanos() / 1_000_000;
                 let reason = match cause {
                     UnansweredCause::Expired => {
-                        format!("no message of {output} with the same {key_name} within {millis} ms")
+                        format!("no message of {output}{same_key} within {millis} ms")
                     }
                     UnansweredCause::Displaced => {
                         format!(
-                            "{MAX_UNPAIRED} newer input messages arrived before a message of {output} with the same {key_name}"
+                            "{MAX_UNPAIRED} newer input messages arrived before a message of {output}{same_key}"
                         )
                     }
                 };

@@ -168,7 +168,7 @@ impl Source {
         }
     }
 
-    /// Closes the subscriptions and the node.
+    /// Closes the subscriptions and, in ROS 1, the node. The shared node of ROS 2 stays open.
     pub(super) async fn close(self) {
         let SourceNode::Ros1 { node, .. } = self.node else { return };
         if let Err(error) = node.shutdown().await {

@@ -13,19 +13,20 @@ use crate::observed::{ObservedPipeline, Side};
 pub(super) struct MessageStamps {
     clock: SharedClock,
     epochs: EpochWatch,
-    published: Option<Arc<ObservedPipeline>>,
+    /// The stamps that peers may query; `None` if peers cannot query this pipeline.
+    published_stamps: Option<Arc<ObservedPipeline>>,
 }
 
 impl MessageStamps {
-    pub(super) fn new(clock: SharedClock, published: Option<Arc<ObservedPipeline>>) -> Self {
-        Self { epochs: EpochWatch::new(&*clock), clock, published }
+    pub(super) fn new(clock: SharedClock, published_stamps: Option<Arc<ObservedPipeline>>) -> Self {
+        Self { epochs: EpochWatch::new(&*clock), clock, published_stamps }
     }
 
     /// Returns the stamp of a message that was received a moment ago, and publishes it under `key`.
     pub(super) fn stamp(&mut self, side: Side, message: &TopicMessage, key: Option<i64>) -> HostStamp {
         let stamp = self.epochs.stamp(&*self.clock, message.received_at);
-        if let (Some(published), Some(key)) = (&self.published, key) {
-            published.record(side, key, stamp, message.received_at.mono);
+        if let (Some(published_stamps), Some(key)) = (&self.published_stamps, key) {
+            published_stamps.record(side, key, stamp, message.received_at.mono);
         }
         stamp
     }

@@ -92,6 +92,7 @@ impl PeerConnector {
         let remote = RemoteConfig {
             peer: config.peer.clone()?,
             network: None,
+            // A peer answers a request for this model with observed stamps.
             model: MODEL.parse().ok(),
             device: None,
             session: SessionSettings::default(),
@@ -232,6 +233,7 @@ impl PeerConnection {
             }
             Err(Outcome::Failed(reason)) => Err(refusal(reason)),
             Err(Outcome::Lost(reason)) => Err(failure(reason)),
+            // `Outcome::Ok` does not occur as an error.
             Err(Outcome::Timeout(_) | Outcome::Ok) => {
                 Err(failure(format!("no answer within {} ms", self.answer_timeout.as_millis())))
             }

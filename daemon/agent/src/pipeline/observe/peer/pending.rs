@@ -20,7 +20,8 @@ pub(super) struct PendingPairs<P> {
     pairs: VecDeque<PendingPair<P>>,
 }
 
-/// A peer's stamps of a pair. The session over which the stamps arrived may have ended.
+/// The stamps of a pair that a peer sent, and the id of that peer. Another peer may be connected when the pair is
+/// recorded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PeerAnswer {
     pub(super) peer: HostId,

@@ -8,7 +8,8 @@ const REPORT_AFTER: Span = Span::from_seconds(10);
 /// Watches whether the peer receives the messages that this host receives.
 #[derive(Debug, Default)]
 pub(super) struct ReceptionWatch {
-    /// Time at which the first of the pairs expired that the peer has not received since its latest received pair.
+    /// Time at which the first pair expired that the peer did not receive. Reset to `None` when the peer receives a
+    /// pair, and when the connection is lost.
     no_reception_since: Option<MonoTime>,
     /// `true` if the missing reception was reported and has not ended.
     is_reported: bool,

@@ -203,6 +203,7 @@ impl PeerTask {
                 self.record_reception(false);
                 self.settle_with(pair, answer);
             }
+            // Without an answer it is unknown whether the peer received the messages, so it is not recorded.
             None => self.settle(record_without_peer(self.connector.host(), pair)),
         }
     }
@@ -255,7 +256,7 @@ impl PeerTask {
     /// Logs why a query failed. The query is repeated.
     fn log_failed_query(&mut self, problem: &str) {
         let now = self.now();
-        if let Some(times) = self.throttle.count_event("ask", None, now) {
+        if let Some(times) = self.throttle.count_event("failed query", None, now) {
             tracing::warn!(
                 times,
                 "{problem}; iterations whose stamps do not arrive in time count as peer-unanswered"

@@ -5,7 +5,7 @@ use peernet_logger::{
     Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Tree, TreeDelta, stage,
 };
 
-use super::{add_count, add_topics, start_and_end, started_iteration};
+use super::{CLOSED_LOOP, add_count, add_topics, start_and_end, started_iteration};
 use crate::link::{HostStamp, TransitStamps};
 use crate::observed::ObservedPair;
 use crate::pipeline::iteration;
@@ -48,6 +48,7 @@ pub(in crate::pipeline::observe) fn tree_with_peer_stamps(
         // The sum of both directions needs no clock relation. It is this host's waiting time minus the time that
         // elapsed at the peer. Each host measures its time by its own monotonic clock.
         transport = return_path.map(|(_, elapsed)| total - elapsed);
+        // A cloud sends a delta with its nodes. The peer sends stamps only, so the delta is made here.
         let base = u32::try_from(recorder.tree().nodes().len()).unwrap_or(u32::MAX);
         let delta = TreeDelta {
             base,
@@ -115,7 +116,7 @@ fn close(mut recorder: Recorder, pair: &Pair, ended: Stamp, transport: Option<Sp
     let iteration = started_iteration(pair.input.position, started);
     let tree = match transport {
         // Without the transport the stages would not add up to the total.
-        Some(_) => iteration::close(recorder, &iteration, ended.mono, true, transport),
+        Some(_) => iteration::close(recorder, &iteration, ended.mono, CLOSED_LOOP, transport),
         None => iteration::close_without_stages(recorder, &iteration, ended.mono),
     };
     (tree, ended)

@@ -103,7 +103,8 @@ impl Topic {
         }
     }
 
-    /// Waits until the publishers have changed since this call or since `follow_publishers`.
+    /// Waits until the publishers change: in ROS 1 after the first poll of the future, in ROS 2 after the latest call
+    /// of `follow_publishers`.
     pub(super) async fn publishers_changed(&self) {
         match self {
             Self::Ros1(topic) => topic.publishers_changed().await,

@@ -86,7 +86,8 @@ impl Ros2Topic {
         let publishers = self.node.publishers_of(&self.name);
         let current = self.subscription.as_ref().map(|subscription| subscription.type_name.as_str());
         if let Some(type_name) = type_to_subscribe(&publishers, current) {
-            // A best-effort subscription matches publishers of both kinds, and no publisher waits for the agent.
+            // A best-effort subscription matches reliable and best-effort publishers, and no publisher waits for the
+            // agent.
             let qos =
                 QosProfile { reliability: Reliability::BestEffort, depth: DEPTH, ..QosProfile::default() };
             let receiver = self.node.create_subscription(&self.name, type_name, &qos)?;
@@ -181,6 +182,7 @@ fn type_to_subscribe<'a>(publishers: &'a [DiscoveredPublisher], current: Option<
 fn message_from_sample(sample: &ReceivedSample, clock: &SharedClock) -> TopicMessage {
     let header = read_header(WireForm::Cdr, &sample.payload);
     TopicMessage {
+        // The DDS library reads the system's clock, so injected faults are applied to its time here.
         received_at: stamp_of(clock.apply_faults(sample.received_time), clock.stamp()),
         length: sample.payload.len(),
         // If a node does not set the stamp, the stamp is 0.
