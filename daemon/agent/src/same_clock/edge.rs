@@ -22,7 +22,8 @@ use super::proof::{AnswerResult, NotProven, OwnClock, Proof};
 /// part of PEERNet.
 const MAX_PEERS: usize = 16;
 /// Time after which a process that has not answered the first query is ignored, because it does not serve the session
-/// or is stopped. After a pause of this process an answer may take the same time before the proof counts as expired.
+/// or is stopped. If the edge's own process was paused, the answer to a later query has the same time before the proof
+/// ends as expired.
 const FIRST_ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The socket that a session's hello names.
@@ -156,7 +157,8 @@ impl<F: Fn(Result<(), NotProven>)> Prover<'_, F> {
     /// Waits for a future. If the proof expires before the future is ready, passes the expiry to `report`.
     async fn wait_for<T>(&mut self, future: impl Future<Output = io::Result<T>>) -> io::Result<T> {
         let mut future = pin!(future);
-        // If the proof has expired already, this process was paused, which says nothing about the other process.
+        // While this process runs, the loop below ends a proof as soon as the proof expires. If the time of a proof has
+        // passed before the loop, this process was paused, which says nothing about the other process.
         let was_paused = self.proof.valid_for(self.clock.mono()) == Some(Span::ZERO);
         if was_paused && let Ok(output) = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, &mut future).await {
             return output;
