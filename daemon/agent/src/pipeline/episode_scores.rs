@@ -21,8 +21,8 @@ struct OpenEpisode {
     number: u32,
     /// `false` for an episode of the warm-up at the start of the run.
     is_after_warm_up: bool,
-    /// `false` for an episode whose reset failed. No action was possible in it.
-    was_reset: bool,
+    /// `false` for an episode whose preparation failed. No action was possible in it.
+    is_prepared: bool,
     /// Latest report of success.
     success: Option<bool>,
     /// Sum of the rewards.
@@ -36,20 +36,22 @@ pub(super) struct EpisodeResult {
     pub(super) success: Option<bool>,
     /// Return of the episode: the sum of its rewards, without a discount (Sutton and Barto, *Reinforcement Learning*,
     /// 2nd edition, section 3.3). Infinite or NaN if the finite rewards have no finite sum. `None` if the actuator
-    /// reports no rewards, or the reset for the episode failed.
+    /// reports no rewards, or the preparation of the episode failed.
     pub(super) total_reward: Option<f64>,
 }
 
 impl EpisodeScores {
     /// Begins an episode; `is_after_warm_up` is `false` for an episode of the warm-up.
     pub(super) fn begin(&mut self, number: u32, is_after_warm_up: bool) {
-        self.open.push(OpenEpisode::new(number, is_after_warm_up, true));
+        let is_prepared = true;
+        self.open.push(OpenEpisode::new(number, is_after_warm_up, is_prepared));
     }
 
-    /// Begins an episode whose reset failed. The episode is no success, and it has no return: a return of 0 might be
-    /// better than the return of every other episode.
+    /// Begins an episode whose preparation failed. The episode is no success, and it has no return: a return of 0 might
+    /// be better than the return of every other episode.
     pub(super) fn begin_unprepared(&mut self, number: u32, is_after_warm_up: bool) {
-        self.open.push(OpenEpisode::new(number, is_after_warm_up, false));
+        let is_prepared = false;
+        self.open.push(OpenEpisode::new(number, is_after_warm_up, is_prepared));
     }
 
     /// Adds the feedback on one action of an episode.
@@ -66,17 +68,18 @@ impl EpisodeScores {
     /// or if the actuator reports neither success nor rewards.
     pub(super) fn close(&mut self, number: u32) -> Option<EpisodeResult> {
         let index = self.open.iter().position(|episode| episode.number == number)?;
-        let OpenEpisode { is_after_warm_up, was_reset, success, total_reward, .. } = self.open.remove(index);
+        let OpenEpisode { is_after_warm_up, is_prepared, success, total_reward, .. } =
+            self.open.remove(index);
         let success = self.reports_success.then(|| success.unwrap_or(false));
-        let total_reward = (self.reports_reward && was_reset).then_some(total_reward);
+        let total_reward = (self.reports_reward && is_prepared).then_some(total_reward);
         (is_after_warm_up && (success.is_some() || total_reward.is_some()))
             .then_some(EpisodeResult { success, total_reward })
     }
 }
 
 impl OpenEpisode {
-    const fn new(number: u32, is_after_warm_up: bool, was_reset: bool) -> Self {
-        Self { number, is_after_warm_up, was_reset, success: None, total_reward: 0.0 }
+    const fn new(number: u32, is_after_warm_up: bool, is_prepared: bool) -> Self {
+        Self { number, is_after_warm_up, is_prepared, success: None, total_reward: 0.0 }
     }
 }
 
@@ -128,6 +131,7 @@ mod tests {
         let result = Some(EpisodeResult { success: Some(true), total_reward: Some(-1.5) });
         assert_eq!(scores.close(0), result);
         assert_eq!(scores.close(0), None, "the episode has already ended");
+        // The feedback comes after the end of its episode, so it counts for no episode.
         scores.add(0, &reward(7.0));
         scores.begin(1, true);
         let result_without_reports = Some(EpisodeResult { success: Some(false), total_reward: Some(0.0) });

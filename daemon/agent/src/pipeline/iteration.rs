@@ -34,7 +34,8 @@ pub(super) fn close(
 /// Closes a tree as [`close`] does, but without the sum of the stages, for an iteration of a closed loop whose stages
 /// are not all measured.
 pub(super) fn close_without_stages(log: Recorder, iteration: &StartedIteration, ended: MonoTime) -> Tree {
-    add_totals(log, iteration, ended, true, None)
+    let (closed_loop, stages) = (true, None);
+    add_totals(log, iteration, ended, closed_loop, stages)
 }
 
 /// Closes a tree and adds skipped starts, lateness and totals. `stages` is the sum of the stages, if it is known.
@@ -102,7 +103,7 @@ mod tests {
     use super::*;
     use crate::link::correct;
 
-    const STEP: Span = Span::from_millis(1);
+    const MILLISECOND: Span = Span::from_millis(1);
 
     /// Returns the tree of an iteration that began 3 ms late, sensed for 1 ms, took 1 ms each for upload, download and
     /// actuation and 2 ms on a cloud; 1 ms passed after the download, outside of all stages. The cloud's wall clock is
@@ -110,7 +111,7 @@ mod tests {
     fn iteration(cloud_offset: Span, judge: fn(Span) -> OneWayDelay, transport: Option<Span>) -> Tree {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
-        let pass = |steps: i64| clock.advance(Span::from_nanos(STEP.nanos() * steps));
+        let pass = |millis: i64| clock.advance(Span::from_millis(millis));
         let intended = clock.mono();
         pass(3);
         let shared: SharedClock = Arc::<ManualClock>::clone(&clock);
@@ -130,8 +131,8 @@ mod tests {
         let down = log.start_transit(stage::DOWNLOAD, sent);
         pass(1);
         log.end_transit(down, clock.wall());
-        correct(log.tree_mut(), up, Direction::Up, judge(STEP + cloud_offset));
-        correct(log.tree_mut(), down, Direction::Down, judge(STEP - cloud_offset));
+        correct(log.tree_mut(), up, Direction::Up, judge(MILLISECOND + cloud_offset));
+        correct(log.tree_mut(), down, Direction::Down, judge(MILLISECOND - cloud_offset));
         pass(1);
         {
             let _actuation = log.time(stage::ACTUATION);
@@ -139,7 +140,8 @@ mod tests {
         }
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
         let iteration = StartedIteration { position, start: Start { intended, skipped: 7 }, started_at };
-        close(log, &iteration, clock.mono(), false, transport)
+        let closed_loop = false;
+        close(log, &iteration, clock.mono(), closed_loop, transport)
     }
 
     fn millis(tree: &Tree, name: &str) -> Option<f64> {
@@ -165,7 +167,8 @@ mod tests {
         while log.record_value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
         let iteration = StartedIteration { position, start: Start { intended, skipped: 7 }, started_at };
-        let tree = close(log, &iteration, intended + STEP, false, None);
+        let (closed_loop, transport) = (false, None);
+        let tree = close(log, &iteration, intended + MILLISECOND, closed_loop, transport);
         for (name, expected) in [("total", 1.0), ("unattributed", 1.0), ("lateness", 0.0)] {
             assert_eq!(millis(&tree, name), Some(expected), "{name}");
         }
@@ -175,7 +178,7 @@ mod tests {
     #[test]
     fn stages_total_is_independent_of_peers_clock() {
         for cloud_offset in [Span::from_seconds(3600), Span::from_seconds(-5)] {
-            let tree = iteration(cloud_offset, OneWayDelay::unsynchronised, Some(STEP + STEP));
+            let tree = iteration(cloud_offset, OneWayDelay::unsynchronised, Some(MILLISECOND + MILLISECOND));
             assert_eq!(millis(&tree, "upload"), None, "the clocks are not related");
             assert_eq!(millis(&tree, "stages-total"), Some(6.0));
         }

@@ -16,7 +16,8 @@ pub(super) struct LocalRequester {
     cancellation: CancellationToken,
 }
 
-/// Cancels the request when it is dropped: after the timeout, or when the pipeline stops waiting.
+/// Cancels the request when this guard is dropped: after the timeout, or when the pipeline stops waiting. After the
+/// answer, the drop has no effect.
 #[derive(Debug)]
 pub(super) struct CancelOnDrop(pub(super) Arc<LocalRequester>);
 

@@ -302,8 +302,8 @@ pub(crate) fn describe_planned(config: &PlacementConfig) -> PlacementDescription
     }
 }
 
-/// Returns the description of an observed system. `peer` is the name of the other host whose agent observes it, once
-/// it is known.
+/// Returns the description of an observed system. `peer` is the name of the other host whose agent observes the same
+/// messages; `None` while the name is unknown.
 pub(super) fn describe_observed(config: &ObserveConfig, peer: Option<Slug>) -> PlacementDescription {
     let Some(address) = &config.peer else { return PlacementDescription::observed() };
     PlacementDescription {

@@ -152,12 +152,17 @@ impl Progress {
 mod tests {
     use super::*;
 
-    fn progress(keys: &str, is_continuation: bool) -> Progress {
+    fn progress(keys: &str) -> Progress {
+        let is_continuation = false;
+        Progress::new(&pipeline(keys), is_continuation)
+    }
+
+    fn pipeline(keys: &str) -> PipelineConfig {
         let table = format!(
             "name = 'p'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\
              placement = {{ kind = 'local', model = 'm' }}\n{keys}"
         );
-        Progress::new(&toml::from_str(&table).expect("a pipeline"), is_continuation)
+        toml::from_str(&table).expect("a pipeline")
     }
 
     fn at(seconds: i64) -> MonoTime {
@@ -166,7 +171,7 @@ mod tests {
 
     #[test]
     fn limit_of_iterations_excludes_warm_up() {
-        let mut progress = progress("warm_up = { iterations = 2 }\nlimit = { iterations = 3 }", false);
+        let mut progress = progress("warm_up = { iterations = 2 }\nlimit = { iterations = 3 }");
         let mut warm_up = Vec::new();
         while !progress.is_limit_reached(at(0)) {
             warm_up.push(progress.assign_position(at(0)).warm_up);
@@ -176,8 +181,7 @@ mod tests {
 
     #[test]
     fn limit_of_total_includes_warm_up() {
-        let mut progress =
-            progress("warm_up = { iterations = 2 }\nlimit = { total = 3, iterations = 9 }", false);
+        let mut progress = progress("warm_up = { iterations = 2 }\nlimit = { total = 3, iterations = 9 }");
         let mut warm_up = Vec::new();
         while !progress.is_limit_reached(at(0)) {
             warm_up.push(progress.assign_position(at(0)).warm_up);
@@ -188,7 +192,7 @@ mod tests {
     #[test]
     fn planned_iterations_follow_from_limits() {
         let planned_iterations = |keys: &str| {
-            let mut progress = progress(keys, false);
+            let mut progress = progress(keys);
             for _ in 0..7 {
                 progress.assign_position(at(0));
             }
@@ -204,7 +208,7 @@ mod tests {
 
     #[test]
     fn duration_begins_at_first_measured_iteration() {
-        let mut progress = progress("warm_up = { iterations = 1 }\nlimit = { duration_s = 2.5 }", false);
+        let mut progress = progress("warm_up = { iterations = 1 }\nlimit = { duration_s = 2.5 }");
         progress.assign_position(at(10));
         assert!(!progress.is_limit_reached(at(1000)), "no iteration after the warm-up has started");
         assert_eq!(
@@ -218,7 +222,7 @@ mod tests {
     #[test]
     fn first_episode_and_first_steps_are_warm_up() {
         let keys = "episode_steps = 3\nwarm_up = { iterations = 0, episodes = 1, steps = 1 }";
-        let mut progress = progress(keys, false);
+        let mut progress = progress(keys);
         let positions: Vec<_> = (0..7).map(|_| progress.assign_position(at(0))).collect();
         let steps: Vec<_> =
             positions.iter().map(|position| (position.episode, position.step, position.warm_up)).collect();
@@ -239,7 +243,7 @@ mod tests {
 
     #[test]
     fn reported_end_of_episode_begins_next_episode() {
-        let mut progress = progress("episode_steps = 3\nlimit = { episodes = 3 }", false);
+        let mut progress = progress("episode_steps = 3\nlimit = { episodes = 3 }");
         let mut steps = Vec::new();
         while !progress.is_limit_reached(at(0)) {
             let begins = progress.begins_episode();
@@ -261,7 +265,7 @@ mod tests {
 
     #[test]
     fn without_episode_steps_only_feedback_ends_episodes() {
-        let mut progress = progress("", false);
+        let mut progress = progress("");
         for number in 0..100 {
             assert_eq!((progress.assign_position(at(0)).step, progress.begins_episode()), (number, false));
         }
@@ -272,7 +276,8 @@ mod tests {
 
     #[test]
     fn continuing_run_has_no_warm_up_at_start() {
-        assert!(!progress("", true).assign_position(at(0)).warm_up);
-        assert!(progress("", false).assign_position(at(0)).warm_up);
+        let is_continuation = true;
+        assert!(!Progress::new(&pipeline(""), is_continuation).assign_position(at(0)).warm_up);
+        assert!(progress("").assign_position(at(0)).warm_up);
     }
 }

@@ -158,8 +158,8 @@ impl PipelineResources {
         // earlier iterations does not pass.
         self.pending_advance = None;
         let actuator = self.actuator.clone().filter(ActuatorExecutor::needs_resets);
-        let request = self.sensor.preparation_sender();
-        self.pending_preparation = Some(preparation::prepare(preparation, actuator, request));
+        let sensor = self.sensor.preparation_sender();
+        self.pending_preparation = Some(preparation::prepare(preparation, actuator, sensor));
     }
 
     /// Continues the schedule after a preparation that ended at `now`. The duration of the preparation belongs to no

@@ -139,7 +139,9 @@ impl Runner {
             let current_run = match &mut run {
                 Some(run) => run,
                 None => {
-                    let new_run = self.start(resources.facts(placement.facts()), &placement, false).await;
+                    let is_continuation = false;
+                    let facts = resources.facts(placement.facts());
+                    let new_run = self.start(facts, &placement, is_continuation).await;
                     resources.restart_schedule(self.context.host.clock.mono());
                     run.insert(new_run)
                 }
@@ -195,7 +197,8 @@ impl Runner {
                 return loop_end;
             }
             run.end(EndReason::Finished, &self.context);
-            *run = self.start(resources.facts(placement.facts()), placement, true).await;
+            let is_continuation = true;
+            *run = self.start(resources.facts(placement.facts()), placement, is_continuation).await;
         }
     }
 

@@ -61,8 +61,11 @@ impl StartTimer {
         }
         loop {
             let mut ready = self.timer.readable().await?;
-            let mut ticks = [0; 8];
-            match ready.try_io(|timer| rustix::io::read(timer.get_ref(), &mut ticks).map_err(Into::into)) {
+            // The kernel returns the number of expirations in eight bytes. The number is not used.
+            let mut expirations = [0; 8];
+            match ready
+                .try_io(|timer| rustix::io::read(timer.get_ref(), &mut expirations).map_err(Into::into))
+            {
                 Ok(result) => {
                     self.armed_for = None;
                     return result.map(|_| ());
