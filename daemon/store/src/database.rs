@@ -73,9 +73,12 @@ async fn connect_and_migrate(
     // at once.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut connection).await.map_err(cannot_open)?;
     let kind = FileKind::detect(&mut connection).await.map_err(cannot_open)?;
-    if let (true, Some(what)) = (kind != FileKind::Empty, kind.other_kind()) {
+    if kind != FileKind::Empty
+        && let Some(what) = kind.other_kind()
+    {
         return Err(OpenError::NotADatabase { path: path.to_owned(), what });
     }
+    // `None`: up to the newest migration. `false`: no migration is only marked as applied.
     MIGRATIONS.run_direct(None, &mut connection, false).await.map_err(|source| match source {
         MigrateError::VersionMissing(found) => {
             let supported = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);

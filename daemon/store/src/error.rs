@@ -85,6 +85,7 @@ impl OpenError {
             (path.to_owned(), is_partial_damage(&source), is_damage(&source));
         let source = DatabaseError::new(source);
         match (is_partial_damage, is_damage) {
+            // `with_repairability` sets `is_repairable` according to the contents of the file.
             (true, _) => Self::Damaged { path, source, is_repairable: true },
             // Any other damage means that the file is not a database.
             (false, true) => Self::Unrecognised { path, source },

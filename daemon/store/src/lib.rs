@@ -238,8 +238,8 @@ impl Store {
     }
 
     /// Returns the first iteration of each shape of tree among the next few thousand iterations. Arguments and result
-    /// are those of [`Store::full_iterations`]. The nodes of these iterations are all columns that a table of the next
-    /// few thousand iterations needs.
+    /// are those of [`Store::full_iterations`]. The nodes of these iterations determine all columns that a table of
+    /// the next few thousand iterations needs.
     pub async fn iterations_by_shape(
         &self,
         run: &RunSummary,
@@ -281,8 +281,8 @@ impl Store {
         read::clocks::link_assumptions(&self.readers, link).await
     }
 
-    /// Judges the one-way delays of a run again, from all stored exchanges, including exchanges after the delays.
-    /// `None` for an unknown run. Writes nothing.
+    /// Judges the one-way delays of a run again, from all stored exchanges, including exchanges that took place after
+    /// the messages of these delays. `None` for an unknown run. Writes nothing.
     pub async fn recompute(&self, run: i64) -> Result<Option<RecomputedDelays>, StoreError> {
         read::recompute::recompute(&self.readers, run).await
     }

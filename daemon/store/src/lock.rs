@@ -1,7 +1,7 @@
 //! Exclusive lock of a database. While a process holds the lock, a second aggregator or a command that rewrites the
 //! file is refused.
 
-use std::fs::{File, Metadata, TryLockError};
+use std::fs::{File, Metadata, OpenOptions, TryLockError};
 use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -48,19 +48,18 @@ impl DatabaseLock {
     /// # Errors
     /// When another process holds the lock, or the file cannot be opened for writing.
     pub fn take(database: &Path) -> Result<Self, LockError> {
-        Self::open(database, true)
+        Self::open(database, File::options().create(true))
     }
 
     /// Locks a database that must exist.
     pub(crate) fn take_existing(database: &Path) -> Result<Self, LockError> {
-        Self::open(database, false)
+        Self::open(database, &mut File::options())
     }
 
-    fn open(database: &Path, create: bool) -> Result<Self, LockError> {
+    /// Opens the file for reading and writing, and locks the file.
+    fn open(database: &Path, options: &mut OpenOptions) -> Result<Self, LockError> {
         let failed = |source| LockError::Failed { path: database.to_owned(), source };
-        let mut options = File::options();
-        let file = options.create(create).truncate(false).read(true).write(true).open(database);
-        let file = file.map_err(failed)?;
+        let file = options.truncate(false).read(true).write(true).open(database).map_err(failed)?;
         match file.try_lock() {
             Ok(()) => Ok(Self { file: Arc::new(file) }),
             Err(TryLockError::WouldBlock) => {
@@ -95,6 +94,7 @@ fn holder(file: &Metadata) -> Option<u32> {
     let (device, inode) = (file.dev(), file.ino());
     let file_id = format!("{:02x}:{:02x}:{inode}", rustix::fs::major(device), rustix::fs::minor(device));
     // The kernel returns the list in parts. A line is missing if locks before that line are released between two parts.
+    // Therefore the list is read up to five times.
     (0..5).find_map(|_| {
         let locks = std::fs::read_to_string("/proc/locks").ok()?;
         locks.lines().find_map(|line| {

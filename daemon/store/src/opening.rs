@@ -110,6 +110,7 @@ impl OpenDatabase {
             return Err(ReopenError::ForeignLog(ForeignLog(log)));
         }
         let (mut database, state) = Self::open_locked(lock, path, retention, integrity).await?;
+        // SQLite can open a file that cannot be written. This transaction shows whether the file can be written.
         if let Err(source) = database.writer.write_nothing().await {
             // A connection that is only dropped keeps the file open for some time. During this time the lock is held,
             // and the file system cannot be unmounted.

@@ -21,7 +21,7 @@ pub fn offset(offset: &Offset) -> Option<Offset> {
 }
 
 /// Returns the basis without impossible values: a drift change that is infinite, NaN or negative, a proven skew whose
-/// ends are infinite, NaN or reversed, and a grown window without length.
+/// ends are infinite, NaN or reversed, and an age of the oldest exchange that is not positive.
 pub fn basis(basis: EstimateBasis) -> EstimateBasis {
     let is_valid_change = |change: &f64| change.is_finite() && *change >= 0.0;
     let is_valid_skew = |(min, max): &(f64, f64)| min.is_finite() && max.is_finite() && min <= max;

@@ -135,8 +135,8 @@ pub fn table_order(name: &str) -> (usize, &str) {
         stage::UPLOAD_LOGGER_BYTES,
         stage::DOWNLOAD_LOGGER_BYTES,
     ];
-    // The positions of the standard names are multiples of three, so that the two children of `sensing` have positions
-    // between `sensing` and the next stage, as in a tree.
+    // The positions of the standard names are multiples of three, and `sensing` has position 0. The two children of
+    // `sensing` have positions between `sensing` and the next stage, as in a tree.
     let standard_position = || {
         let index = stage::ORDER.iter().chain(&NAMES_AFTER_STAGES).position(|standard| standard == name)?;
         Some(3 * index)

@@ -9,5 +9,5 @@ mod pipelines;
 mod ring;
 
 pub(crate) use messages::{MAX_KEYS, ObservedPair, StampAnswer, StampRequest};
-pub(crate) use pipelines::{MODEL, ObservedPipeline, ObservedPipelines};
+pub(crate) use pipelines::{ObservedPipeline, ObservedPipelines, STAMPS_MODEL};
 pub(crate) use ring::Side;

@@ -14,7 +14,7 @@ use crate::config::{AgentConfig, PairBy, PipelineConfig, PlacementConfig, StartM
 use crate::link::HostStamp;
 
 /// Name by which stamps are requested in place of a model.
-pub(crate) const MODEL: &str = "observed-stamps";
+pub(crate) const STAMPS_MODEL: &str = "observed-stamps";
 
 /// Number of messages of a pipeline whose stamps are kept: the messages of eight seconds at 1 kHz.
 const CAPACITY: usize = 8192;

@@ -30,34 +30,35 @@ pub(crate) struct ServeEndpoints {
     /// Reflectors of probes, one for each IP address of the listeners.
     pub(super) reflectors: Vec<Reflector>,
     /// UDP port for probes of each listener's peers; `None` if probes are not answered.
-    pub(super) probes: Vec<Option<u16>>,
+    pub(super) probe_ports: Vec<Option<u16>>,
 }
 
 impl ServeEndpoints {
     /// Opens the ports; returns `None` if the host does not serve.
     pub(crate) async fn open(
         config: &AgentConfig,
-        probes: &ProbeSettings,
+        probe_settings: &ProbeSettings,
         host: &Host,
     ) -> Result<Option<Self>, StartError> {
         let Some(serve) = &config.serve else { return Ok(None) };
         let listen = serve.listen.as_slice();
         let listeners = Listener::bind_all(listen, &serve.session, host.id, &host.clock).await?;
         let instance = Uuid::new_v4().as_u64_pair().0;
-        let offers_key = config.probes.reflect && probes.key.is_none();
+        let offers_key = config.probes.reflect && probe_settings.key.is_none();
         let probe_key = offers_key.then(|| ProbeKey::new(Key::random_bytes()));
-        let (reflectors, probes) = if config.probes.reflect {
+        let (reflectors, probe_ports) = if config.probes.reflect {
             let reflector_settings =
-                reflector::ReflectorSettings { probe_settings: probes, instance, session_key: probe_key };
+                reflector::ReflectorSettings { probe_settings, instance, session_key: probe_key };
             reflector::bind_all(listen, &config.probes, reflector_settings, &host.clock).await?
         } else {
             (Vec::new(), vec![None; listeners.len()])
         };
         let built_in = calibration_model(config).map(|model| model.name().clone());
-        Ok(Some(Self { instance, probe_key, built_in, listeners, reflectors, probes }))
+        Ok(Some(Self { instance, probe_key, built_in, listeners, reflectors, probe_ports }))
     }
 
-    /// Returns the addresses at which peers may ask for models, with the real ports.
+    /// Returns the addresses at which peers may ask for models, with the actual port numbers: the system chooses the
+    /// port if the configured port is 0.
     pub(crate) fn addresses(&self) -> Vec<Address> {
         self.listeners.iter().map(|listener| listener.address().clone()).collect()
     }

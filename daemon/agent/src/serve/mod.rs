@@ -1,7 +1,7 @@
 //! Serving: sessions of peers that use this host's models.
 //!
 //! A request goes to the pool of its session's model, whose worker records `queue`, `preprocessing`, `inference` and
-//! `postprocessing`. The answer carries only the nodes that were added to the tree. Sessions that ask for
+//! `postprocessing`. The answer carries only the nodes that this host added to the tree. Sessions that ask for
 //! `observed-stamps` get the stamps of observed messages instead of a model.
 
 mod endpoints;
@@ -78,7 +78,7 @@ pub(crate) async fn run(
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
     let serve_identity = ServeIdentity {
-        probes: endpoints.probes,
+        probe_ports: endpoints.probe_ports,
         instance: endpoints.instance,
         probe_key: endpoints.probe_key,
         built_in: endpoints.built_in,
@@ -103,7 +103,7 @@ pub(crate) async fn run(
     };
     let announcers = endpoints.listeners.iter().map(Listener::announcer).collect();
     let announcing = async {
-        announce_clock(host_clock, announcers, stop.clone()).await;
+        announce_clock_and_statistics(host_clock, announcers, stop.clone()).await;
         Ok(())
     };
     let reflectors = endpoints.reflectors.into_iter().map(|reflector| reflector.run(stop.clone()));
@@ -120,7 +120,7 @@ pub(crate) async fn run(
 const REPORT_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Sends changes of this host's clocks to all peers at once, and the statistics of each connection periodically.
-async fn announce_clock(
+async fn announce_clock_and_statistics(
     mut host_clock: watch::Receiver<PeerClock>,
     announcers: Vec<Announcer>,
     stop: CancellationToken,
@@ -157,7 +157,8 @@ async fn serve_sessions(
     mut server: Server,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
-    // Models that are being loaded for a peer. Each listener bounds the number of its peers.
+    // Models that are being loaded for a peer. Each listener bounds the number of its peers, so the number of
+    // these models is bounded, too.
     let mut loading: JoinSet<PreparedSession> = JoinSet::new();
     let mut stopping = std::pin::pin!(stop.cancelled());
     loop {
@@ -213,7 +214,7 @@ fn inspect_conditions(context: &ServeContext) -> Vec<Condition> {
 #[derive(Clone, Debug)]
 struct ServeIdentity {
     /// Ports for probes, one for each listener.
-    probes: Vec<Option<u16>>,
+    probe_ports: Vec<Option<u16>>,
     /// Random number of this process, which answers the probes.
     instance: u64,
     /// Key that authenticates probes if none is configured.
@@ -327,7 +328,7 @@ impl Server {
             device: service.device(),
             facts: service.facts(),
             host_clock: self.context.host_clock.borrow().clone(),
-            probes: self.serve_identity.probes.get(listener).copied().flatten(),
+            probes: self.serve_identity.probe_ports.get(listener).copied().flatten(),
             instance: self.serve_identity.instance,
             probe_key: self.serve_identity.probe_key,
             conditions,
@@ -366,6 +367,7 @@ impl Server {
         // A session that was never accepted is not in the map.
         let Some(Peer { host, name, pipeline, counters, .. }) = self.peers.remove(&session) else { return };
         self.update_reflectors(None);
+        // After a lost connection, the run may continue in another session. Missed requests are counted at the goodbye.
         let is_counted_goodbye = said_goodbye && counters.is_some();
         let missed = if is_counted_goodbye {
             self.request_counts.take_missed(host, &pipeline, planned_iterations)

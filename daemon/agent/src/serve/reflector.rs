@@ -93,7 +93,7 @@ fn bind(
 /// Returns the UDP address at which the probes of the peers of `listen` are answered.
 async fn resolve(listen: &Address, port: u16) -> io::Result<SocketAddr> {
     if listen.listener_name().is_some() {
-        // Such an address names a name service and no interface: peers may connect on any interface.
+        // The host of such an address does not belong to the listener: peers may connect on any interface.
         return Ok(SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), port));
     }
     let host = listen.host();

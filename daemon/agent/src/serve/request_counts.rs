@@ -1,7 +1,8 @@
 //! Counts the requests of each run over all of its sessions.
 //!
 //! After a lost connection a run continues in another session. An edge's goodbye contains the planned number of
-//! iterations. A server that ends after a fixed number of answers then need not wait for requests that never arrive.
+//! iterations. With this number, a server that ends after a fixed number of answers does not wait for requests that
+//! never arrive.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -21,6 +22,7 @@ impl RequestCounts {
     /// Returns the counter for the requests of a new session: the counter of the pipeline's current run.
     pub(super) fn counter(&mut self, host: HostId, pipeline: &Slug) -> Arc<AtomicU64> {
         if self.0.len() >= MAX_RUNS {
+            // A session holds a clone of its counter.
             self.0.retain(|_, count| Arc::strong_count(count) > 1);
         }
         Arc::clone(self.0.entry((host, pipeline.clone())).or_default())
@@ -46,27 +48,27 @@ mod tests {
 
     #[test]
     fn requests_are_counted_over_sessions_in_bounded_memory() {
-        let (mut request_counts, host, line) =
-            (RequestCounts::default(), HostId::random(), "line".parse().expect("a name"));
+        let (mut request_counts, host, pipeline) =
+            (RequestCounts::default(), HostId::random(), "arm".parse().expect("a name"));
         for _ in 0..2 {
-            request_counts.counter(host, &line).fetch_add(20, Ordering::Relaxed);
+            request_counts.counter(host, &pipeline).fetch_add(20, Ordering::Relaxed);
         }
         assert_eq!(
             (
-                request_counts.take_missed(host, &line, Some(41)),
-                request_counts.take_missed(host, &line, Some(9))
+                request_counts.take_missed(host, &pipeline, Some(41)),
+                request_counts.take_missed(host, &pipeline, Some(9))
             ),
             (1, 9)
         );
-        request_counts.counter(host, &line).fetch_add(5, Ordering::Relaxed);
-        assert_eq!(request_counts.take_missed(host, &line, None), 0, "the run is not over");
-        assert_eq!(request_counts.take_missed(host, &line, Some(5)), 5, "the count was reset");
-        let counter_in_use = request_counts.counter(host, &line);
+        request_counts.counter(host, &pipeline).fetch_add(5, Ordering::Relaxed);
+        assert_eq!(request_counts.take_missed(host, &pipeline, None), 0, "the run is not over");
+        assert_eq!(request_counts.take_missed(host, &pipeline, Some(5)), 5, "the count was reset");
+        let counter_in_use = request_counts.counter(host, &pipeline);
         counter_in_use.fetch_add(3, Ordering::Relaxed);
         for _ in 0..2 * MAX_RUNS {
-            request_counts.counter(HostId::random(), &line);
+            request_counts.counter(HostId::random(), &pipeline);
         }
         assert!(request_counts.0.len() <= MAX_RUNS);
-        assert_eq!(request_counts.take_missed(host, &line, Some(4)), 1);
+        assert_eq!(request_counts.take_missed(host, &pipeline, Some(4)), 1);
     }
 }

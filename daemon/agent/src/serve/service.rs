@@ -13,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{ServeContext, failure_from_error};
 use crate::host::Host;
-use crate::observed::{MODEL, ObservedPipelines};
+use crate::observed::{ObservedPipelines, STAMPS_MODEL};
 
 /// A service that answers the requests of a session.
 pub(super) enum Service {
@@ -59,7 +59,7 @@ impl Service {
     pub(super) fn name(&self) -> Slug {
         match self {
             Self::Model(pool) => pool.name().clone(),
-            Self::Stamps(..) => MODEL.parse().unwrap_or_else(|_| Slug::observed()),
+            Self::Stamps(..) => STAMPS_MODEL.parse().unwrap_or_else(|_| Slug::observed()),
         }
     }
 
@@ -77,8 +77,8 @@ impl Service {
         }
     }
 
-    /// Answers a request, now or when the model has finished. Calls `on_result` with the result before the answer is
-    /// sent.
+    /// Answers a request, now or when the model has finished. If a model answers, calls `on_result` with its result
+    /// before the answer is sent.
     pub(super) fn answer(
         &self,
         request: IncomingRequest,
@@ -133,5 +133,5 @@ impl Requester for PeerRequester {
 /// Returns whether a request for this model is a request for the stamps of observed messages. A configured model of the
 /// same name takes precedence.
 fn is_request_for_stamps(model: &Slug, bank: &Bank) -> bool {
-    model.as_str() == MODEL && !bank.names().contains(model)
+    model.as_str() == STAMPS_MODEL && !bank.names().contains(model)
 }

@@ -24,7 +24,7 @@ pub(crate) fn hardware() -> Hardware {
     description
 }
 
-/// Returns the distribution and the version of the kernel.
+/// Returns the name of the operating system, such as a Linux distribution, and the version of its kernel.
 fn system() -> String {
     let kernel = System::kernel_version().map(|release| format!("kernel {release}"));
     System::long_os_version().into_iter().chain(kernel).collect::<Vec<_>>().join(", ")

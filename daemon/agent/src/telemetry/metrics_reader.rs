@@ -50,6 +50,7 @@ impl MetricsReader {
             self.has_previous = true;
         }
         if let Some(temperatures) = &mut self.temperatures {
+            // `true` removes sensors that no longer exist.
             temperatures.refresh(true);
             metrics.temperature_celsius = temperatures
                 .iter()

@@ -62,6 +62,7 @@ impl Integrity {
     /// Reads the recorded damage of the file that is now at the path.
     pub(crate) fn load_record(&self) -> io::Result<()> {
         let recorded_damage = recorded_damage(&self.database)?;
+        // `attach_file` sets `is_repairable` according to the contents of the file.
         self.damage
             .send_replace(recorded_damage.map(|description| Damage { description, is_repairable: true }));
         Ok(())

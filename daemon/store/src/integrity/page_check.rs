@@ -102,7 +102,8 @@ impl PageCheck {
             }
         }
         self.follow_overflows(log.as_ref())?;
-        for free_pages in [self.file.free_pages(|_| Ok(None))?, self.free_pages_of(log.as_ref())?] {
+        // A page is free if it is in the main file's list of free pages, or in the list as SQLite sees it.
+        for free_pages in [self.file.free_pages(|_| Ok(None))?, self.free_pages_with_log(log.as_ref())?] {
             for number in free_pages.into_iter().flatten() {
                 self.other_pages.remove(&number);
             }
@@ -112,17 +113,19 @@ impl PageCheck {
             && malformed.iter().any(|number| log.contains(*number))
             && !self.is_checkpointed(log)?
         {
-            // If a page is in the write-ahead log, SQLite reads it from the log. The main file may have an older
-            // version of this page, a sparse range, or nothing yet.
+            // Until the log is checkpointed, SQLite reads each page that is in the log from the log. The main file may
+            // have an older version of this page, a sparse range, or nothing yet.
             malformed.retain(|number| !log.contains(*number));
         }
         malformed.sort_unstable();
         Ok(malformed)
     }
 
-    /// Removes the overflow pages that are in use from the pages that may be malformed. Does not report a chain of
-    /// overflow pages that ends early, at a malformed or missing page.
+    /// Removes the overflow pages that are in use from the pages that may be malformed. If `log` is given, the newer
+    /// versions of overflow pages in the write-ahead log are followed, too. Does not report a chain of overflow pages
+    /// that ends early, at a malformed or missing page.
     fn follow_overflows(&mut self, log: Option<&LogPages>) -> io::Result<()> {
+        // Each page is read from the log once, so following a chain that refers to itself ends.
         let mut seen_in_log = HashSet::new();
         while let Some(page) = self.overflow_pages.pop() {
             self.overflow_pages.extend(self.other_pages.remove(&page));
@@ -137,9 +140,9 @@ impl PageCheck {
     /// SQLite reads the main file.
     fn is_checkpointed(&self, log: &LogPages) -> io::Result<bool> {
         // The main file may be truncated. Pages beyond its end cannot be compared.
-        let is_well_formed =
+        let is_comparable =
             |number: &u32| !self.other_pages.contains_key(number) && self.file.contains(*number);
-        for number in log.numbers().filter(is_well_formed) {
+        for number in log.numbers().filter(is_comparable) {
             if log.read(number)? != Some(self.file.read(number, 1)?) {
                 return Ok(false);
             }
@@ -148,7 +151,7 @@ impl PageCheck {
     }
 
     /// Returns the free pages as SQLite sees them, with the newer versions of pages in the write-ahead log.
-    fn free_pages_of(&self, log: Option<&LogPages>) -> io::Result<Option<Vec<u32>>> {
+    fn free_pages_with_log(&self, log: Option<&LogPages>) -> io::Result<Option<Vec<u32>>> {
         log.map_or(Ok(None), |log| self.file.free_pages(|number| log.read(number)))
     }
 }

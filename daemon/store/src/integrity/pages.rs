@@ -147,7 +147,7 @@ impl PageFile {
         is_well_formed.then_some(page)
     }
 
-    /// Reads one page of a b-tree; `None` if the page is of another kind.
+    /// Reads one page of a b-tree; `None` if the file has no such page, or if the page is malformed or of another kind.
     pub(crate) fn read_btree_page(&self, number: u32) -> io::Result<Option<BtreePage>> {
         if !self.contains(number) {
             return Ok(None);

@@ -19,9 +19,9 @@ use crate::limits::BUSY_TIMEOUT;
 
 /// Number of bytes that one step of a pass reads.
 const READ_STEP_BYTES: u64 = 1 << 20;
-/// Bytes per second of the first pass. It is faster than later passes, because the file may have been damaged while no
-/// aggregator ran.
-const FIRST_BYTES_PER_SECOND: u64 = 128 << 20;
+/// Bytes per second of the first pass, and of passes that confirm malformed pages. The first pass is faster than later
+/// passes, because the file may have been damaged while no aggregator ran.
+const FAST_BYTES_PER_SECOND: u64 = 128 << 20;
 /// Bytes per second of later passes: 1 GiB takes a minute, of which a processor core is busy for two seconds.
 const BYTES_PER_SECOND: u64 = 16 << 20;
 /// Instructions of SQLite's virtual machine between two checks whether the task is to stop.
@@ -112,7 +112,7 @@ async fn check_repeatedly(
     reads: &TaskTracker,
     stop: &CancellationToken,
 ) {
-    let mut rate = FIRST_BYTES_PER_SECOND;
+    let mut rate = FAST_BYTES_PER_SECOND;
     // Pages that look malformed but that SQLite does not use.
     let mut unused_pages = HashSet::new();
     // A failure is logged once, and again only after a check that succeeded.
@@ -174,7 +174,7 @@ pub(super) async fn malformed_pages(
         if malformed.is_empty() {
             break;
         }
-        let malformed_again = read_pages(database, file, reads, FIRST_BYTES_PER_SECOND).await?;
+        let malformed_again = read_pages(database, file, reads, FAST_BYTES_PER_SECOND).await?;
         malformed.retain(|page| malformed_again.contains(page));
     }
     Ok(malformed)

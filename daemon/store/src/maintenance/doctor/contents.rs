@@ -44,7 +44,8 @@ const STORED_ROWS: &str = "WITH kept AS ( \
      ) SELECT coalesce(sum(iterations), 0), coalesce(sum(iterations * nodes / sample), 0) FROM sampled";
 /// Rows that retention deleted before the end of their period.
 const EARLY_DELETIONS: &str = "SELECT what, count FROM retention_note";
-/// Time and text of the last deletion by retention.
+/// Time and text of the last deletion by retention. All deletions of an hour share one incident, whose time is the time
+/// of the first of these deletions.
 const LAST_DELETION: &str = "SELECT strftime('%Y-%m-%d %H:%M:%S', at_ns / 1000000000, 'unixepoch'), text FROM incident INDEXED BY incident_of_aggregator \
      WHERE host IS NULL AND kind = 'retention' ORDER BY id DESC LIMIT 1";
 /// Number of runs of an earlier version whose coarser roll-ups are still to be computed.

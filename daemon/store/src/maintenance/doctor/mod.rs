@@ -62,7 +62,7 @@ pub struct Examination {
     pub now: WallTime,
 }
 
-/// Examines a database. It reads the whole file once; an aggregator may be running on it.
+/// Examines a database. Reads the whole file. An aggregator may use the file at the same time.
 ///
 /// # Errors
 /// When there is no such file or it cannot be opened. Errors within the file are part of the report.
@@ -90,6 +90,7 @@ pub async fn examine(database: &Path, settings: Examination) -> Result<Report, D
     match opening.await {
         Ok((mut connection, FileKind::Database)) => {
             report.check_sizes(&mut connection, database).await;
+            // SQLite's full check shows whether malformed pages are in use.
             report
                 .check_integrity(&mut connection, settings.full || !report.malformed_pages.is_empty())
                 .await;
@@ -250,7 +251,9 @@ impl Report {
             self.problem(what, self.remedy());
         }
         // Malformed pages are reported only if SQLite found damage: otherwise the pages are not in use.
-        if let (Some(first), true) = (self.malformed_pages.first(), self.findings.len() > earlier_findings) {
+        if self.findings.len() > earlier_findings
+            && let Some(first) = self.malformed_pages.first()
+        {
             let what =
                 format!("{} of its pages are malformed, the first is {first}", self.malformed_pages.len());
             self.problem(what, self.remedy());

@@ -193,21 +193,24 @@ impl OldFile {
         let file = PageFile::open(path).map_err(|source| file_error(path, source))?;
         let file = file.ok_or_else(|| unreadable("the file's header"))?;
         let mut roots = BTreeMap::new();
-        for item in Walk::start(&file, 1, true) {
+        // The root of the list of tables is page 1.
+        for item in Walk::over_rowid_table(&file, 1) {
             let Item::Row(_, record) = item else { continue };
             let columns = decode_values(&record).unwrap_or_default();
             let [Value::Text(kind), Value::Text(name), _, Value::Integer(root), ..] = columns.as_slice()
             else {
                 continue;
             };
-            if let (true, Ok(root)) = (kind == "table", u32::try_from(*root)) {
+            if kind == "table"
+                && let Ok(root) = u32::try_from(*root)
+            {
                 roots.insert(name.clone(), root);
             }
         }
         if roots.is_empty() {
             return Err(unreadable("the list of its tables"));
         }
-        let migrations = roots.get(MIGRATIONS_TABLE).map(|root| Walk::start(&file, *root, true));
+        let migrations = roots.get(MIGRATIONS_TABLE).map(|root| Walk::over_rowid_table(&file, *root));
         let versions = migrations.into_iter().flatten().filter_map(|item| match item {
             Item::Row(_, record) => match decode_values(&record)?.first()? {
                 Value::Integer(version) => Some(*version),
@@ -304,6 +307,7 @@ async fn fill(
         MIGRATIONS.iter().filter(|migration| old.version.is_none_or(|version| migration.version <= version));
     let migrator =
         Migrator { migrations: Cow::Owned(old_migrations.cloned().collect()), ..Migrator::DEFAULT };
+    // `None`: up to the newest migration. `false`: no migration is only marked as applied.
     migrator.run_direct(None, &mut *connection, false).await.map_err(|error| match error {
         MigrateError::Execute(error) => error,
         error => sqlx::Error::Protocol(error.to_string()),
@@ -366,7 +370,7 @@ async fn fill(
 /// Copies the highest row number of each table, so that new rows do not get the numbers of lost rows.
 async fn continue_numbering(connection: &mut SqliteConnection, old: &OldFile) -> Result<(), sqlx::Error> {
     let Some(root) = old.roots.get("sqlite_sequence") else { return Ok(()) };
-    for item in Walk::start(&old.file, *root, true) {
+    for item in Walk::over_rowid_table(&old.file, *root) {
         let Item::Row(_, record) = item else { continue };
         let row = decode_values(&record).unwrap_or_default();
         let [Value::Text(table), Value::Integer(last)] = row.as_slice() else { continue };

@@ -261,21 +261,23 @@ impl Reconciliation<'_> {
         let mut total_lost = 0;
         for run in runs {
             let run: IncompleteRun = sqlx::query_as(RUN).bind(run).fetch_one(&mut *self.connection).await?;
-            let is_untrimmed = run.last_deleted_iteration == 0;
+            let has_deleted_iterations = run.last_deleted_iteration != 0;
             // The counters of a run count all stored iterations. They cannot be used if retention has deleted iterations
             // of the run, or if the run is a substitute for a lost run. For these runs, only missing iteration numbers
             // show how many iterations are lost.
-            let lost = if is_untrimmed && run.counted > 0 {
+            let lost = if !has_deleted_iterations && run.counted > 0 {
                 run.counted - run.stored
             } else {
                 run.missing_numbers - run.in_gaps
             };
-            if lost > 0 || (!is_untrimmed && self.has_unreadable_within(run.number)) {
+            // If retention has deleted iterations, missing numbers may not show all lost iterations. Therefore a gap is
+            // recorded for an unreadable range even if no lost iteration is known.
+            if lost > 0 || (has_deleted_iterations && self.has_unreadable_within(run.number)) {
                 let lost = lost.max(0);
                 total_lost += lost;
                 self.insert_gap(&run, lost).await?;
             }
-            if is_untrimmed && run.counted != run.stored {
+            if !has_deleted_iterations && run.counted != run.stored {
                 self.recount_iterations(run.number).await?;
             }
         }

@@ -16,8 +16,8 @@ pub(super) enum Item {
 /// A walk over a b-tree.
 pub(super) struct Walk<'a> {
     file: &'a PageFile,
-    /// `true` for a table with row ids.
-    is_table: bool,
+    /// `true` for a table with row ids; `false` for a table without row ids.
+    has_rowids: bool,
     /// Pages visited so far. A damaged page may refer to any page, so a walk without this set might not end.
     visited: HashSet<u32>,
     stack: Vec<Level>,
@@ -34,10 +34,15 @@ struct Level {
 }
 
 impl<'a> Walk<'a> {
-    /// Starts a walk at a root page. `is_table` is `true` for a table with row ids.
-    pub(super) fn start(file: &'a PageFile, root: u32, is_table: bool) -> Self {
+    /// Starts a walk over a table with row ids at the table's root page.
+    pub(super) fn over_rowid_table(file: &'a PageFile, root: u32) -> Self {
+        Self::start(file, root, true)
+    }
+
+    /// Starts a walk over a table, with or without row ids, at the table's root page.
+    pub(super) fn start(file: &'a PageFile, root: u32, has_rowids: bool) -> Self {
         let mut walk =
-            Self { file, is_table, visited: HashSet::new(), stack: Vec::new(), must_report_root: false };
+            Self { file, has_rowids, visited: HashSet::new(), stack: Vec::new(), must_report_root: false };
         walk.must_report_root = !walk.descend(root);
         walk
     }
@@ -50,7 +55,7 @@ impl<'a> Walk<'a> {
         }
         // An unreadable sector of the disk is treated like other damage.
         let page = self.file.read_btree_page(number).ok().flatten();
-        match page.filter(|page| page.kind.is_table() == self.is_table) {
+        match page.filter(|page| page.kind.is_table() == self.has_rowids) {
             Some(page) => {
                 self.stack.push(Level { page, step: 0 });
                 true
@@ -89,7 +94,7 @@ impl Iterator for Walk<'_> {
             let (index, after_child) = (step / 2, step % 2 == 1);
             if after_child {
                 // In a table with row ids, the cells of interior pages hold keys only. In other tables, they are rows.
-                let item = level.page.cell(index).filter(|_| !self.is_table).map(|cell| self.row(&cell));
+                let item = level.page.cell(index).filter(|_| !self.has_rowids).map(|cell| self.row(&cell));
                 self.stack.push(level);
                 if item.is_some() {
                     return item;

@@ -15,7 +15,7 @@ use crate::config::{ObserveConfig, PairBy, RemoteConfig};
 use crate::host::Host;
 use crate::incidents::IncidentSubject;
 use crate::link::TransitStamps;
-use crate::observed::{MODEL, StampAnswer, StampRequest};
+use crate::observed::{STAMPS_MODEL, StampAnswer, StampRequest};
 use crate::pipeline::context::PipelineContext;
 use crate::pipeline::placement::{OpenFailure, Placement};
 use crate::pipeline::runner::Runner;
@@ -93,7 +93,7 @@ impl PeerConnector {
             peer: config.peer.clone()?,
             network: None,
             // A peer answers a request for this model with observed stamps.
-            model: MODEL.parse().ok(),
+            model: STAMPS_MODEL.parse().ok(),
             device: None,
             session: SessionSettings::default(),
         };
@@ -275,8 +275,8 @@ impl PeerConnection {
 
 /// Returns the text of a refusal. Adds advice if the text of the peer contains none.
 fn with_advice(refusal: String) -> String {
-    // An agent of an earlier release treats the query as a request for a model with the name `MODEL`.
-    if refusal.contains(&format!("no model named {MODEL}")) {
+    // An agent of an earlier release treats the query as a request for a model with the name `STAMPS_MODEL`.
+    if refusal.contains(&format!("no model named {STAMPS_MODEL}")) {
         return format!(
             "{refusal}; the agent of the peer must be PEERNet 0.3 or later, with a [[pipeline]] that observes the same messages"
         );
@@ -301,8 +301,9 @@ mod tests {
             let address = "tcp://rack:5551".parse().expect("an address");
             with_advice(OpenError::Refused { address, reason }.to_string())
         };
-        let unknown = LoadError::UnknownModel { name: MODEL.to_owned(), known: vec!["echo".to_owned()] };
-        let text = refused(unknown.to_peer(MODEL, "cloud"));
+        let unknown =
+            LoadError::UnknownModel { name: STAMPS_MODEL.to_owned(), known: vec!["echo".to_owned()] };
+        let text = refused(unknown.to_peer(STAMPS_MODEL, "cloud"));
         for part in ["tcp://rack:5551", "PEERNet 0.3 or later", "[[pipeline]]"] {
             assert!(text.contains(part), "{text}");
         }
