@@ -36,6 +36,7 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
             steps = None;
             borders =
                 rows_by_number(readers, run, &first_numbers_of_episodes(readers, run, &last).await?).await?;
+            // If the beginning of an episode is not stored, its first stored iteration is a later step.
             borders.retain(|row| row.step == 0);
         }
     }
@@ -132,14 +133,14 @@ async fn first_numbers_of_episodes(readers: &Readers, run: i64, last: &Row) -> R
     let mut ranges: Vec<(i64, i64)> = (1..=last.episode).map(|_| (0, last.number)).collect();
     while ranges.iter().any(|(before, at)| before + 1 < *at) {
         let middles: Vec<i64> = ranges.iter().map(|(before, at)| before + (at - before) / 2).collect();
-        let known: HashMap<i64, u32> = rows_by_number(readers, run, &middles)
+        let episodes_by_number: HashMap<i64, u32> = rows_by_number(readers, run, &middles)
             .await?
             .into_iter()
             .map(|row| (row.number, row.episode))
             .collect();
         for (episode, ((before, at), middle)) in (1..).zip(ranges.iter_mut().zip(middles)) {
-            let has_begun = known.get(&middle).is_some_and(|known| *known >= episode);
-            if has_begun { *at = middle } else { *before = (*before).max(middle) }
+            let has_begun = episodes_by_number.get(&middle).is_some_and(|found| *found >= episode);
+            if has_begun { *at = middle } else { *before = middle }
         }
     }
     Ok(ranges.into_iter().map(|(_, at)| at).collect())
@@ -159,6 +160,7 @@ async fn read_warm_up_periods(
     let numbers: Vec<i64> = warm_up_starts.iter().map(|row| row.number).collect();
     let ends = first_measured_numbers(readers, run, &numbers).await?;
     let end_rows = rows_by_number(readers, run, &ends.iter().copied().flatten().collect::<Vec<_>>()).await?;
+    // A warm-up without a found end may last until the run's last iteration, if this iteration is warm-up.
     let has_known_end = |end: &Option<i64>| end.is_some() || last.warm_up;
     let warm_up_starts =
         warm_up_starts.into_iter().zip(&ends).filter(|(_, end)| has_known_end(end)).map(|(begin, _)| begin);
@@ -183,15 +185,15 @@ async fn first_measured_numbers(
         .map_err(readers.error_for(WHAT))
 }
 
-/// Returns the failed iterations that charts mark, and the number of all failed iterations of the warm-up. The number is
-/// `None` if more than `MAX_COUNTED` iterations failed.
+/// Returns the failed iterations that charts mark, and the number of all failed iterations of the warm-up. The number
+/// is `None` if more than `MAX_COUNTED` iterations failed.
 async fn failed_iterations(
     readers: &Readers,
     run: i64,
-    last: i64,
+    last_number: i64,
 ) -> Result<(Vec<Row>, Option<u64>), StoreError> {
     let max_marked = Episodes::MAX_FAILED;
-    let failed: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)
+    let failed: Vec<Row> = sqlx::query_as(sql::FAILED_ITERATIONS)
         .bind(run)
         .bind(0)
         .bind(i64::try_from(max_marked).map_or(i64::MAX, |max_marked| max_marked + 1))
@@ -202,15 +204,16 @@ async fn failed_iterations(
         let in_warm_up = failed.iter().filter(|row| row.warm_up).count() as u64;
         return Ok((failed, Some(in_warm_up)));
     };
-    let (total, in_warm_up): (i64, i64) = sqlx::query_as(sql::COUNT_WITHOUT_ANSWER)
+    let (total, in_warm_up): (i64, i64) = sqlx::query_as(sql::FAILED_COUNT)
         .bind(run)
         .bind(i64::try_from(Episodes::MAX_COUNTED).map_or(i64::MAX, |max_counted| max_counted + 1))
         .fetch_one(&readers.pool())
         .await
         .map_err(readers.error_for(WHAT))?;
-    let numbers: Vec<Option<i64>> = sqlx::query_scalar(sql::FIRST_WITHOUT_ANSWER)
+    // A chart cannot mark all of them, so it marks the first one of each part of the run.
+    let numbers: Vec<Option<i64>> = sqlx::query_scalar(sql::FIRST_FAILED_OF_PARTS)
         .bind(run)
-        .bind(to_json(&divide_range(first.number, last, max_marked as i64))?)
+        .bind(to_json(&divide_range(first.number, last_number, max_marked as i64))?)
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.error_for(WHAT))?;

@@ -22,7 +22,7 @@ struct Incident {
     text: String,
 }
 
-/// A row of `host` that has introduced itself.
+/// A row of the table `host`, of a host that has introduced itself.
 #[derive(FromRow)]
 struct Host {
     uuid: String,

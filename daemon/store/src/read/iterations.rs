@@ -19,7 +19,7 @@ use crate::types::{DelayRow, IterationDetail, IterationFilter, IterationRow};
 const WHAT: &str = "iterations";
 /// Names of the rows of the table `outcome`, in the order of their numbers.
 const OUTCOMES: [&str; 4] = ["ok", "failed", "lost", "timeout"];
-/// Largest rank that an iteration gets. Iterations that are faster than this many iterations have no rank.
+/// Largest rank. Only this many of the slowest iterations have a rank.
 const MAX_RANK: i64 = 1_000;
 
 /// A row of the table `iteration`.
@@ -60,7 +60,7 @@ struct Delay {
     hi: Option<f64>,
     /// The receiver's stamp minus the sender's stamp, as the agent reported it together with the judgement.
     #[sqlx(rename = "raw_ns")]
-    wall_difference_ns: i64,
+    reported_difference_ns: i64,
     source: u8,
     verdict: u8,
     sent_ns: i64,
@@ -95,7 +95,7 @@ pub(crate) async fn iterations(
     run: i64,
     filter: &IterationFilter,
 ) -> Result<Vec<IterationRow>, StoreError> {
-    let statement = if filter.failed_only { sql::ITERATIONS_WITHOUT_ANSWER } else { sql::ITERATIONS };
+    let statement = if filter.failed_only { sql::FAILED_ITERATIONS } else { sql::ITERATIONS };
     let rows: Vec<Row> = sqlx::query_as(statement)
         .bind(run)
         .bind(column(filter.after))
@@ -289,9 +289,10 @@ impl Delay {
             stage: Name::from(self.stage.as_str()),
             value: self.value,
             bounds: self.lo.zip(self.hi),
-            // This is the difference of wall clocks, even if the delay was judged by free-running clocks.
+            // This is the difference of wall clocks, even if the delay was judged by free-running clocks. If the
+            // receiver's stamp is not stored, the difference that the agent reported is used.
             raw: Span::from_nanos(
-                self.received_ns.map_or(self.wall_difference_ns, |at| at.saturating_sub(self.sent_ns)),
+                self.received_ns.map_or(self.reported_difference_ns, |at| at.saturating_sub(self.sent_ns)),
             )
             .seconds(),
             source,

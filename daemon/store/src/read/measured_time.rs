@@ -25,7 +25,7 @@ pub(crate) async fn measured_time(
     run: &RunSummary,
 ) -> Result<Option<MeasuredTime>, StoreError> {
     let widths = StoredWidths::read(readers, run.number).await?;
-    let Some((width_s, extent)) = widths.finest_complete() else { return Ok(None) };
+    let Some((width_s, (first_bucket_s, last_bucket_s))) = widths.finest_complete() else { return Ok(None) };
     // While all iterations and all buckets of a second are stored, the times are exact.
     if run.last_deleted_iteration == 0 && width_s == WIDTHS_S[0] {
         let read_start = async |statement: &'static str| {
@@ -45,7 +45,7 @@ pub(crate) async fn measured_time(
     }
     // The first iteration may be anywhere in the first bucket, and the last iteration anywhere in the last bucket. The
     // whole buckets between these two buckets are certainly within the measured time.
-    let (first_s, last_s) = (extent.0 + width_s, extent.1);
+    let (first_s, last_s) = (first_bucket_s + width_s, last_bucket_s);
     Ok((first_s < last_s).then(|| MeasuredTime {
         first: wall(first_s * SECOND_NS),
         last: wall(last_s * SECOND_NS),

@@ -47,6 +47,7 @@ pub(super) fn value_of_number<T: Copy>(what: &'static str, all: &[T], number: u8
 
 /// One-way delay as the tables `node` and `transit` store it: NULL becomes `None`.
 pub(super) struct StoredDelay {
+    /// The receiver's stamp minus the sender's stamp.
     pub(super) raw_ns: Option<i64>,
     pub(super) source: Option<u8>,
     pub(super) verdict: Option<u8>,

@@ -1,4 +1,5 @@
-//! Two quantities of single iterations. Not all iterations are read, because a run may have ten million.
+//! Pairs of values of two quantities, one pair per iteration. Not all iterations are read, because a run may have ten
+//! million.
 
 use std::collections::BTreeMap;
 

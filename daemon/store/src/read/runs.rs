@@ -120,17 +120,17 @@ async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
     let totals = statistics::whole_runs(readers, &numbers, &stage::TOTAL).await?;
     // These functions use one query for all runs of a list.
-    let lateness = late_answers(readers, rows).await?;
+    let deadline_missed = deadline_missed_summaries(readers, rows).await?;
     let actuators = actuator_results(readers, rows).await?;
     let summaries = rows.iter().map(|row| {
         let actuator = actuators.get(&row.number).copied().unwrap_or_default();
-        summary(row, totals.get(&row.number), lateness.get(&row.number), actuator)
+        summary(row, totals.get(&row.number), deadline_missed.get(&row.number), actuator)
     });
     summaries.collect()
 }
 
 /// Returns the results of the actuators of these runs. A run without such results has the default. Values with the
-/// names of these results count no matter which custom code logged them, as in the columns of files.
+/// names of these results count no matter which custom code logged them, as in the columns of `data.csv`.
 async fn actuator_results(
     readers: &Readers,
     rows: &[RunRow],
@@ -154,7 +154,10 @@ async fn actuator_results(
 
 /// Returns the summaries of `DEADLINE_MISSED` for the runs with a deadline. Each successful iteration has the value 1
 /// if it missed the deadline, and 0 otherwise.
-async fn late_answers(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, NameSummary>, StoreError> {
+async fn deadline_missed_summaries(
+    readers: &Readers,
+    rows: &[RunRow],
+) -> Result<HashMap<i64, NameSummary>, StoreError> {
     let with_deadline = rows.iter().filter(|row| deadline_s(&row.configuration).is_some());
     let numbers: Vec<i64> = with_deadline.map(|row| row.number).collect();
     if numbers.is_empty() {
@@ -180,11 +183,11 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
         .map_err(readers.error_for(WHAT))?;
     let Some(row) = row else { return Ok(None) };
     let totals = statistics::whole_runs(readers, &[number], &stage::TOTAL).await?;
-    let lateness = late_answers(readers, std::slice::from_ref(&row)).await?;
+    let deadline_missed = deadline_missed_summaries(readers, std::slice::from_ref(&row)).await?;
     let actuators = actuator_results(readers, std::slice::from_ref(&row)).await?;
     let actuator = actuators.get(&number).copied().unwrap_or_default();
     Ok(Some(RunDetail {
-        summary: summary(&row, totals.get(&number), lateness.get(&number), actuator)?,
+        summary: summary(&row, totals.get(&number), deadline_missed.get(&number), actuator)?,
         facts: facts(&row)?,
         conditions: row.conditions.as_deref().map(parse_json).transpose()?.unwrap_or_default(),
         // Earlier versions stored the arguments of programs, which may contain secrets.
@@ -231,7 +234,7 @@ fn parse_json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
 fn summary(
     row: &RunRow,
     total: Option<&NameSummary>,
-    lateness: Option<&NameSummary>,
+    deadline_missed: Option<&NameSummary>,
     actuator: ActuatorResults,
 ) -> Result<RunSummary, StoreError> {
     // The column `placement` has the name of the kind.
@@ -241,7 +244,7 @@ fn summary(
         .ok_or_else(|| corrupt_data(WHAT, format_args!("placement {:?}", row.placement)))?;
     let deadline_s = deadline_s(&row.configuration);
     // The values are ones and zeros, so their sum is the number of late iterations.
-    let late = lateness.map_or(0.0, |missed| missed.summary.moments.sum());
+    let late = deadline_missed.map_or(0.0, |missed| missed.summary.moments.sum());
     let counts = OutcomeCounts {
         ok: count(row.ok),
         failed: count(row.failed),
@@ -275,6 +278,7 @@ fn summary(
         total: total.and_then(NameSummary::statistics),
         has_clock_fault: facts(row)?.iter().any(|(fact, _)| FaultyHost::from_fact_name(fact).is_some()),
         pinned: row.pinned,
+        // Despite its name, the column has the number of the last deleted iteration.
         last_deleted_iteration: count(row.nodes_from),
         experiment: row.experiment.as_deref().map(parse_json).transpose()?,
     })

@@ -72,8 +72,8 @@ macro_rules! iteration_columns {
 statements! {
     /// Runs, newest first: ?1 number below which runs are selected, ?2 limit.
     RUNS = concat!(run_columns!(), "WHERE run.number < ?1 ORDER BY run.number DESC LIMIT ?2");
-    /// Runs of a pipeline or a host, newest first: ?1 number below which runs are selected, ?2 limit, ?3 pipeline or
-    /// NULL, ?4 host or NULL.
+    /// Runs of a pipeline or a host, newest first: ?1 number below which runs are selected, ?2 limit, ?3 name of
+    /// the pipeline or NULL, ?4 random id of the host or NULL.
     RUNS_FILTERED = concat!(run_columns!(),
         "WHERE run.number < ?1 AND run.pipeline IN (SELECT pipeline.id FROM pipeline JOIN host ON host.id = pipeline.host \
          WHERE (?3 IS NULL OR pipeline.name = ?3) AND (?4 IS NULL OR host.uuid = ?4)) \
@@ -135,10 +135,13 @@ statements! {
         "WHERE run = ?1 AND warm_up = 0 AND outcome = 0 AND total IS NOT NULL ORDER BY total DESC, number DESC LIMIT ?2");
     /// A page of iterations: ?1 run, ?2 number above which iterations are selected, ?3 limit.
     ITERATIONS = concat!(iteration_columns!(), "WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3");
-    /// A page of failed iterations. Parameters as in `ITERATIONS`.
-    ITERATIONS_WITHOUT_ANSWER = concat!(iteration_columns!("iteration_without_answer"),
+    /// A page of failed iterations, which are the rows of the index `iteration_without_answer`. Parameters as in
+    /// `ITERATIONS`.
+    FAILED_ITERATIONS = concat!(iteration_columns!("iteration_without_answer"),
         "WHERE run = ?1 AND number > ?2 AND outcome <> 0 ORDER BY number LIMIT ?3");
     /// The iteration with the largest number: ?1 run.
+    // Here and below, the condition `number > 0` excludes no row. It makes the query plan show that SQLite searches by
+    // number, as the test of query plans requires.
     LAST_ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number > 0 ORDER BY number DESC LIMIT 1");
     /// For each of some numbers, the number of the first iteration at or after it that is not warm-up. `+warm_up` makes
     /// SQLite find iterations by number and not by the index that contains `warm_up`. ?1 run, ?2 numbers, a JSON array,
@@ -170,12 +173,12 @@ statements! {
     /// Totals of the successful iterations after the warm-up: ?1 run, ?2 and ?3 first and last number.
     TOTALS_IN_STATISTICS = "SELECT total FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 AND +warm_up = 0 AND +outcome = 0";
     /// Number of failed iterations, and how many of them are warm-up, both counted up to a limit: ?1 run, ?2 limit.
-    COUNT_WITHOUT_ANSWER = "SELECT count(*), count(*) FILTER (WHERE warm_up <> 0) \
+    FAILED_COUNT = "SELECT count(*), count(*) FILTER (WHERE warm_up <> 0) \
                             FROM (SELECT warm_up FROM iteration INDEXED BY iteration_without_answer \
                             WHERE run = ?1 AND number > 0 AND outcome <> 0 LIMIT ?2)";
     /// The first number of a failed iteration in each part of a run: ?1 run, ?2 the parts' first and last numbers, a
     /// JSON array of pairs.
-    FIRST_WITHOUT_ANSWER = "SELECT (SELECT number FROM iteration INDEXED BY iteration_without_answer \
+    FIRST_FAILED_OF_PARTS = "SELECT (SELECT number FROM iteration INDEXED BY iteration_without_answer \
                             WHERE run = ?1 AND number BETWEEN part.value ->> 0 AND part.value ->> 1 AND outcome <> 0 \
                             ORDER BY number LIMIT 1) FROM json_each(?2) AS part";
     /// One iteration: ?1 run, ?2 number.
@@ -195,7 +198,8 @@ statements! {
              AND +iteration.warm_up = 0 AND +iteration.outcome = 0 \
              AND node.name IN (SELECT id FROM name WHERE text IN (?3, ?4, 'sensing')) \
              ORDER BY iteration.number, node.node";
-    /// Judged one-way delays of some iterations: ?1 run, ?2 the iterations' numbers, a JSON array.
+    /// Judged one-way delays of some iterations. The cloud is the tree's second host. ?1 run, ?2 the iterations'
+    /// numbers, a JSON array.
     DELAYS = "SELECT transit.iteration, name.text, node.value, node.lo, node.hi, transit.raw_ns, transit.source, \
               transit.verdict, transit.sent_ns, transit.received_ns, \
               (SELECT anchor.host FROM anchor WHERE anchor.run = ?1 AND anchor.iteration = transit.iteration \
@@ -295,10 +299,11 @@ statements! {
                        FROM link CROSS JOIN clock_window ON clock_window.link = link.id \
                        WHERE link.edge = ?1 AND link.network = ?2 AND first_ns <= ?4 AND last_ns >= ?3 \
                        ORDER BY clock_window.id";
-    /// The newest relation period of a link with its assumptions: ?1 link.
+    /// The newest relation period of a link with its assumptions; the column `cloud` is not used. ?1 link.
     NEWEST_ASSUMED_PERIOD = "SELECT 0 AS cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, \
                              claims_trusted, probes_authenticated FROM clock_window WHERE link = ?1 ORDER BY id DESC LIMIT 1";
-    /// The edge and the network of a run, which together select the run's links: ?1 run.
+    /// The edge and the network of a run, which together select the run's links. A run that names no network has the
+    /// default network. ?1 run.
     RUN_LINKS = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network FROM run \
                  JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
     /// The edge, the network and the model of a run, the starts of its first and last iterations, and its earliest and
@@ -331,6 +336,8 @@ statements! {
     /// The relation periods of a link with the times of their first and last samples and exchanges. These times are
     /// readings of the edge's clock that the relation period relates. ?1 link, ?2 from and ?3 to, readings of the
     /// edge's wall clock, ?4 limit.
+    // `clocks` is a position in `RelatedClocks::ALL`: 0 and 1 if the edge's related clock is free-running, 2 for wall
+    // clocks. NULL also means wall clocks.
     RELATION_PERIODS = "SELECT coalesce(clocks, 2) AS clocks, window, \
                      min(iif(clocks < 2, at_raw_ns, at_ns)) AS first_ns, max(iif(clocks < 2, at_raw_ns, at_ns)) AS last_ns, \
                      min(min(coalesce(upper_sent_ns, lower_sent_ns), coalesce(lower_sent_ns, upper_sent_ns))) AS sent_ns, \

@@ -26,8 +26,9 @@ pub(crate) use self::series::{series, stage_buckets};
 /// Name of the requested data in errors.
 const WHAT: &str = "statistics";
 
+/// Roll-up of one name and quantity over a whole run.
 #[derive(FromRow)]
-struct RollupRow {
+struct WholeRunRollup {
     run: i64,
     text: String,
     unit: String,
@@ -40,7 +41,7 @@ struct RollupRow {
     sketch: Vec<u8>,
 }
 
-impl RollupRow {
+impl WholeRunRollup {
     fn summary(&self) -> Result<Summary, StoreError> {
         let sketch = Sketch::from_bytes(&self.sketch).map_err(|error| corrupt_data(WHAT, error))?;
         let moments =
@@ -56,7 +57,7 @@ pub(super) async fn whole_runs(
     runs: &[i64],
     name: &str,
 ) -> Result<HashMap<i64, NameSummary>, StoreError> {
-    let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUPS_OF_NAME)
+    let rows: Vec<WholeRunRollup> = sqlx::query_as(sql::ROLLUPS_OF_NAME)
         .bind(json_array(runs)?)
         .bind(name)
         .fetch_all(&readers.pool())
@@ -89,7 +90,7 @@ pub(crate) async fn histogram(
     Ok(Some(Histogram { stage, unit: values.unit, edges, counts, below, beyond: above, statistics }))
 }
 
-/// Returns the statistics of all names of a run, in the order of tables.
+/// Returns the statistics of all names of a run, in the order in which tables list the names.
 pub(super) async fn statistics_by_name(
     readers: &Readers,
     run: i64,

@@ -40,8 +40,9 @@ pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<Tr
     Ok(TrustInput { two_modes: two_modes(readers, number, &run_statistics).await?, ..input })
 }
 
-/// Returns the length of a run's standstill, seconds. `buckets` are the buckets of the total latency. `None` if there
-/// was no standstill, or if events of the run are missing: a gap in the buckets may then be a gap of events.
+/// Returns the length of a run's standstill, seconds. `buckets` are the buckets of the total latency, or of sensing if
+/// the run has no total. `None` if there was no standstill, or if events of the run are missing: a gap in the buckets
+/// may then be a gap of events.
 async fn standstill_length(
     readers: &Readers,
     run: &RunDetail,
@@ -60,7 +61,7 @@ async fn standstill_length(
         iterations: summary.counts.total(),
         slowest_s: summary.total.as_ref().map_or(0.0, |total| total.max),
     };
-    // Iterations of the warm-up are in no bucket, so all the time before the first bucket may be warm-up.
+    // Iterations of the warm-up are in no bucket. `standstill` does not count the time before the first bucket.
     let answered = || buckets.bucket_starts.iter().map(|start| (*start, *start + buckets.bucket_width));
     if standstill(&extent, answered()).is_none() {
         return Ok(None);
@@ -120,10 +121,12 @@ fn collect_input(
         lost: run.summary.counts.lost,
         timeout: run.summary.counts.timeout,
         warm_up: run.summary.warm_up,
+        // Events that did not reach the store are counted in `missing_events`.
         unseen: 0,
     };
     let statistics_of =
         |name: &str| statistics.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics);
+    let sent_counts = DelayAccuracy::sent_messages(bounds);
     let stages = stages_over_time.iter().filter(|stage| stage.stage != stage::TOTAL);
     // An agent of another version may write the configuration in another form. The trust findings then do not mention
     // the run's limit and rate.
@@ -146,7 +149,7 @@ fn collect_input(
             .map(|gap| MissingEvents { count: gap.count, reason: gap.reason.clone() })
             .collect(),
         total: stages_over_time.first().and_then(|latency| TimeSeries::from_summaries(&latency.buckets)),
-        split: StageSplit::new(DelayAccuracy::sent_messages(bounds), |name| {
+        split: StageSplit::new(sent_counts, |name| {
             statistics_of(name).map(|statistics| (statistics.count, statistics.mean))
         }),
         drawn: statistics_of(DRAWN_LATENCY).map(|statistics| statistics.mean),

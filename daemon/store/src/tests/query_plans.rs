@@ -173,8 +173,8 @@ async fn ranks_neighbours_and_experiments_use_their_indexes() {
         (sql::EXPERIMENTS, "USING INDEX run_of_experiment"),
         (sql::PREVIOUS, "USING PRIMARY KEY (run=? AND number<?)"),
         (sql::NEXT, "USING PRIMARY KEY (run=? AND number>?)"),
-        (sql::ITERATIONS_WITHOUT_ANSWER, "USING INDEX iteration_without_answer (run=? AND number>?)"),
-        (sql::COUNT_WITHOUT_ANSWER, "INDEX iteration_without_answer (run=? AND number>?)"),
+        (sql::FAILED_ITERATIONS, "USING INDEX iteration_without_answer (run=? AND number>?)"),
+        (sql::FAILED_COUNT, "INDEX iteration_without_answer (run=? AND number>?)"),
     ] {
         let steps = plan(&test_store, statement, statement).await;
         assert!(steps.iter().any(|step| step.contains(index)), "{statement}: {steps:?}");

@@ -45,7 +45,8 @@ struct RelationPeriod {
     clocks: u8,
     #[sqlx(rename = "window")]
     number: i64,
-    // These four times are readings of the edge's related clock.
+    // Times of the first and last samples and exchanges, as in `PeriodExtent`. These four times are readings of the
+    // edge's related clock.
     first_ns: i64,
     last_ns: i64,
     sent_ns: i64,

@@ -53,8 +53,10 @@ struct RunContext {
     host: i64,
     network: String,
     model: String,
+    // Starts of the first and of the last iteration.
     first_ns: Option<i64>,
     last_ns: Option<i64>,
+    // Starts of the earliest and of the latest minute with successful iterations.
     first_s: Option<i64>,
     last_s: Option<i64>,
 }
@@ -66,11 +68,11 @@ impl RunContext {
         let nanos = |seconds: i64| seconds.saturating_mul(1_000_000_000);
         let (first, last) = (self.first_ns.unwrap_or(0), self.last_ns.unwrap_or(0));
         let (mut from, mut to) = (first.min(last), first.max(last));
-        if let Some(begin) = self.first_s.filter(|begin| nanos(begin + MINUTE_S) <= from) {
-            from = nanos(begin);
+        if let Some(minute_s) = self.first_s.filter(|minute_s| nanos(minute_s + MINUTE_S) <= from) {
+            from = nanos(minute_s);
         }
-        if let Some(begin) = self.last_s.filter(|begin| nanos(*begin) > to) {
-            to = nanos(begin + MINUTE_S);
+        if let Some(minute_s) = self.last_s.filter(|minute_s| nanos(*minute_s) > to) {
+            to = nanos(minute_s + MINUTE_S);
         }
         (wall(from), wall(to))
     }
@@ -168,8 +170,8 @@ async fn rejudge(
     let (Some(cloud), Some(received)) = (row.cloud, row.received_ns.map(WallTime::from_unix_nanos)) else {
         return Ok(unchanged);
     };
-    // A delay with the verdict `Stepped` keeps this verdict: clock samples do not show that the exchange of this delay
-    // was refused.
+    // A delay with the verdict `Stepped` keeps this verdict. The agent may have noticed the step by an exchange that it
+    // refused, and clock samples do not contain refused exchanges.
     if before.is_some_and(|delay| delay.source == DelaySource::SameClock || delay.verdict == Verdict::Stepped)
     {
         return Ok(unchanged);
@@ -196,6 +198,7 @@ fn combine(earlier: Option<OneWayDelay>, new: OneWayDelay) -> OneWayDelay {
         (Some(earlier_bounds), Some(new_bounds)) => (earlier_bounds, new_bounds),
         // The stored exchanges give no bounds, so the earlier judgement is better.
         (Some(_), None) if new.verdict == Verdict::Unsynchronised => return earlier,
+        // The earlier judgement has no usable bounds, or the new one shows a step or a contradiction.
         _ => return new,
     };
     // Both intervals contain the true delay, so they overlap unless an assumption is violated.

@@ -15,8 +15,8 @@ use crate::readers::Readers;
 
 /// Name of the requested data in errors.
 const WHAT: &str = "clock samples";
-/// Time before and after a delay from which exchanges are used. By default, the agent uses exchanges of the last ten
-/// seconds before a delay, too.
+/// Time before and after a delay from which exchanges are used. The agent, by default, uses the exchanges of an equally
+/// long time before a delay.
 pub(super) const EXCHANGE_RANGE: Span = Span::from_seconds(10);
 /// Longest time by which a delay may be earlier than the previous delay in the order of iterations. It covers
 /// iterations that take up to a minute.
@@ -31,11 +31,13 @@ struct Row {
     time_ns: i64,
     max_drift_ppm: f64,
     max_drift_change_ppm_per_s: Option<f64>,
+    // The exchange with the lowest upper bound of the offset in this second.
     upper_sent_ns: Option<i64>,
     upper_received_ns: Option<i64>,
     upper_replied_ns: Option<i64>,
     upper_returned_ns: Option<i64>,
     upper_uncertainty_ns: Option<i64>,
+    // The exchange with the highest lower bound of the offset in this second.
     lower_sent_ns: Option<i64>,
     lower_received_ns: Option<i64>,
     lower_replied_ns: Option<i64>,
@@ -162,6 +164,7 @@ impl RollingRelation {
         for exchange in exchanges.into_iter().flatten() {
             relation.learn(&ExchangeObservation {
                 exchange,
+                // Clock samples do not contain this time.
                 cloud_elapsed: None,
                 // A new relation period begins when a clock is interrupted, so all exchanges of a relation period are
                 // from one epoch.

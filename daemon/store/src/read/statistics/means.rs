@@ -1,4 +1,4 @@
-//! Series of means: for each stage, the mean in each interval of the time of a run. SQLite adds up the values, and no sketch is read.
+//! Means of stages over the time of a run. SQLite adds up the values, and no sketch is read.
 
 use peernet_logger::Name;
 
@@ -29,8 +29,8 @@ pub(crate) async fn stage_means(
         .await
         .map_err(readers.error_for(WHAT))?;
     // For each stage, the list has an entry for each point: index of the point, number of values, sum of the values. A
-    // name whose nodes have several kinds (a timer, a value) has several ids, and a row with each id for one point. These
-    // rows are added.
+    // name whose nodes have several kinds (a timer, a value) has several ids, and a row with each id for one point.
+    // These rows are added.
     let mut sums: Vec<Vec<(i64, u64, f64)>> = vec![Vec::new(); stages.len()];
     for (name, point, count, sum) in rows {
         let Some(points) = name_ids.indexes.get(&name).and_then(|index| sums.get_mut(*index)) else {

@@ -9,7 +9,7 @@ use peernet_logger::Name;
 use peernet_statistics::Summary;
 
 use super::super::{corrupt_data, count, sql};
-use super::{RollupRow, WHAT, json_array};
+use super::{WHAT, WholeRunRollup, json_array};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::rollups::Quantity;
@@ -19,7 +19,7 @@ pub(crate) async fn statistics(readers: &Readers, runs: &[i64]) -> Result<Vec<Ru
     let run_list = json_array(runs)?;
     let mut by_run = HashMap::<i64, MergeableStatistics>::new();
     let pool = readers.pool();
-    let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS).bind(&run_list).fetch(&pool);
+    let mut rows = sqlx::query_as::<_, WholeRunRollup>(sql::ROLLUPS).bind(&run_list).fetch(&pool);
     while let Some(row) = rows.try_next().await.map_err(readers.error_for(WHAT))? {
         let summary = row.summary()?;
         let (statistics, name) = (by_run.entry(row.run).or_default(), Name::from(row.text));

@@ -29,7 +29,7 @@ pub(crate) async fn series(
     let bucket_s = u32::try_from(width_s).unwrap_or(u32::MAX);
     let stages = points(readers, run, stages, (width_s, stored_width_s)).await?;
     let mut gaps = runs::gaps(readers, run).await?;
-    // A chart marks the time of each gap. Between combined gaps, events were recorded.
+    // A chart marks the time of each gap. A row that combines several gaps also spans events that were recorded.
     gaps.retain(|gap| gap.gaps == 1);
     Ok(Series { bucket_s, stages, gaps })
 }
