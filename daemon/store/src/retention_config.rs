@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 const DAY_S: i64 = 86_400;
 /// Longest period: a hundred years.
 const MAX_DAYS: u32 = 36_525;
-/// Smallest size limit that a run fits into.
+/// Smallest size limit. A smaller database has no space for a run.
 const MIN_SIZE_LIMIT_BYTES: u64 = 16 << 20;
 
 /// The `[aggregator.retention]` table.

@@ -7,7 +7,7 @@ mod nodes;
 use sqlx::{Connection, SqliteConnection};
 
 pub(crate) use self::coarser::build_missing_rollups;
-use crate::retention::{Kind, release};
+use crate::retention::{Kind, begin_retention_period};
 use crate::rollups::{Rollups, Scope, WHOLE_RUN, WIDTHS_S};
 
 /// Progress of a rebuild.
@@ -24,7 +24,7 @@ pub struct Rebuilt {
 
 /// Selects the run that follows another run: ?1 the other run.
 const NEXT_RUN: &str = "SELECT min(number) FROM run WHERE number > ?1";
-/// Selects the second before which the nodes of a run are deleted: ?1 run.
+/// Selects the second before which the nodes (kind 0) of a run are deleted: ?1 run.
 const FIRST_COMPLETE_SECOND: &str = "SELECT before_s FROM trimmed WHERE run = ?1 AND kind = 0";
 /// Counts the skipped starts of a run in the same way as the migration that added the column: ?1 run. Skipped starts
 /// before answered iterations are in the roll-up of the whole run. Skipped starts before unanswered iterations are read
@@ -98,7 +98,7 @@ async fn rebuild_run(
         rebuilt.partly_rebuilt_runs += 1;
     }
     let mut rollups = Rollups::with_scope(scope);
-    nodes::sum_up(connection, run, first_complete_s, &mut rollups, |iterations| {
+    nodes::write_rollups(connection, run, first_complete_s, &mut rollups, |iterations| {
         rebuilt.iterations += iterations;
         progress(rebuilt);
     })
@@ -130,7 +130,7 @@ async fn record_rebuilt(
         }
         .execute(&mut *connection)
         .await?;
-        release(connection, Kind::Buckets(width_s), run).await?;
+        begin_retention_period(connection, Kind::Buckets(width_s), run).await?;
     }
     Ok(())
 }

@@ -18,9 +18,9 @@ const MAX_PENDING_SUMMARIES: usize = 20_000;
 /// the previous page, ?3 limit.
 pub(super) const PAGE: &str = "SELECT max(number), count(*) FILTER (WHERE warm_up = 0 AND outcome = 0) FROM \
      (SELECT number, warm_up, outcome FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3)";
-/// The nodes of the successful iterations of a page, without the warm-up, and all values of episodes: ?1 run, ?2 last
-/// iteration of the previous page, ?3 last iteration of this page. The joins follow the key that all these tables have:
-/// run, iteration, node.
+/// The nodes of the successful iterations of a page, without the warm-up, and the success and return of episodes from
+/// all iterations of the page: ?1 run, ?2 last iteration of the previous page, ?3 last iteration of this page. The
+/// joins follow the key that all these tables have: run, iteration, node.
 // `CROSS JOIN` keeps SQLite from reordering the joins. The unary `+` keeps it from using another index than this key.
 pub(super) const NODES: &str = "SELECT node.iteration, iteration.started_ns, node.node, node.parent, node.name, \
      (SELECT text FROM name WHERE id = node.name) AS text, node.value, node.lo, node.hi, transit.verdict \
@@ -86,7 +86,7 @@ impl PageStatistics {
 /// nodes are deleted. `progress` is called after each page with the number of its iterations that statistics include.
 ///
 /// Verdicts are counted over the whole run, so they are written only if no node of the run is deleted.
-pub(super) async fn sum_up(
+pub(super) async fn write_rollups(
     connection: &mut SqliteConnection,
     run: i64,
     first_complete_s: Option<i64>,

@@ -18,7 +18,7 @@ const MAX_ROWS: usize = 64;
 const PIN: &str = "UPDATE run SET pinned = ?2 WHERE number = ?1";
 /// Inserts a row that covers all data of a kind of a run. The retention period of this data begins now. ?1 kind, ?2
 /// run.
-const RELEASE: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) \
+const BEGIN_PERIOD: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) \
      SELECT ?1, number, 0, coalesce((SELECT elapsed_ns / 1000000000 FROM storage_clock), 0), \
        -9223372036854775808, 9223372036854775807 FROM run WHERE number = ?2 AND pinned = 0 \
      ON CONFLICT (kind, owner, from_s) DO UPDATE SET to_s = excluded.to_s, first = excluded.first, last = excluded.last";
@@ -44,7 +44,7 @@ const POSTPONE: &str = "UPDATE arrival SET to_s = ?4 WHERE kind = ?1 AND owner =
 #[cfg(test)]
 pub(super) const STATEMENTS: [(&str, &str); 8] = [
     ("PIN", PIN),
-    ("RELEASE", RELEASE),
+    ("BEGIN_PERIOD", BEGIN_PERIOD),
     ("NEXT", NEXT),
     ("LATER", LATER),
     ("ARRIVING_RUN", ARRIVING_RUN),
@@ -65,41 +65,42 @@ pub(crate) async fn pin(
 }
 
 /// Begins the retention period of all stored data of one kind of a run, unless the run is pinned.
-pub(crate) async fn release(
+pub(crate) async fn begin_retention_period(
     connection: &mut SqliteConnection,
     kind: Kind,
     run: i64,
 ) -> Result<(), sqlx::Error> {
-    sqlx::query(RELEASE).bind(kind.number()).bind(run).execute(connection).await?;
+    sqlx::query(BEGIN_PERIOD).bind(kind.number()).bind(run).execute(connection).await?;
     Ok(())
 }
 
-/// A row of the table `arrival`.
+/// A row of the table `arrival`. The row is identified by its kind, owner and `from_s`.
 #[derive(Clone, Copy, Debug)]
 struct Arrival {
     kind: Kind,
     owner: i64,
+    /// Second of the storage clock at which the data began to arrive; 0 in a row for all earlier data.
     from_s: i64,
     extent: Extent,
 }
 
-/// Returns whether any data of this kind arrived at the second `before_s` of the storage clock or before.
+/// Returns whether any data of this kind arrived at the second `until_s` of the storage clock or before.
 pub(super) async fn has_due(
     connection: &mut SqliteConnection,
     kind: Kind,
-    before_s: i64,
+    until_s: i64,
 ) -> Result<bool, sqlx::Error> {
-    Ok(next_due(connection, kind, before_s).await?.is_some())
+    Ok(next_due(connection, kind, until_s).await?.is_some())
 }
 
-/// Returns the arrival of this kind that is due first, if it is due at `before_s`.
+/// Returns the arrival of this kind whose retention period began first, if it began at the second `until_s` or before.
 async fn next_due(
     connection: &mut SqliteConnection,
     kind: Kind,
-    before_s: i64,
+    until_s: i64,
 ) -> Result<Option<Arrival>, sqlx::Error> {
     let row: Option<(i64, i64, i64, i64)> =
-        sqlx::query_as(NEXT).bind(kind.number()).bind(before_s).fetch_optional(connection).await?;
+        sqlx::query_as(NEXT).bind(kind.number()).bind(until_s).fetch_optional(connection).await?;
     Ok(row.map(|(owner, from_s, first, last)| Arrival {
         kind,
         owner,
@@ -117,12 +118,12 @@ pub(super) struct TrimResult {
     pub(super) is_complete: bool,
 }
 
-/// Deletes data that arrived at the second `before_s` of the storage clock or before, in the order of arrival. Stops at
+/// Deletes data that arrived at the second `until_s` of the storage clock or before, in the order of arrival. Stops at
 /// a cost of about `max_cost`.
 pub(super) async fn trim(
     connection: &mut SqliteConnection,
     (kind, cause): (Kind, Cause),
-    before_s: i64,
+    until_s: i64,
     now_s: i64,
     max_cost: u64,
     deletions: &mut Vec<Deletion>,
@@ -134,7 +135,7 @@ pub(super) async fn trim(
         if remaining_cost == 0 {
             break;
         }
-        let Some(arrival) = next_due(connection, kind, before_s).await? else {
+        let Some(arrival) = next_due(connection, kind, until_s).await? else {
             return Ok(TrimResult { cost, is_complete: true });
         };
         let deleted = arrival.delete(connection, now_s, remaining_cost).await?;

@@ -60,24 +60,24 @@ struct Run {
     last_s: i64,
 }
 
-/// Returns whether any record of arriving data began at `since_s` or before.
+/// Returns whether any record of arriving data began at `until_s` or before.
 pub(super) async fn has_records(
     connection: &mut SqliteConnection,
-    since_s: i64,
+    until_s: i64,
 ) -> Result<bool, sqlx::Error> {
-    sqlx::query_scalar(ANY).bind(since_s).fetch_one(connection).await
+    sqlx::query_scalar(ANY).bind(until_s).fetch_one(connection).await
 }
 
-/// Converts the records of arriving data that began at `since_s` or before: the records of up to `limit` runs and of up
+/// Converts the records of arriving data that began at `until_s` or before: the records of up to `limit` runs and of up
 /// to `limit` links. Returns the number of runs and links.
 pub(super) async fn convert(
     connection: &mut SqliteConnection,
     periods: &Periods,
-    since_s: i64,
+    until_s: i64,
     now_s: i64,
     limit: u32,
 ) -> Result<usize, sqlx::Error> {
-    let runs: Vec<Run> = sqlx::query_as(RUNS).bind(since_s).bind(limit).fetch_all(&mut *connection).await?;
+    let runs: Vec<Run> = sqlx::query_as(RUNS).bind(until_s).bind(limit).fetch_all(&mut *connection).await?;
     for run in &runs {
         let numbers = Extent { first: run.first_number, last: run.last_number };
         for kind in Kind::OF_RUNS {
@@ -95,7 +95,7 @@ pub(super) async fn convert(
         sqlx::query(CLEAR_RUN).bind(run.number).execute(&mut *connection).await?;
     }
     let links: Vec<(i64, i64, i64, i64)> =
-        sqlx::query_as(LINKS).bind(since_s).bind(limit).fetch_all(&mut *connection).await?;
+        sqlx::query_as(LINKS).bind(until_s).bind(limit).fetch_all(&mut *connection).await?;
     for (link, from_s, first, last) in &links {
         let extent = Extent { first: *first, last: *last };
         append(connection, periods, Kind::ClockSamples, *link, (*from_s, now_s), extent).await?;

@@ -39,6 +39,7 @@ pub(super) async fn delete(
     seconds: Extent,
     max_cost: u64,
 ) -> Result<DeletedRows, sqlx::Error> {
+    // A column of the result may be NULL: min() and max() return NULL if the range has no bucket.
     let query = |statement| sqlx::query_scalar(statement).bind(run).bind(width_s);
     let first: Option<i64> =
         query(OLDEST).bind(seconds.first).bind(seconds.last).fetch_one(&mut *connection).await?;

@@ -107,8 +107,8 @@ impl Deletions {
         self.current = None;
     }
 
-    /// Logs deletions at a time at which nothing is to be deleted: the first deletions of an hour at once, and all
-    /// deletions of the hour at its end.
+    /// Logs deletions when nothing remains to be deleted: the first deletions of an hour at the first such time, and
+    /// all deletions of the hour at its end.
     pub(super) fn log_when_idle(&mut self, now_s: i64) {
         if let Some(current) = &mut self.current
             && current.logged_text.is_none()
@@ -136,7 +136,7 @@ impl Deletions {
 impl HourlyIncident {
     fn log(&mut self, config: &RetentionConfig) {
         let text = self.description(config);
-        // Nothing was deleted since the last line.
+        // The text changes with each deletion. If it is unchanged, nothing was deleted since the last line.
         if self.logged_text.as_ref() != Some(&text) {
             tracing::info!("retention {text}");
             self.logged_text = Some(text);

@@ -19,7 +19,7 @@ mod trimmed;
 use peernet_clock::{MonoTime, Span, Stamp};
 use sqlx::SqliteConnection;
 
-pub(crate) use self::arrivals::{pin, release};
+pub(crate) use self::arrivals::{begin_retention_period, pin};
 use self::deletions::{Cause, Deletion, Deletions};
 use self::size::SizeLimit;
 use crate::raw_transaction;
@@ -242,16 +242,16 @@ impl Retention {
         now_s: i64,
         now: MonoTime,
     ) -> Result<Option<Work>, sqlx::Error> {
-        let since_s = now_s - self.periods.finest_resolution_s();
+        let until_s = now_s - self.periods.finest_resolution_s();
         // Arrivals are converted first, because only rows of the table `arrival` become due.
-        if arriving::has_records(connection, since_s).await? {
-            return Ok(Some(Work::Arriving { since_s }));
+        if arriving::has_records(connection, until_s).await? {
+            return Ok(Some(Work::Arriving { until_s }));
         }
         for kind in Kind::ALL {
             if let Some(period_s) = self.periods.period_s(kind)
                 && arrivals::has_due(connection, kind, now_s - period_s).await?
             {
-                return Ok(Some(Work::Aged { kind, before_s: now_s - period_s }));
+                return Ok(Some(Work::Aged { kind, until_s: now_s - period_s }));
             }
         }
         // The size is checked last, because the deletion of due data may free enough pages.
@@ -268,11 +268,11 @@ impl Retention {
         deletions: &mut Vec<Deletion>,
     ) -> Result<(), sqlx::Error> {
         match work {
-            Work::Arriving { since_s } => {
-                arriving::convert(connection, &self.periods, since_s, now_s, MAX_CONVERTED).await?;
+            Work::Arriving { until_s } => {
+                arriving::convert(connection, &self.periods, until_s, now_s, MAX_CONVERTED).await?;
             }
-            Work::Aged { kind, before_s } => {
-                arrivals::trim(connection, (kind, Cause::Age), before_s, now_s, max_cost, deletions).await?;
+            Work::Aged { kind, until_s } => {
+                arrivals::trim(connection, (kind, Cause::Age), until_s, now_s, max_cost, deletions).await?;
             }
             Work::TooLarge => {
                 // If the table `arrival` has no iterations, the records of arriving data are converted, so that this
@@ -294,9 +294,9 @@ impl Retention {
 enum Work {
     /// Convert the records of arriving data that began at this second of the storage clock or before. They become rows
     /// of the table `arrival`.
-    Arriving { since_s: i64 },
+    Arriving { until_s: i64 },
     /// Delete the data of this kind that arrived at this second of the storage clock or before, a whole period ago.
-    Aged { kind: Kind, before_s: i64 },
+    Aged { kind: Kind, until_s: i64 },
     /// Delete data because the database uses more bytes than the size limit.
     TooLarge,
 }

@@ -23,9 +23,9 @@ const USED_BYTES: &str = "SELECT (page_count - freelist_count) * page_size \
 pub(super) struct SizeLimit {
     /// The limit in bytes; 0 for none.
     limit: u64,
-    /// `true` after the log line that data is deleted because of the limit. Each of the two log lines is written once.
+    /// `true` after the log line that data is deleted because of the limit. The line is written once.
     is_reported: bool,
-    /// `true` after the log line that no more data may be deleted.
+    /// `true` after the log line that no more data may be deleted. The line is written once.
     is_end_reported: bool,
     /// Time at which no data was left that may be deleted.
     nothing_left_at: Option<MonoTime>,
@@ -46,8 +46,9 @@ impl SizeLimit {
         Ok(self.limit > 0 && !is_paused && used_bytes(connection).await? > self.limit)
     }
 
-    /// Deletes data of the first kind in [`DELETION_ORDER`] that has data in runs that are not pinned. The data that
-    /// arrived first is deleted first, at any age. Returns `false` if no such data remained.
+    /// Deletes data of runs that are not pinned. All data of a kind is deleted before data of the next kind in
+    /// [`DELETION_ORDER`]. The data that arrived first is deleted first, at any age. Returns `false` if no such data
+    /// remained.
     pub(super) async fn reduce(
         &mut self,
         connection: &mut SqliteConnection,
@@ -101,18 +102,19 @@ async fn used_bytes(connection: &mut SqliteConnection) -> Result<u64, sqlx::Erro
     Ok(count(bytes))
 }
 
-/// Records for `peernetd doctor` that data was deleted before the end of its retention period.
+/// Records for `peernetd doctor` that data was deleted before the end of its retention period. `cost` is the cost of
+/// the deletion, in rows of the table `node`.
 async fn record_early_deletion(
     connection: &mut SqliteConnection,
     now: WallTime,
-    rows: u64,
+    cost: u64,
 ) -> Result<(), sqlx::Error> {
     sqlx::query(
         "INSERT INTO retention_note (what, first_ns, last_ns, count) VALUES ('size-limit', ?1, ?1, ?2) \
          ON CONFLICT DO UPDATE SET last_ns = excluded.last_ns, count = count + excluded.count",
     )
     .bind(now.unix_nanos())
-    .bind(column(rows))
+    .bind(column(cost))
     .execute(connection)
     .await?;
     Ok(())
