@@ -51,7 +51,7 @@ impl Readers {
             .busy_timeout(BUSY_TIMEOUT)
             .disable_statement_logging();
         let limit_span = Span::from_nanos(i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX));
-        // The deadline is set when a connection is opened, and again whenever the pool gives it out.
+        // The deadline is set when a connection is opened, and again whenever the pool gives out the connection.
         let deadline = Deadline { limit: limit_span, clock };
         let renewed_deadline = deadline.clone();
         let pool = SqlitePoolOptions::new()

@@ -112,7 +112,7 @@ pub struct RunDetail {
     pub version: String,
     /// Conditions of the hosts before the run started; empty if none were recorded.
     pub conditions: Vec<Condition>,
-    /// Missing events, oldest first, at most 1,000.
+    /// Missing events, oldest first. The gaps after the first 1,000 are combined into few rows.
     pub gaps: Vec<GapRow>,
 }
 
@@ -331,7 +331,8 @@ pub struct IterationDetail {
     pub slower: Option<u64>,
     /// Number of the next faster successful iteration; `None` without a `rank`.
     pub faster: Option<u64>,
-    /// Statistics of the run per node name, for comparison with this iteration; in the order of tables.
+    /// Statistics of the run per node name, for comparison with this iteration; in the order in which tables list the
+    /// names.
     pub run_figures: Vec<(Name, QuantityStatistics)>,
 }
 

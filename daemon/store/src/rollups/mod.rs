@@ -28,7 +28,7 @@ use self::table::Upserts;
 
 /// Widths of the buckets in seconds, finest first.
 pub(crate) const WIDTHS_S: [i64; 4] = [1, 10, 60, 3600];
-/// WidthBuckets that stands for the whole run.
+/// Width that stands for the whole run.
 pub(crate) const WHOLE_RUN: i64 = 0;
 /// Maximum memory for growing buckets, bytes. Above this limit, the buckets of the runs that were written least
 /// recently are removed from memory; they are read again when needed. The limit is enough for some thousand runs with

@@ -39,6 +39,7 @@ impl From<&RunSummary> for Candidate {
             edges: membership.and_then(|membership| membership.edges),
             times: Some((run.started, run.ended.or(run.last_iteration).unwrap_or(run.started))),
             sequence: run.number,
+            // Only the command line names runs and ranks results.
             is_named: false,
             rank: 0,
         }
