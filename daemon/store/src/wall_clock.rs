@@ -19,7 +19,8 @@ impl WallClockWatch {
         Self { last: now }
     }
 
-    /// Returns a description if the wall clock is behind its reading at the last commit of an aggregator.
+    /// Returns a description if the wall clock shows an earlier time than `last_stored`, its reading at the last commit
+    /// to the database. Differences below [`MIN_STEP`] are ignored.
     pub(super) fn compare_with_last_commit(now: Stamp, last_stored: WallTime) -> Option<String> {
         let step = now.wall - last_stored;
         (step <= -MIN_STEP).then(|| {

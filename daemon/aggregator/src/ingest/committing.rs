@@ -282,7 +282,7 @@ async fn check_and_maintain(
         if !connections.is_empty() {
             writer.store_connections(&connections).await?;
         }
-        writer.bound_write_ahead_log(MAX_WAL_BYTES).await
+        writer.limit_write_ahead_log(MAX_WAL_BYTES).await
     };
     maintenance.await.or_else(|error: CommitError| {
         // An error that leaves the connection usable, such as a full disk, is reported by the next commit.

@@ -69,12 +69,12 @@ async fn log_is_emptied_only_without_readers() {
     test_store.store_run(200).await;
     let grown_bytes = bytes();
     // While a reader is active, the write-ahead log keeps its size, and the writer does not wait for the reader.
-    test_store.writer.bound_write_ahead_log(grown_bytes / 2).await.expect("tries");
+    test_store.writer.limit_write_ahead_log(grown_bytes / 2).await.expect("tries");
     assert_eq!(bytes(), grown_bytes);
     sqlx::raw_sql("COMMIT").execute(&mut reader).await.expect("ends");
-    test_store.writer.bound_write_ahead_log(grown_bytes).await.expect("is short enough");
+    test_store.writer.limit_write_ahead_log(grown_bytes).await.expect("is short enough");
     assert_eq!(bytes(), grown_bytes);
-    test_store.writer.bound_write_ahead_log(grown_bytes / 2).await.expect("empties it");
+    test_store.writer.limit_write_ahead_log(grown_bytes / 2).await.expect("empties it");
     assert_eq!(bytes(), 0);
     test_store.store_run(10).await;
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 210);

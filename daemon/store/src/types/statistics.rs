@@ -157,6 +157,8 @@ impl MergeableStatistics {
     }
 
     fn stages(&self) -> Vec<StageStatistics> {
+        // `share_of_total` counts an unknown delay as the mean of the known delays. It therefore needs the numbers of
+        // sent messages.
         let sent_counts = DelayAccuracy::sent_messages(&self.bounds());
         let mean_of = |name: &str| {
             let moments = self.values.get(name)?.summary.moments;

@@ -36,12 +36,12 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
      VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
      ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
 
-/// Selects the time under which a sample of a relation period is stored. A wall clock that was set back shows the same
-/// times again, while the relation period of free-running clocks continues. If several samples of a relation period
-/// have the same wall time, each further sample is stored under a time that is one nanosecond earlier. These times
-/// still lie in the same second. ?1 link, ?2 the sample's time, ?3 relation period, ?4 the reading of the free-running
-/// clock at that time.
-const STORAGE_TIME: &str = "SELECT coalesce( \
+/// Selects the time under which a sample of a relation period is stored. A sample that is already stored keeps its
+/// time. A wall clock that was set back shows the same times again, while the relation period of free-running clocks
+/// continues. If several samples of a relation period have the same wall time, each further sample is stored under a
+/// time that is one nanosecond earlier. These times still lie in the same second. ?1 link, ?2 the sample's time,
+/// ?3 relation period, ?4 the reading of the free-running clock at that time.
+const SAMPLE_TIME: &str = "SELECT coalesce( \
      (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns = ?4), \
      ?2 - (SELECT count(*) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns <> ?4))";
 
@@ -83,7 +83,7 @@ impl Links {
     ) -> Result<(), Refusal> {
         let link = self.link(connection, entities, edge, sample, now).await?;
         let basis = sample.basis.map(plausible::basis);
-        let at = storage_time(connection, link, sample, basis.as_ref()).await?;
+        let at = sample_time(connection, link, sample, basis.as_ref()).await?;
         let values = values(link, at, sample, basis).map_err(sqlx::Error::Encode)?;
         sqlx::query_with(INSERT, values).execute(&mut *connection).await?;
         sqlx::query(RELATION_PERIOD)
@@ -161,8 +161,8 @@ impl Links {
     }
 }
 
-/// Returns the time at which a sample is stored, in nanoseconds of the edge's wall clock.
-async fn storage_time(
+/// Returns the time under which a sample is stored, in nanoseconds of the edge's wall clock.
+async fn sample_time(
     connection: &mut SqliteConnection,
     link: i64,
     sample: &ClockSample,
@@ -172,7 +172,7 @@ async fn storage_time(
     // Without a raw time, a sample with a repeated wall time cannot be distinguished from another sample of the same
     // second.
     let Some(raw) = basis.and_then(|basis| basis.at_raw) else { return Ok(at) };
-    sqlx::query_scalar(STORAGE_TIME)
+    sqlx::query_scalar(SAMPLE_TIME)
         .bind(link)
         .bind(at)
         .bind(sample.relation_period.cast_signed())

@@ -41,7 +41,7 @@ const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pip
      FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
      WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND link.network = ?3 AND EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = link.id)";
 
-/// Stores samples of connections. Samples of a link that is not stored are omitted.
+/// Stores samples of connections. Samples of a link without stored clock samples are omitted.
 pub(super) async fn store(
     connection: &mut SqliteConnection,
     samples: &[ConnectionSample],

@@ -45,12 +45,12 @@ struct RunCounts {
     number_and_second_ranges: Option<(Extent, Extent)>,
 }
 
-/// Additions of a transaction, and the hosts' counters as they will be after the transaction.
+/// Additions of a transaction, and a cache of the hosts' counters.
 #[derive(Debug)]
 pub(super) struct Counters {
     hosts: HashMap<HostId, HostCounts>,
     runs: HashMap<i64, RunCounts>,
-    /// Counters of the hosts, by row.
+    /// Counters of the hosts, by row, without the additions of the current transaction.
     totals: HashMap<i64, StoredCounts>,
     write_hosts: Insert,
     write_runs: Insert,
@@ -63,13 +63,15 @@ impl Default for Counters {
             runs: HashMap::new(),
             totals: HashMap::new(),
             // An agent may report any number of missing events, and the column must not overflow. So the totals are
-            // added in Rust, where the addition saturates, and the statement only writes them.
+            // added in Rust, where the addition saturates, and the statement only writes them. `Insert` puts `VALUES`
+            // with a row for each host into the brackets.
             write_hosts: Insert::new(
                 "UPDATE host SET last_seen_ns = now.column2, events = now.column3, nodes = now.column4, \
                  gaps = now.column5, missing = now.column6, quarantined = now.column7 FROM (",
                 7,
                 ") AS now WHERE host.id = now.column1",
             ),
+            // Only an end that was not reported (`column8` is `UNREPORTED_END`) moves to a newer iteration.
             write_runs: Insert::new(
                 "UPDATE run SET warm_up = warm_up + added.column2, ok = ok + added.column3, \
                  failed = failed + added.column4, lost = lost + added.column5, timeout = timeout + added.column6, \
@@ -96,8 +98,8 @@ impl Counters {
         counts
     }
 
-    /// Returns whether the database had stored nothing from a host before this event; `id` is the host's row. Gaps of
-    /// events that the host sent to another database do not count.
+    /// Returns whether the database and the current transaction have stored nothing from a host so far; `id` is the
+    /// host's row. Gaps of events that the host sent to another database do not count.
     pub(super) async fn is_first_contact(
         &mut self,
         connection: &mut SqliteConnection,
@@ -152,8 +154,8 @@ impl Counters {
             })
             .await?;
         self.runs.clear();
-        // The cache is emptied here and not in `is_first_contact`, because a total that was read before the gaps of a
-        // transaction must stay until the transaction's additions are counted.
+        // The cache is emptied here and not in `is_first_contact`: a total that was read before the transaction
+        // inserted its gaps must stay until the transaction's additions are added to the total.
         if self.totals.len() > MAX_CACHED_HOSTS {
             self.totals.clear();
         }
@@ -204,6 +206,7 @@ impl StoredCounts {
             in_other_database,
             unknown_gaps,
             unknown_gaps_in_other_database,
+            // The store does not count duplicates; the live state does.
             duplicates: _,
             quarantined,
         } = other;

@@ -39,7 +39,7 @@ impl RunEnds {
             return Ok(());
         }
         if previous_process.is_some() {
-            self.end_process(connection, host).await?;
+            self.record_process_end(connection, host).await?;
         }
         sqlx::query("UPDATE host SET process = ? WHERE id = ?")
             .bind(process)
@@ -50,7 +50,7 @@ impl RunEnds {
     }
 
     /// Records that the process of a host has ended, so the host's runs that are stored so far have ended, too.
-    pub(super) async fn end_process(
+    pub(super) async fn record_process_end(
         &mut self,
         connection: &mut SqliteConnection,
         host: i64,

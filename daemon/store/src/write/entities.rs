@@ -116,8 +116,8 @@ impl Entities {
         Ok(id)
     }
 
-    /// Returns the run to which rows of the reporter refer. If the run is not stored, because its start event has not
-    /// arrived, the run is created.
+    /// Returns the reporter's run with this id. If the run is not stored, because its start event has not arrived, the
+    /// run is created. Until the start event arrives, `seen_at` counts as the start of the run.
     pub(super) async fn find_or_create_run(
         &mut self,
         connection: &mut SqliteConnection,
@@ -195,7 +195,7 @@ impl Entities {
     }
 
     /// Stores a run's description, which may arrive after some of its iterations. Returns the run and its pipeline.
-    pub(super) async fn run_started(
+    pub(super) async fn store_run_start(
         &mut self,
         connection: &mut SqliteConnection,
         reporter: Reporter,
@@ -248,9 +248,10 @@ impl Entities {
     ) -> Result<(), Refusal> {
         let reporter = Reporter { id: name.host, row: self.host(connection, name.host, now).await? };
         let Some(known) = self.find_run(connection, reporter, name.run).await? else { return Ok(()) };
-        // The condition on `version` leaves a run unchanged whose start event has arrived.
         let pipeline = pipeline(connection, reporter.row, name.pipeline.as_str()).await?;
         let placement = &name.placement;
+        // The condition on `version` leaves a run unchanged whose start event has arrived. The condition on `model`
+        // leaves a run unchanged that already has its name from a live update.
         sqlx::query(
             "UPDATE run SET pipeline = ?, placement = ?, peer = ?, network = ?, address = ?, model = ?, device = ? \
              WHERE number = ? AND model = ? AND version = ''",
@@ -270,7 +271,7 @@ impl Entities {
     }
 
     /// Stores the end of a run.
-    pub(super) async fn run_ended(
+    pub(super) async fn store_run_end(
         &mut self,
         connection: &mut SqliteConnection,
         reporter: Reporter,

@@ -39,8 +39,8 @@ impl CommitError {
     /// file is damaged.
     ///
     /// The connection to a damaged file is kept until another file is put in its place. After any other error the file
-    /// has to be opened again. The error may come from the open file: it can still not be written, or belongs to a
-    /// file system that is no longer mounted, even if the path is usable again.
+    /// has to be opened again. The error may come from the open file: even if the path is usable again, the open file
+    /// may still not be writable, or may belong to a file system that is no longer mounted.
     pub fn leaves_connection_usable(&self) -> bool {
         match self {
             Self::Database(error) => error.is_transient(),
@@ -69,7 +69,7 @@ pub(super) struct DatabaseFile {
 /// State of the write-ahead log file.
 #[derive(Debug)]
 enum LogState {
-    /// The write-ahead log was not examined since the connection was made.
+    /// The write-ahead log was not examined yet. [`DatabaseFile::open`] examines the log.
     Unknown,
     /// Identity of the write-ahead log when it was examined; `None` if there was no log although something had been
     /// committed.
@@ -100,7 +100,8 @@ impl DatabaseFile {
         &self.log_path
     }
 
-    /// Records the identity of the write-ahead log. The connection must have committed or read before.
+    /// Records the identity of the write-ahead log, unless it is recorded already. The connection must have committed
+    /// or read before.
     pub(super) fn record_log(&mut self) {
         if matches!(self.log, LogState::Unknown) {
             self.log = LogState::Examined(identity(&self.log_path).ok());

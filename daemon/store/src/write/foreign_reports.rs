@@ -13,8 +13,8 @@ use sqlx::SqliteConnection;
 use super::Refusal;
 use super::entities::{Entities, Reporter};
 
-/// Maximum number of foreign runs that are remembered, so that each causes one incident. When it is reached, all are
-/// forgotten, and a run may cause another incident.
+/// Maximum number of foreign runs that are remembered, so that no run causes a second incident. When it is reached, all
+/// are forgotten, and a run may cause another incident.
 const MAX_REMEMBERED_REPORTS: usize = 10_000;
 
 /// Foreign runs that the current transaction found, and foreign runs that are already recorded in incidents.
@@ -48,7 +48,7 @@ impl ForeignReports {
         Ok(())
     }
 
-    /// Stores an incident for each host that named foreign runs for the first time.
+    /// Stores one incident for each host that named foreign runs in the transaction which it had not named before.
     pub(super) async fn write(
         &mut self,
         connection: &mut SqliteConnection,

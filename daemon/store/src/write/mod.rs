@@ -71,7 +71,7 @@ pub struct CommitResult {
     pub runs_without_start: Vec<(HostId, RunId)>,
     /// Number of nodes stored.
     pub nodes: u64,
-    /// Secrets that were read again from the file.
+    /// Secrets that were read again from the database.
     pub secrets: Vec<(HostId, Option<HostSecret>)>,
     /// Quarantined batches with the reason.
     pub quarantined: Vec<(BatchHead, String)>,
@@ -165,7 +165,7 @@ impl Writer {
                     parts.extend([second, first]);
                     continue;
                 }
-                Err(Refusal::Batch(reason)) => self.store_single_batch(part, now, reason).await?,
+                Err(Refusal::Batch(reason)) => self.store_refused_part(part, now, reason).await?,
             };
             self.unreturned_result.merge(committed);
         }
@@ -232,7 +232,7 @@ impl Writer {
         raw_transaction::commit(connection).await
     }
 
-    /// Stores statistics of connections. Samples of a link that is not stored are omitted.
+    /// Stores statistics of connections. Samples of a link without stored clock samples are omitted.
     ///
     /// # Errors
     /// When the database cannot store anything now.
@@ -254,7 +254,7 @@ impl Writer {
     /// SQLite writes the log from its start again only if no reader uses the log at the moment of a commit. One long
     /// reader, or many short readers that overlap, therefore make the log grow. Without further commits the log keeps
     /// its size.
-    pub async fn bound_write_ahead_log(&mut self, max_bytes: u64) -> Result<(), CommitError> {
+    pub async fn limit_write_ahead_log(&mut self, max_bytes: u64) -> Result<(), CommitError> {
         let bytes = std::fs::metadata(self.file.log_path()).map_or(0, |log| log.len());
         if bytes <= max_bytes {
             return Ok(());
@@ -273,6 +273,7 @@ impl Writer {
 
     /// Makes a write transaction that changes no data, to check that the database can be written.
     pub async fn write_nothing(&mut self) -> Result<(), DatabaseError> {
+        // `assign_id` writes page 1 even if the file has an id. So it fails if the database cannot be written.
         assign_id(&mut self.connection).await.map_err(DatabaseError::new)?;
         self.file.record_log();
         Ok(())
@@ -299,9 +300,10 @@ impl Writer {
         sqlx::raw_sql(sqlx::AssertSqlSafe(limit)).execute(&mut self.connection).await.expect("limits");
     }
 
-    /// Stores one batch that was refused because of `reason`. If some of its iterations are already stored, the other
-    /// iterations are stored. Otherwise the batch is quarantined.
-    async fn store_single_batch(
+    /// Handles a part with a single piece of work that was refused because of `reason`. If some iterations of a refused
+    /// batch are already stored, its other iterations are stored. Otherwise the batch is quarantined. A message, such
+    /// as a hello, is dropped.
+    async fn store_refused_part(
         &mut self,
         part: &[Work],
         now: Stamp,
@@ -360,6 +362,7 @@ impl Writer {
             Err(refusal) => {
                 self.staging.forget();
                 match (self.roll_back().await, refusal) {
+                    // A failed roll-back is an error of the database. The batch is not quarantined because of it.
                     (Err(error), Refusal::Batch(_)) => Err(error.into()),
                     (_, refusal) => Err(refusal),
                 }

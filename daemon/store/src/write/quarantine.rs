@@ -34,7 +34,8 @@ impl<'a> RejectedBatch<'a> {
     pub(super) fn from_refused(batch: &PreparedBatch, reason: &'a str) -> Self {
         let (head, body) = (batch.head, &batch.body);
         // The received frame is dropped when a batch is prepared, so a frame with the same events is encoded.
-        let frame = Bytes::from(codec::encode_batch(&head, body, false));
+        let compress = false;
+        let frame = Bytes::from(codec::encode_batch(&head, body, compress));
         Self { head, frame, events: codec::decode_events(body, head.events).ok(), reason }
     }
 
@@ -95,6 +96,7 @@ impl<'a> RejectedBatch<'a> {
             quarantined: 1,
             gaps: gaps.len() as u64,
             missing: gaps.iter().map(|gap| gap.count).sum(),
+            // The count 0 means that the number of missing events is unknown.
             unknown_gaps: gaps.iter().filter(|gap| gap.count == 0).count() as u64,
             ..StoredCounts::default()
         })

@@ -44,7 +44,7 @@ pub(super) async fn insert_incident(
     Ok(())
 }
 
-/// Stores a gap that an agent reported.
+/// Stores a gap that an agent reported, or a gap for the events of a quarantined batch.
 pub(super) async fn insert_gap(
     connection: &mut SqliteConnection,
     entities: &mut Entities,
@@ -119,7 +119,8 @@ pub(super) async fn insert_unattributed_gap(
     events: Option<u64>,
     now: WallTime,
 ) -> Result<StoredCounts, Refusal> {
-    // Batches without events leave no gap. The agent itself reports a gap for events that are missing in its spool.
+    // Batches without events leave no gap. If the agent's spool has lost events of these batches, the agent itself
+    // reports a gap for them.
     if events == Some(0) {
         return Ok(StoredCounts::default());
     }

@@ -121,6 +121,7 @@ fn bind_node(
     to.add(row.node)?;
     to.add(row.parent)?;
     to.add(batch.names[row.name as usize])?;
+    // The column `host` has the position of the host's anchor, not the id of the host.
     to.add(row.anchor)?;
     to.add(row.start_ns)?;
     to.add(row.value)?;

@@ -123,10 +123,11 @@ impl AdvancedStreams {
             .bind(introduction.stream.to_string())
             .execute(&mut *connection)
             .await?;
-        // The stream is not new: its gaps were stored with its first hello.
         if update.rows_affected() > 0 {
+            // The stream is not new: its gaps were stored with its first hello.
             return Ok(StoredCounts::default());
         }
+        // No batch of the new stream is stored yet. `stored` is the number before the stream's first batch.
         sqlx::query(
             "INSERT INTO stream (uuid, host, stored, previous, first_seen_ns, last_seen_ns) \
              VALUES (?1, ?2, ?3, ?4, ?5, ?5)",

@@ -89,7 +89,7 @@ impl Staging {
                 (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(reason)) => {
                     tracing::error!(
                         reason,
-                        "a message of a host that the database refuses was dropped; the host's batches are stored"
+                        "the database refused a message of a host: the message is dropped, the batches are stored"
                     );
                     continue;
                 }
@@ -100,7 +100,7 @@ impl Staging {
                 (Work::Goodbye(host), None) => {
                     // The host may be missing in a database that has replaced another database.
                     if let Some(id) = self.entities.find_host(connection, *host).await? {
-                        self.ends.end_process(connection, id).await?;
+                        self.ends.record_process_end(connection, id).await?;
                     }
                     continue;
                 }
@@ -140,6 +140,7 @@ impl Staging {
                         self.counters.is_first_contact(connection, head.host, host).await?;
                     records::insert_missing_batches(connection, host, missing, is_first_contact, now).await?
                 }
+                // All other work was done above.
                 _ => continue,
             };
             self.counters.host(head.host, host).add(&added);
@@ -228,11 +229,11 @@ impl Staging {
     ) -> Result<(), Refusal> {
         match event {
             Event::RunStarted(run) => {
-                let (known, pipeline) = self.entities.run_started(connection, reporter, run).await?;
+                let (known, pipeline) = self.entities.store_run_start(connection, reporter, run).await?;
                 self.ends.record_next_run(pipeline, known.number);
                 Ok(())
             }
-            Event::RunEnded(end) => self.entities.run_ended(connection, reporter, end).await,
+            Event::RunEnded(end) => self.entities.store_run_end(connection, reporter, end).await,
             Event::Incident(incident) => {
                 records::insert_incident(connection, &mut self.entities, reporter, incident, now).await
             }

@@ -81,7 +81,8 @@ impl Work {
         match PreparedBatch::new(head, body.clone()) {
             Ok(batch) => Self::Batch(Box::new(batch)),
             Err(error) => {
-                let frame = Bytes::from(codec::encode_batch(&head, &body, false));
+                let compress = false;
+                let frame = Bytes::from(codec::encode_batch(&head, &body, compress));
                 Self::UnstorableBatch(Box::new(UnstorableBatch {
                     head,
                     frame,

@@ -19,6 +19,7 @@ impl BatchBuilder {
         let [edge, other_anchors @ ..] = tree.anchors() else {
             return Err(BatchError::EmptyTree(number));
         };
+        // The nodes that statistics of their names include.
         let counted_nodes = tree.counted_nodes();
         let run = self.add_to_run(iteration, edge.wall, counted_nodes.get(&stage::SKIPPED_STARTS));
         let index = self.batch.iterations.len() as u32;
@@ -50,6 +51,7 @@ impl BatchBuilder {
         }
         for (id, node, value) in counted_nodes.iter() {
             let name = self.batch.nodes[first_node + id.index()].name;
+            // Values of episodes are in the statistics even if the iteration is not.
             if let Some(value) = value
                 && is_value_in_statistics(&node.name, is_in_statistics)
             {

@@ -40,7 +40,7 @@ pub struct PreparedBatch {
     /// Work to be done one by one, in the order of the events.
     pub(super) steps: Vec<Step>,
     pub(super) runs: Vec<RunPart>,
-    /// Runs that the batch's events of any kind name.
+    /// Runs to which the batch's events refer, iterations and other events.
     pub(super) named_runs: BTreeSet<RunId>,
     pub(super) names: Vec<NameKey>,
     /// Hosts in the trees, without the edge.
@@ -128,8 +128,8 @@ impl PreparedBatch {
         Ok(builder.finish())
     }
 
-    /// Returns the weight of the batch: the number of its nodes plus the number of its other steps. The sizes of commits
-    /// are limited by weight.
+    /// Returns the weight of the batch: 1 plus the numbers of its steps and nodes. The sizes of commits are limited by
+    /// weight.
     pub(crate) fn weight(&self) -> usize {
         1 + self.steps.len() + self.nodes.len()
     }
@@ -199,6 +199,7 @@ impl BatchBuilder {
             Event::Gap(gap) => {
                 self.batch.added.gaps += 1;
                 self.batch.added.missing = self.batch.added.missing.saturating_add(gap.count);
+                // The count 0 means that the number of missing events is unknown.
                 self.batch.added.unknown_gaps += u64::from(gap.count == 0);
                 gap.to
             }

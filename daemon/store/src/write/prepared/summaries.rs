@@ -37,6 +37,7 @@ impl Summaries {
             return;
         }
         if self.last_positions.len() <= name as usize {
+            // `usize::MAX` means that the name has no summary of the quantity yet.
             self.last_positions.resize(name as usize + 1, [usize::MAX; Quantity::COUNT]);
         }
         let last_position = &mut self.last_positions[name as usize][quantity as usize];
