@@ -52,8 +52,9 @@ fn main() {
         });
         time_step("table of two runs", &mut || drop(black_box(Comparison::new(&loaded))));
         let comparison = Comparison::new(&loaded);
+        let (baseline, other, seed) = (0, 1, 1);
         time_step("differences of every stage", &mut || {
-            drop(black_box(Differences::between_lines(&comparison, &loaded, 0, 1, 1)));
+            drop(black_box(Differences::between_lines(&comparison, &loaded, baseline, other, seed)));
         });
     }
 }

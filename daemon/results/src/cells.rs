@@ -7,7 +7,7 @@ use std::path::Path;
 use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Row, Rows};
 use peernet_clock::OneWayDelay;
 
-/// Columns of a `data.csv`: the fixed columns, then the columns of this run.
+/// Columns of a `data.csv`: the fixed columns, then the columns of the run's further measurements.
 #[derive(Clone, Debug)]
 pub struct Header {
     names: Vec<Column>,
@@ -47,7 +47,7 @@ impl Header {
     }
 
     /// Returns the columns after the fixed columns.
-    pub(crate) fn run_columns(&self) -> &[Column] {
+    pub(crate) fn further_columns(&self) -> &[Column] {
         self.names.get(FIXED_COLUMNS.len()..).unwrap_or_default()
     }
 
@@ -63,7 +63,7 @@ impl Header {
             ColumnKind::Delay => delay_cell(row, name),
             ColumnKind::Node => number_cell(row.value(name)),
         });
-        write_line(out, fixed.chain(self.run_columns().iter().map(|name| number_cell(row.value(name)))));
+        write_line(out, fixed.chain(self.further_columns().iter().map(|name| number_cell(row.value(name)))));
     }
 }
 

@@ -85,9 +85,10 @@ fn is_complete(path: &Path, rows: &Rows) -> bool {
     let mut reader = csv::Reader::from_reader(file);
     let header = Header::for_rows(rows);
     let is_row = |record: &csv::ByteRecord, row: RowRef<'_>| {
-        let run_columns = header.run_columns().iter().zip(record.iter().skip(FIXED_COLUMNS.len()));
+        // Every file has the fixed columns from its beginning, so only values of the further columns can be missing.
+        let further_columns = header.further_columns().iter().zip(record.iter().skip(FIXED_COLUMNS.len()));
         record.get(0) == Some(row.iteration().to_string().as_bytes())
-            && run_columns.into_iter().all(|(name, cell)| cell.is_empty() == row.value(name).is_none())
+            && further_columns.into_iter().all(|(name, cell)| cell.is_empty() == row.value(name).is_none())
     };
     let mut expected = rows.iter();
     reader.byte_headers().is_ok_and(|names| names.iter().eq(header.names().map(str::as_bytes)))

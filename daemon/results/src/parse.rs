@@ -19,7 +19,7 @@ pub(crate) enum ParseError {
     #[error("{0}")]
     Csv(#[from] csv::Error),
     #[error("it has no column of a run, such as sensing, inference or total")]
-    NoRunColumn,
+    NoNodeColumn,
     #[error("line {line}, column {column}: {cell:?} is not {expected}")]
     Cell { line: u64, column: String, cell: String, expected: &'static str },
 }
@@ -35,6 +35,7 @@ pub(crate) struct RowParser {
 /// Column of the file.
 struct ColumnParser {
     name: Column,
+    /// Kind of the column; `None` if it is not one of the fixed columns.
     kind: Option<ColumnKind>,
     /// Index in [`PUBLISHED_STAGES`], if the column is a published stage.
     stage: Option<usize>,
@@ -71,8 +72,9 @@ impl RowParser {
         let columns: Vec<ColumnParser> = reader.headers()?.iter().map(column_parser).collect();
         let has = |name: &str| columns.iter().any(|column| column.name == name);
         if !columns.iter().any(|column| matches!(column.kind, Some(ColumnKind::Node))) {
-            return Err(ParseError::NoRunColumn);
+            return Err(ParseError::NoNodeColumn);
         }
+        // Only this program writes the column `outcome`.
         let (has_warm_up_column, is_of_this_program, needs_sum) =
             (has("warm-up"), has("outcome"), !has("stages-total"));
         let mut parser = Self { columns, needs_sum, rows: Rows::default() };
@@ -141,6 +143,7 @@ impl RowParser {
             }
         }
         row.verdicts = verdicts.map(|(verdict, source)| verdict.zip(source));
+        // A row without an iteration number gets its position in the file.
         let number = rows.len() as f64 + 1.0;
         let iteration = row.column_index(rows, &column("iteration"));
         row.numbers[iteration].get_or_insert(number);

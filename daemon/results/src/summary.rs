@@ -231,13 +231,13 @@ fn clocks(up: &DelayQuality, down: &DelayQuality) -> String {
         let items = counts.iter().map(|(name, count)| format!("{} {name}", number::count(*count)));
         items.collect::<Vec<_>>().join(", ")
     };
-    let direction = |name: &str, counts: &DelayQuality| {
-        let sources: Vec<&str> = counts.sources.keys().map(String::as_str).collect();
-        let width = counts.median_width.map(|width| bound_ms(width / 2.0));
+    let direction = |name: &str, quality: &DelayQuality| {
+        let sources: Vec<&str> = quality.sources.keys().map(String::as_str).collect();
+        let width = quality.median_width.map(|width| bound_ms(width / 2.0));
         let width = width.map(|width| if width == number::EXACT { width } else { format!("{width} ms") });
         let sources_and_width: Vec<&str> = sources.into_iter().chain(width.as_deref()).collect();
-        let has_delays = !counts.verdicts.is_empty();
-        has_delays.then(|| format!("{name} {} ({})", list(&counts.verdicts), sources_and_width.join(", ")))
+        let has_delays = !quality.verdicts.is_empty();
+        has_delays.then(|| format!("{name} {} ({})", list(&quality.verdicts), sources_and_width.join(", ")))
     };
     let directions: Vec<String> =
         [direction("upload", up), direction("download", down)].into_iter().flatten().collect();
