@@ -92,7 +92,8 @@ impl ActuatorResults {
     }
 
     /// Returns the results from statistics. `statistics_of` returns count, mean and sample standard deviation of the
-    /// values of the node with this name; `None` without values. Counts and means are exact in roll-ups.
+    /// values of the node with this name; `None` without values. Counts and means of roll-ups are exact, so the number
+    /// of superseded answers is exact, too.
     pub fn from_statistics(statistics_of: impl Fn(&str) -> Option<(u64, f64, Option<f64>)>) -> Self {
         let superseded =
             statistics_of(SUPERSEDED).map_or(0.0, |(count, mean, _)| (mean * count as f64).round());

@@ -28,17 +28,17 @@ const MIN_LENGTH_RATIO: f64 = 1.5;
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
     names
         .filter(|name| is_tokens(name))
-        .min_by_key(|name| (counts_question(name), *name))
+        .min_by_key(|name| (counts_question_tokens(name), *name))
         .unwrap_or(ANSWER_BYTES)
 }
 
-fn counts_question(name: &str) -> bool {
+fn counts_question_tokens(name: &str) -> bool {
     QUESTION_WORDS.iter().any(|word| name.contains(word))
 }
 
 /// Returns the name of the quantity that counts the tokens of an answer; `None` if no tokens of answers are counted.
 pub fn answer_tokens<'a>(names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    Some(answer_length(names)).filter(|name| is_tokens(name) && !counts_question(name))
+    Some(answer_length(names)).filter(|name| is_tokens(name) && !counts_question_tokens(name))
 }
 
 /// Returns whether these quantities are those of a language model whose server reports no numbers of tokens: chunks of
@@ -143,6 +143,7 @@ impl Growth {
         let (unit, unit_length) = slope_unit(length_name);
         let (value, lo, hi) =
             (fit.slope.value * unit_length, interval.0 * unit_length, interval.1 * unit_length);
+        // `near` and `far` are the distances of the interval's ends from zero.
         let (magnitude, near, far) = (value.abs(), lo.abs().min(hi.abs()), lo.abs().max(hi.abs()));
         let more = if value > 0.0 { "more" } else { "less" };
         let statement = if self.is_significant() {

@@ -5,7 +5,8 @@
 use peernet_sample::{MediaType, Part, PixelFormat, Sample};
 use serde::Deserialize;
 
-/// Name of the score of an iteration with a labelled mask: the mean over the classes that the mask or the answer has.
+/// Name of the score of an iteration with a labelled mask: the ratio of intersection to union, as the mean over the
+/// classes that the mask or the answer has.
 pub const SEGMENTATION_SCORE: &str = "mean-iou";
 
 /// Value of the pixels of a mask that are not scored, such as the border of an object (`void` of PASCAL VOC).
@@ -46,8 +47,8 @@ impl<'a> ClassMap<'a> {
         is_grey.then(|| Self::new(width, height, &part.bytes))?
     }
 
-    /// Returns whether this mask has a class that the model does not have. The answer contains the number of the
-    /// model's classes. `false` if it does not, like the answer of a Python object.
+    /// Returns whether this mask has a class that the model does not have. The number of the model's classes is read
+    /// from the answer. Returns `false` if the answer does not contain it, like the answer of a Python object.
     pub fn has_unknown_class(&self, answer: &Sample) -> bool {
         let summary = answer.json().map(serde_json::from_slice);
         let Some(Ok(AnswerSummary { class_count: Some(count) })) = summary else { return false };
@@ -86,8 +87,9 @@ impl SegmentedPixels {
     /// the mask's pixel lies.
     pub fn of(mask: ClassMap<'_>, answer: ClassMap<'_>) -> Self {
         let mut counts = Self::default();
-        // Index of the answer's pixel, of `answer_size`, that contains the centre of the mask's pixel `index`, of
-        // `mask_size`. The calculation uses whole numbers, so that rounding cannot choose a neighbouring pixel.
+        // Returns the index of the answer's pixel that contains the centre of the mask's pixel `index`, along one axis.
+        // The sizes are the numbers of pixels along this axis. The calculation uses whole numbers, so that rounding
+        // cannot choose a neighbouring pixel.
         let answer_index = |index: usize, mask_size: usize, answer_size: usize| {
             (2 * index + 1) * answer_size / (2 * mask_size)
         };

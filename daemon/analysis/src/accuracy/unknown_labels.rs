@@ -60,7 +60,7 @@ impl UnknownLabels {
         format!("Not scored: {}, {}.", self.iterations(total), self.reason())
     }
 
-    /// Returns the number of iterations without a score: `2 of 1,000 iterations`.
+    /// Returns the number of iterations whose label is not a class of the model: `2 of 1,000 iterations`.
     pub fn iterations(&self, total: u64) -> String {
         format!("{} of {}", count(self.count), counted(total, "iteration"))
     }

@@ -126,8 +126,8 @@ impl DirectionStudy {
     }
 }
 
-/// Returns the median delay of the messages with this payload in the statistics, seconds, computed as in the study.
-/// `None` if no delay of these messages is known.
+/// Returns the median delay of the messages with this payload in the statistics, seconds, computed as in
+/// [`DirectionStudy`]. `None` if no delay of these messages is known.
 pub fn median_delay(direction: Direction, samples: &[Sample], payload_bytes: u64) -> Option<f64> {
     size_summary(payload_bytes, &passages_in_statistics(direction, samples)).map(|size| size.median)
 }
@@ -192,11 +192,11 @@ impl Throughput {
     fn with_bounds(slope: Estimate, sizes: &[SizeSummary]) -> Option<Self> {
         let (first, last) = (sizes.first()?, sizes.last()?);
         let bytes = last.wire_bytes - first.wire_bytes;
-        let lines = first.bounds.zip(last.bounds).map(|((first_lo, first_hi), (last_lo, last_hi))| {
+        let slopes = first.bounds.zip(last.bounds).map(|((first_lo, first_hi), (last_lo, last_hi))| {
             // The flattest line goes from the highest possible delay of the smallest size to the lowest possible delay
-            // of the largest size.
+            // of the largest size. The steepest line goes from the lowest to the highest possible delay.
             ((last_lo - first_hi) / bytes, (last_hi - first_lo) / bytes)
         });
-        Some(Self { bounds: lines.and_then(rate_range), ..Self::from_slope(slope)? })
+        Some(Self { bounds: slopes.and_then(rate_range), ..Self::from_slope(slope)? })
     }
 }
