@@ -53,7 +53,7 @@ impl Failures {
 }
 
 /// Returns the sentence about payloads without an answer; empty if every payload was answered. `sent` is the number of
-/// all payloads.
+/// all payloads without the warm-up.
 pub(super) fn sentence(failures: &[Failures], sent: u64) -> String {
     if failures.is_empty() {
         return String::new();

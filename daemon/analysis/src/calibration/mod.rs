@@ -1,10 +1,11 @@
-//! Calibration of a link: one-way delay against size, the intercept of the linear fit, and the bounds that the clocks allow.
+//! Calibration of a link: one-way delay against size, the intercept of the linear fit, and the bounds that the clocks
+//! allow.
 //!
 //! The paper's study (IROS 2024, section on network timing) sent payloads of several sizes and fitted a line to the
 //! differences of the two hosts' stamps. The study took the intercept of the line, −2.01 ms, as the error of every
 //! delay. This module fits a line to corrected delays and compares its intercept with the bounds that the clock
 //! relation allows. If the clocks are right, the intercept is the real delay of an empty message. It is then not
-//! negative and lies within the bounds that follow from the bounds of the smallest payload.
+//! negative and lies within the bounds that follow from the clock bounds of the smallest payload's delay.
 
 mod clocks;
 mod direction;
@@ -51,7 +52,8 @@ pub struct Setting {
     /// True if the study ended early.
     pub interrupted: bool,
     /// Reason for an early end, as text; `None` if the study was complete or the user ended it.
-    pub ended: Option<String>,
+    #[serde(rename = "ended")]
+    pub end_reason: Option<String>,
     /// Number of times that the peer went away and came back with the same clock. The clocks were related again each
     /// time.
     pub reconnections: u64,
@@ -71,7 +73,7 @@ pub struct Counts {
     pub failed: u64,
 }
 
-/// Complete result of a calibration. Seconds, bytes, bits per second.
+/// Complete result of a calibration. The units are seconds, bytes and bits per second.
 #[derive(Clone, Debug, Serialize)]
 pub struct Study {
     /// Setting of the study.
@@ -123,7 +125,8 @@ impl Study {
         Ok(files)
     }
 
-    /// Returns the text for a terminal: a table of sizes, a table of fits, reasons for payloads without an answer, and the verdict.
+    /// Returns the text for a terminal: a table of sizes, a table of fits, reasons for payloads without an answer, and
+    /// the verdict.
     pub fn text(&self) -> String {
         let fault_note = "clock fault injection: the clock of one of the hosts was made wrong on purpose";
         let fault_note = if self.setting.has_clock_fault { fault_note } else { "" };

@@ -12,7 +12,8 @@ pub struct Passage {
     pub payload_bytes: u64,
     /// Metadata, bytes.
     pub metadata_bytes: u64,
-    /// Delay of the message, with its bounds if they are known.
+    /// Delay of the message, with its bounds if they are known. The delay is judged: the clock relation gave it a
+    /// verdict.
     pub delay: OneWayDelay,
 }
 

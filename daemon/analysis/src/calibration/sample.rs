@@ -16,7 +16,8 @@ pub struct Sample {
     pub at: f64,
     /// Payload, bytes.
     pub payload_bytes: u64,
-    /// True if the iteration is warm-up. Such samples are written to `samples.csv`, but left out of the study.
+    /// True if the iteration is warm-up. Such samples are written to `samples.csv`, but no result is computed
+    /// from them.
     pub warm_up: bool,
     /// Outcome of the iteration.
     pub outcome: Outcome,
@@ -34,6 +35,7 @@ impl Sample {
     /// Returns the measurements of an iteration with a payload of `payload_bytes`.
     pub fn new(iteration: &Iteration, payload_bytes: u64) -> Self {
         let tree = &iteration.tree;
+        // The first anchor is the time at which the edge started the tree.
         let at = tree.anchors().first().map_or(0.0, |anchor| anchor.wall.unix_nanos() as f64 * 1e-9);
         Self {
             number: iteration.number,

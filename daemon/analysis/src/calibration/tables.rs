@@ -21,7 +21,7 @@ const MAX_MS_DECIMALS: usize = 4;
 /// suffix: `upload`.
 const PASSAGE_COLUMNS: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];
 
-/// Writes `samples.csv`, which has a row for each iteration: seconds, bytes.
+/// Writes `samples.csv`, which has a row for each iteration. The units are seconds and bytes.
 pub(super) fn write_samples(samples: &[Sample], path: &Path) -> Result<(), WriteError> {
     let columns = |stage: &str| {
         PASSAGE_COLUMNS
@@ -71,7 +71,8 @@ fn passage_cells(passage: &Passage) -> Vec<String> {
     ]
 }
 
-/// Writes `summary.csv`, which has a row for each size in each direction: seconds, bytes, bits per second.
+/// Writes `summary.csv`, which has a row for each size in each direction. The units are seconds, bytes and bits per
+/// second.
 pub(super) fn write_summary(study: &Study, path: &Path) -> Result<(), WriteError> {
     let header = [
         "stage",
@@ -144,7 +145,8 @@ pub(super) fn sizes_text(study: &Study) -> String {
     text(&header, &rows.collect::<Vec<_>>())
 }
 
-/// Returns the cells of one direction, a row for each payload; all numbers of a column have the same number of decimals.
+/// Returns the cells of one direction, a row for each payload; all numbers of a column have the same number of
+/// decimals.
 fn size_columns(direction: &DirectionStudy, payloads: &[u64]) -> Vec<Vec<String>> {
     let sizes = &direction.sizes;
     let ms_decimals = decimals_of(sizes.iter().map(|size| size.median * 1e3));
@@ -174,7 +176,8 @@ pub(super) fn fits_text(study: &Study) -> String {
     if rows.is_empty() { String::new() } else { text(&header, &rows) }
 }
 
-/// Returns the rows of one direction: its fitted lines and the clock bounds; all numbers of a column have the same number of decimals.
+/// Returns the rows of one direction: its fitted lines and the clock bounds; all numbers of a column have the same
+/// number of decimals.
 fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
     let Some(fits) = &direction.fits else { return Vec::new() };
     let methods = [
@@ -196,6 +199,7 @@ fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
     let mb = |rate: f64| fixed_or_less_than(rate / 8e6, mb_decimals);
     let delay_range = |(lo, hi): (f64, f64)| join_ends([ms(lo), ms(hi)]);
     let throughput_range = |(lo, hi): (f64, Option<f64>)| match hi.filter(|hi| hi.is_finite()) {
+        // The interval of the slope reaches zero, so the throughput has no upper end.
         None => format!("≥ {}", mb(lo)),
         Some(hi) => join_ends([mb(lo), mb(hi)]),
     };

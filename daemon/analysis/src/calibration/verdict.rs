@@ -1,6 +1,6 @@
 //! Verdict of a study, in one sentence.
 
-use peernet_clock::Verdict as Delay;
+use peernet_clock::Verdict as DelayVerdict;
 use peernet_statistics::number::{counted, error_ms, mean_std, range_ms};
 use serde::Serialize;
 
@@ -12,11 +12,11 @@ use crate::fit::{Estimate, Fit};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum VerdictKind {
-    /// The intercepts lie within the clock bounds.
+    /// The confidence interval of each intercept overlaps the clock bounds.
     Trusted,
     /// Both ends read one clock, so the delays have no clock error.
     Exact,
-    /// An intercept lies outside of the clock bounds.
+    /// The confidence interval of an intercept lies outside of the clock bounds.
     Contradicted,
     /// The margin of an intercept is larger than the width of the clock bounds, so a comparison with the bounds says
     /// nothing.
@@ -25,14 +25,15 @@ pub enum VerdictKind {
     Stepped,
     /// The hosts' time daemons contradict the messages.
     Inconsistent,
-    /// The two clocks were never related.
+    /// The two clocks were never related, or the delays of a direction have no clock bounds.
     Unsynchronised,
     /// There are too few sizes or answers to fit a line.
     Insufficient,
 }
 
 impl VerdictKind {
-    /// Returns whether the study has a result. Without related clocks, or without a line, there is nothing to compare.
+    /// Returns whether the study has a result. A clock step and a contradiction are results, too. Without related
+    /// clocks, or without a line, the study says nothing.
     pub const fn is_result(self) -> bool {
         !matches!(self, Self::Unsynchronised | Self::Insufficient)
     }
@@ -65,8 +66,8 @@ impl Verdict {
     pub(super) fn new(up: &DirectionStudy, down: &DirectionStudy, clocks: &Clocks) -> Self {
         let count = |verdict| up.count_verdicts(&[verdict]) + down.count_verdicts(&[verdict]);
         let without_max_error = |kind, sentence: String| Self { kind, max_error: None, sentence };
-        if clocks.steps > 0 || count(Delay::Stepped) > 0 {
-            let unusable_text = match count(Delay::Stepped) {
+        if clocks.steps > 0 || count(DelayVerdict::Stepped) > 0 {
+            let unusable_text = match count(DelayVerdict::Stepped) {
                 0 => String::new(),
                 stepped => format!(" ({} cannot be used)", counted(stepped, "delay")),
             };
@@ -77,12 +78,13 @@ impl Verdict {
                 ),
             );
         }
-        if count(Delay::Inconsistent) > 0 {
+        if count(DelayVerdict::Inconsistent) > 0 {
             let sentence = "the hosts' time daemons and the messages between the hosts exclude each other: one clock is wrong by more than its daemon claims, or the clocks drift apart faster than max_drift_ppm";
             return without_max_error(VerdictKind::Inconsistent, sentence.to_owned());
         }
+        // `sizes` has only sizes with a known delay.
         if up.sizes.is_empty() && down.sizes.is_empty() {
-            return match count(Delay::Unsynchronised) {
+            return match count(DelayVerdict::Unsynchronised) {
                 0 => without_max_error(
                     VerdictKind::Insufficient,
                     "nothing was measured: no payload was answered".to_owned(),
@@ -127,6 +129,7 @@ impl Verdict {
             times => format!("{times} times"),
         };
         let clocks = match self.kind {
+            // These verdicts do not depend on a clock relation.
             VerdictKind::Exact | VerdictKind::Unsynchronised | VerdictKind::Insufficient => "",
             _ => ", and the clocks were related again: each delay uses the relation at its time",
         };
@@ -185,7 +188,8 @@ impl InterceptCheck {
         Some(Self { name: direction.name(), intercept: fit.intercept, allowed, max_error })
     }
 
-    /// Returns whether the margin of the intercept is wider than the bounds that the intercept is compared with.
+    /// Returns whether the margin of the intercept is wider than the bounds that the intercept is compared with. An
+    /// intercept without a margin is imprecise, too.
     fn is_imprecise(&self) -> bool {
         let (lowest, highest) = self.allowed.at_zero;
         self.intercept.margin().is_none_or(|margin| margin > highest - lowest)

@@ -82,7 +82,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         sizes_bytes: plan.sizes().to_vec(),
         repeats: arguments.repeats.get(),
         interrupted: end != AgentEnd::Finished,
-        ended: match &end {
+        end_reason: match &end {
             AgentEnd::Failed(reason) => Some(reason.clone()),
             _ => None,
         },
