@@ -386,8 +386,9 @@ async fn run_files_and_store_give_same_comparison() {
         let of_stage = |found: &&serde_json::Value| found["name"] == stage.stage.as_str();
         let found = of_store["differences"].as_array().expect("differences").iter().find(of_stage);
         let found = found.unwrap_or_else(|| panic!("{} is compared in files only", stage.stage));
-        assert!((found["value"].as_f64().expect("a number") - stage.mean.value).abs() < 1e-9, "{found}");
-        let (lo, hi) = stage.mean.interval.expect("enough iterations");
+        let difference = stage.mean_difference;
+        assert!((found["value"].as_f64().expect("a number") - difference.value).abs() < 1e-9, "{found}");
+        let (lo, hi) = difference.interval.expect("enough iterations");
         // Constant values have a width of 0, apart from rounding.
         let tolerance = 0.5 * (hi - lo) + 1e-12;
         for (end, of_file) in found["interval"].as_array().expect("two ends").iter().zip([lo, hi]) {
@@ -395,7 +396,7 @@ async fn run_files_and_store_give_same_comparison() {
             assert!((end - of_file).abs() <= tolerance, "{}: {found} {lo} {hi}", stage.stage);
         }
         let is_near_zero = lo.abs().min(hi.abs()) < tolerance;
-        assert!(is_near_zero || found["certain"].as_bool() == stage.mean.is_distinct(), "{found} {stage:?}");
+        assert!(is_near_zero || found["certain"].as_bool() == difference.is_distinct(), "{found} {stage:?}");
     }
     assert!(differences.stages.len() >= 3, "{of_store}");
 }

@@ -1,4 +1,4 @@
-//! Best line, and the differences between the other lines and the best.
+//! Best line of a comparison, and the differences between the other lines and the best line.
 
 use peernet_sample::printable_line;
 use peernet_statistics::number::column_decimals;

@@ -16,6 +16,7 @@ pub(super) fn length(values: &[f64]) -> f64 {
     let Some(window) = window(&centred) else { return 1.0 };
     let flat_top = |lag: usize| (2.0 * (1.0 - lag as f64 / window as f64)).clamp(0.0, 1.0);
     let (mut g, mut variance) = (0.0, covariance(&centred, 0));
+    // R and λ are the same at a lag and at its negative, so each positive lag counts twice.
     for lag in 1..=window.min(values.len().saturating_sub(1)) {
         let weighted = 2.0 * flat_top(lag) * covariance(&centred, lag);
         g += lag as f64 * weighted;

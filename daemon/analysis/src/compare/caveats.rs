@@ -49,7 +49,8 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
 }
 
 /// Returns the innermost folder that contains the folders of all runs.
-// A table that is kept with its results must not depend on the folder in which it was made.
+// The notes name a run by its path inside this folder: a table that is kept with its results must not depend on the
+// directory in which the command ran.
 fn shared_folder(runs: &[Loaded]) -> PathBuf {
     let parents = runs.iter().map(|run| run.folder.parent().unwrap_or(Path::new("")).to_owned());
     let shared = |a: PathBuf, b: PathBuf| {
@@ -72,9 +73,9 @@ pub fn skipped_starts(configurations: impl IntoIterator<Item = (String, Starts)>
     })
 }
 
-/// Returns a sentence about the configurations whose latencies are drawn from a distribution. Each configuration is given by its name and its
-/// [description](crate::trust::ReplayedLatencies::describe_all). The name may be empty if there is a single
-/// configuration. `None` if no latency is drawn.
+/// Returns a sentence about the configurations whose latencies are drawn from a distribution. Each configuration is
+/// given by its name and its [description](crate::trust::ReplayedLatencies::describe_all). The name may be empty if
+/// there is a single configuration. `None` if no latency is drawn.
 pub fn replayed_configurations<'a>(
     configurations: impl IntoIterator<Item = (String, Option<&'a str>)>,
 ) -> Option<String> {
@@ -89,9 +90,9 @@ fn describe_missing_numbers(runs: &[Loaded], line: &Line) -> Vec<String> {
     let rows = || line.runs.iter().flat_map(|run| &runs[*run].rows).filter(|row| row.is_in_statistics());
     let describe = |(name, latency): (&str, &Option<super::Latency>)| {
         let known_share = (*latency)?.count as f64 / line.count as f64;
-        // If many delays are unknown, the note that MIN_KNOWN_SHARE describes reports them.
+        // If many delays are unknown, another note says which share of them is known: see MIN_KNOWN_SHARE.
         (known_share >= MIN_KNOWN_SHARE || !["upload", "download"].contains(&name)).then_some(())?;
-        let missing_count = rows().filter(|row| is_missing(*row, name)).count();
+        let missing_count = rows().filter(|row| is_missing_or_too_large(*row, name)).count();
         let iterations = format!("{missing_count} of {}", counted(line.count, "iteration"));
         (missing_count > 0).then(|| format!("{name} of {}: {iterations}", line.name))
     };
@@ -100,7 +101,7 @@ fn describe_missing_numbers(runs: &[Loaded], line: &Line) -> Vec<String> {
 
 /// Returns whether the number of a column is missing without a recorded reason, or too large for the statistics. A
 /// delay is missing for a reason if its verdict says that it cannot be known.
-fn is_missing(row: RowRef<'_>, name: &str) -> bool {
+fn is_missing_or_too_large(row: RowRef<'_>, name: &str) -> bool {
     let [up, down] = row.verdicts();
     let explains_missing = |verdict: Option<Verdict>| {
         verdict.is_some_and(|verdict| !matches!(verdict, Verdict::Ok | Verdict::Limited))

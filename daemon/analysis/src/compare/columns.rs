@@ -71,8 +71,8 @@ pub fn choose_further_columns(already_chosen: Vec<Column>, candidates: Vec<Colum
     ChosenColumns { columns, rest }
 }
 
-/// Returns whether some of the labels of one column are hashes or paths, which mean nothing to people, or lists that are too long for a
-/// table.
+/// Returns whether some of the labels of one column are hashes or paths, which mean nothing to people, or lists that
+/// are too long for a table.
 fn is_opaque<'a>(mut labels: impl Iterator<Item = &'a str>) -> bool {
     let is_hash =
         |word: &str| word.len() >= MIN_HASH_DIGITS && word.bytes().all(|byte| byte.is_ascii_hexdigit());
@@ -81,8 +81,8 @@ fn is_opaque<'a>(mut labels: impl Iterator<Item = &'a str>) -> bool {
     })
 }
 
-/// Returns whether no two configurations have the same labels.
-pub(super) fn are_distinct(columns: &[Column], configurations: usize) -> bool {
+/// Returns whether no two configurations have the same labels in these columns.
+pub(super) fn distinguish_all_configurations(columns: &[Column], configurations: usize) -> bool {
     distinct_rows(columns, configurations) == configurations
 }
 
@@ -143,7 +143,8 @@ impl Column {
     fn values_with_configurations(&self, columns: &[Column]) -> Option<String> {
         // Each value with the names of the configurations that have it.
         let mut values: Vec<(&str, Vec<String>)> = Vec::new();
-        // The configurations are named by a single column if it determines the labels of this column, otherwise by all columns.
+        // The configurations are named by a single column if it determines the labels of this column, otherwise by all
+        // columns.
         let naming_column = columns.iter().find(|column| column.determines(self));
         for (index, label) in self.labels.iter().enumerate().filter(|(_, label)| *label != EMPTY_CELL) {
             let name = match naming_column {
@@ -173,7 +174,8 @@ impl Column {
         if is_only_unlabelled && !name.is_empty() { name } else { "the others".to_owned() }
     }
 
-    /// Returns whether the labels of this column determine the labels of another column: equal labels here mean equal labels there.
+    /// Returns whether the labels of this column determine the labels of another column: equal labels here mean equal
+    /// labels there.
     fn determines(&self, other: &Self) -> bool {
         let pairs = || self.labels.iter().zip(&other.labels);
         pairs().all(|(own_a, other_a)| pairs().all(|(own_b, other_b)| own_a != own_b || other_a == other_b))

@@ -11,8 +11,8 @@ use super::labels::{
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
-/// Maximum number of different labels that a group's joined label lists. If there are more, the joined label gives only
-/// their number.
+/// Maximum number of different labels in the joined label of a group. If there are more, the joined label is only their
+/// number.
 const MAX_JOINED_LABELS: usize = 3;
 
 /// Groups the runs with equal labels. A group has the indexes of its runs, and the groups are in the order of their
@@ -75,7 +75,7 @@ impl Configurations {
             let names = folder_names(runs, &groups);
             configurations.add("run", labels_by_run(runs.len(), &groups, &names));
         }
-        configurations.add_names_if_unlabelled(runs);
+        configurations.add_pipeline_names_if_no_column(runs);
         configurations
     }
 
@@ -99,9 +99,10 @@ impl Configurations {
         };
         if groups.len() > 1 {
             if !all_labelled {
-                // Otherwise the row of a run without labels would begin with empty cells only.
+                // The column of folders comes first: otherwise the row of a run without labels would begin with empty
+                // cells only.
                 insert_folders(0, &mut columns);
-            } else if !columns::are_distinct(&columns, groups.len()) {
+            } else if !columns::distinguish_all_configurations(&columns, groups.len()) {
                 insert_folders(columns.len(), &mut columns);
             }
         }
@@ -110,12 +111,12 @@ impl Configurations {
         for Column { axis, labels } in &columns {
             configurations.add(axis, labels_by_run(runs.len(), &groups, labels));
         }
-        configurations.add_names_if_unlabelled(runs);
+        configurations.add_pipeline_names_if_no_column(runs);
         (configurations, sentences)
     }
 
     /// Adds a column with the names of the pipelines if there is no other column.
-    fn add_names_if_unlabelled(&mut self, runs: &[Loaded]) {
+    fn add_pipeline_names_if_no_column(&mut self, runs: &[Loaded]) {
         if self.axes.is_empty() {
             let groups = group_by_configuration(runs);
             let names = groups.iter().map(|group| runs[group[0]].record.name.clone()).collect::<Vec<_>>();
@@ -142,9 +143,9 @@ impl Configurations {
         }
     }
 
-    /// Gives each of the chosen runs a separate line, next to the other repeats of its configuration. Edges that were measured at the same
-    /// time stay together.
-    pub(super) fn separate_runs(&mut self, runs: &[Loaded], chosen: &[usize]) {
+    /// Gives the repeats of the chosen runs a separate line, next to the line of the other repeats of the same
+    /// configuration. Edges that were measured at the same time stay together.
+    pub(super) fn separate_repeats(&mut self, runs: &[Loaded], chosen: &[usize]) {
         let repeat = |run: usize| runs[run].record.experiment.as_ref().map(|position| position.repeat);
         let label = |run: usize| {
             let chosen_with_labels = chosen.iter().filter(|other| self.labels[**other] == self.labels[run]);
@@ -241,8 +242,9 @@ fn join_labels<'a>(labels: impl Iterator<Item = &'a String>) -> String {
 /// whose file is outside of a result folder is named after the file.
 fn folder_names(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let path = |run: &Loaded| {
-        // A file of rows without a record is a run by itself. Several such files can be in one folder, so the name of
-        // the file is used instead of the name of the folder.
+        // A file of rows without a record (format 0) is a run by itself. Several such files can be in one folder, so
+        // the name of the file, `record.name`, is used instead of the name of the folder. If a folder was opened
+        // instead of a file, `record.name` is the name of the folder.
         let is_single_file = run.record.format == 0 && !run.folder.ends_with(&run.record.name);
         if is_single_file { run.folder.join(&run.record.name) } else { run.folder.clone() }
     };
@@ -253,7 +255,7 @@ fn folder_names(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
         let paths: Vec<Vec<String>> = group.iter().map(parts).collect();
         let mut parts = paths[0][..common_prefix_len(&paths)].to_vec();
         if paths.len() > 1 {
-            // `runs` contains all runs of the experiment, so the word would distinguish nothing.
+            // The folder `runs` contains all runs of the experiment, so its name would distinguish nothing.
             parts.pop_if(|last| *last == "runs");
         }
         parts

@@ -51,7 +51,8 @@ impl Difference {
         (estimate.signed(), self.interval.map(|_| estimate.signed_interval()))
     }
 
-    /// Returns whether the interval excludes zero, so that the difference is more than chance; `None` if there is no interval.
+    /// Returns whether the interval excludes zero, so that the difference is more than chance; `None` if there is no
+    /// interval.
     pub fn is_distinct(&self) -> Option<bool> {
         self.interval.map(|(lo, hi)| lo > 0.0 || hi < 0.0)
     }
@@ -66,18 +67,19 @@ pub struct MeanEstimate {
 }
 
 impl MeanEstimate {
-    /// Returns the estimate from the values of each run, in the order in which they were measured. `None` without values.
+    /// Returns the estimate from the values of each run, in the order in which they were measured. `None` without
+    /// values.
     pub fn from_values(runs: &[Vec<f64>]) -> Option<Self> {
         Self::from_series(runs.iter().map(Vec::as_slice))
     }
 
-    /// Returns the estimate of a mean over all values. Its precision is computed from the stored buckets of each run that has values, in order of
-    /// time. A bucket is the count and the mean of its values. The buckets may cover only a part of the values, because
-    /// retention deletes buckets before it deletes the mean. If all buckets of a run are deleted, the precision is
-    /// unknown.
+    /// Returns the estimate of a mean over all values. Its precision is computed from the stored buckets of each run
+    /// that has values, in order of time. A bucket is the count and the mean of its values. The buckets may cover only
+    /// a part of the values, because retention deletes buckets before it deletes the mean. If all buckets of a run are
+    /// deleted, the precision is unknown.
     pub fn from_buckets(mean: f64, runs: &[Vec<(u64, f64)>]) -> Self {
-        let is_run_deleted = runs.iter().any(|run| run.as_slice().total_count() == 0);
-        let estimate = Self::from_series(runs.iter().map(Vec::as_slice)).filter(|_| !is_run_deleted);
+        let has_run_without_buckets = runs.iter().any(|run| run.as_slice().total_count() == 0);
+        let estimate = Self::from_series(runs.iter().map(Vec::as_slice)).filter(|_| !has_run_without_buckets);
         Self { mean, batches: estimate.map_or_else(Vec::new, |estimate| estimate.batches) }
     }
 
@@ -148,8 +150,8 @@ mod tests {
         MeanEstimate::from_values(runs).expect("values")
     }
 
-    /// The expected values were calculated by hand: variances of the means 0.5 and 0.583, 8.989 degrees of freedom, so 2.5 ± 2.26255 ×
-    /// 1.04083.
+    /// The expected values were calculated by hand: variances of the means 0.5 and 0.583, 8.989 degrees of freedom, so
+    /// 2.5 ± 2.26255 × 1.04083.
     #[test]
     fn interval_is_that_of_welch() {
         let estimate = |values: &[f64]| MeanEstimate {

@@ -53,9 +53,9 @@ impl Differences {
         let difference_cells = |difference: Difference| difference.value_and_ends().map(number);
         let value_cells = |values: (f64, f64)| [values.0.to_string(), values.1.to_string()];
         let names = [self.baseline.clone(), self.other.clone(), stage.stage.clone()].into_iter();
-        let means = value_cells(stage.means).into_iter().chain(difference_cells(stage.mean));
-        let medians = value_cells(stage.medians).into_iter().chain(difference_cells(stage.median));
-        names.chain(means).chain(medians).chain([number(stage.clocks)]).collect()
+        let means = value_cells(stage.means).into_iter().chain(difference_cells(stage.mean_difference));
+        let medians = value_cells(stage.medians).into_iter().chain(difference_cells(stage.median_difference));
+        names.chain(means).chain(medians).chain([number(stage.clock_error)]).collect()
     }
 
     fn heading(&self) -> String {
@@ -89,9 +89,9 @@ impl Differences {
         let max_decimals = |difference: fn(&StageDifference) -> Difference| {
             column_decimals(stages().map(|stage| difference(stage).margin()))
         };
-        let mean_decimals = max_decimals(|stage| stage.mean);
-        let median_decimals = max_decimals(|stage| stage.median);
-        let clock_errors = stages().filter_map(|stage| stage.clocks).filter(|error| *error > 0.0);
+        let mean_decimals = max_decimals(|stage| stage.mean_difference);
+        let median_decimals = max_decimals(|stage| stage.median_difference);
+        let clock_errors = stages().filter_map(|stage| stage.clock_error).filter(|error| *error > 0.0);
         let clock_decimals =
             clock_errors.map(|error| decimals(error * 1e3, 2).min(MAX_MS_DECIMALS)).max().unwrap_or_default();
         let cells = |values: (f64, f64), difference: Difference, decimals: usize| {
@@ -101,21 +101,22 @@ impl Differences {
             [ms(values.0), ms(values.1), difference, interval]
         };
         let clock_cell = |error: f64| match error {
+            // Only delays between stamps of one clock have bounds of width 0.
             0.0 => EXACT.to_owned(),
             error => format!("±{}", fixed_or_less_than(error * 1e3, clock_decimals)),
         };
         let row = |stage: &StageDifference| {
             let name = std::iter::once(stage.stage.clone());
-            let means = cells(stage.means, stage.mean, mean_decimals);
-            let medians = cells(stage.medians, stage.median, median_decimals);
-            let clocks = stage.clocks.map(clock_cell).unwrap_or_default();
+            let means = cells(stage.means, stage.mean_difference, mean_decimals);
+            let medians = cells(stage.medians, stage.median_difference, median_decimals);
+            let clocks = stage.clock_error.map(clock_cell).unwrap_or_default();
             name.chain(means).chain(medians).chain([clocks]).collect()
         };
         stages().map(row).collect()
     }
 
     fn notes(&self) -> String {
-        let clocks = if self.stages.iter().any(|stage| stage.clocks.is_some_and(|clocks| clocks > 0.0)) {
+        let clocks = if self.stages.iter().any(|stage| stage.clock_error.is_some_and(|error| error > 0.0)) {
             " The interval does not contain the uncertainty of the clock offset, which is in the last column."
         } else {
             ""

@@ -46,15 +46,18 @@ pub struct StageDifference {
     /// Mean of the baseline and mean of the other line.
     pub means: (f64, f64),
     /// Mean of the other line minus the mean of the baseline.
-    pub mean: Difference,
+    #[serde(rename = "mean")]
+    pub mean_difference: Difference,
     /// Median of the baseline and median of the other line.
     pub medians: (f64, f64),
     /// Median of the other line minus the median of the baseline.
-    pub median: Difference,
-    /// Further error of the difference, because the clock offset is known only within bounds. The intervals of `mean`
-    /// and `median` do not include this error. It is the sum of two means: the mean half width of the clock bounds in
+    #[serde(rename = "median")]
+    pub median_difference: Difference,
+    /// Further error of the difference, because the clock offset is known only within bounds. The intervals of the two
+    /// differences do not include this error. It is the sum of two means: the mean half width of the clock bounds in
     /// the baseline, and the mean half width in the other line. `None` for stages that a single clock measured.
-    pub clocks: Option<f64>,
+    #[serde(rename = "clocks")]
+    pub clock_error: Option<f64>,
 }
 
 impl Differences {
@@ -110,17 +113,19 @@ impl StageDifference {
         Some(Self {
             stage: stage.to_owned(),
             means: (means.0.mean(), means.1.mean()),
-            mean: Difference::between_means(&means.0, &means.1),
+            mean_difference: Difference::between_means(&means.0, &means.1),
             medians: (pooled.0.median()?, pooled.1.median()?),
-            median: median_difference(&pooled.0, &pooled.1, seed)?,
-            clocks: half_width(baseline, stage).zip(half_width(other, stage)).map(|(a, b)| a + b),
+            median_difference: median_difference(&pooled.0, &pooled.1, seed)?,
+            clock_error: mean_clock_half_width(baseline, stage)
+                .zip(mean_clock_half_width(other, stage))
+                .map(|(a, b)| a + b),
         })
     }
 }
 
-/// Returns half the mean width of a delay's bounds, seconds. `None` for stages that are not delays, and if no delay has
-/// bounds.
-fn half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
+/// Returns half the mean width of a delay's clock bounds, seconds. `None` for stages that are not delays, and if no
+/// delay has bounds.
+fn mean_clock_half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
     ["upload", "download"].contains(&stage).then_some(())?;
     let width =
         |row: RowRef<'_>| Some(row.value(&format!("{stage}-hi"))? - row.value(&format!("{stage}-lo"))?);

@@ -115,8 +115,8 @@ fn declared_labels(position: Option<&ExperimentPosition>) -> Vec<(String, String
     position.map(|position| position.configuration.clone()).unwrap_or_default()
 }
 
-/// Describes the labels of a run on its axes: `Where = cloud, Model = S, repeat 2`. `repeat` counts from 0; `None` leaves
-/// out the repeat.
+/// Describes the labels of a run on its axes: `Where = cloud, Model = S, repeat 2`. `repeat` counts from 0; `None`
+/// leaves out the repeat.
 pub fn describe_labels(labels: &[(String, String)], repeat: Option<u32>) -> String {
     let pairs = labels.iter().map(|(axis, label)| format!("{axis} = {label}"));
     let repeat = repeat.map(|repeat| format!("repeat {}", u64::from(repeat) + 1));
@@ -161,8 +161,9 @@ impl RunFacts<'_> {
     }
 }
 
-/// Makes columns of the pairs of name and label of each run. The columns are in the order in which their names first appear. Names that differ
-/// only in case are the same column, such as the field `Model` of an experiment and the `model` of a run outside of experiments.
+/// Makes columns of the pairs of name and label of each run. The columns are in the order in which their names first
+/// appear. Names that differ only in case are the same column, such as the field `Model` of an experiment and the
+/// `model` of a run outside of experiments.
 pub fn tabulate(pairs: &[Vec<(String, String)>]) -> Vec<Column> {
     let mut axes: Vec<&String> = Vec::new();
     for (axis, _) in pairs.iter().flatten() {

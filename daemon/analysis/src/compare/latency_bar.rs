@@ -26,8 +26,9 @@ pub struct LatencyBar {
 
 impl LatencyBar {
     /// Returns the bar of a configuration with this number of iterations in the statistics. `latency_of` returns the
-    /// latency of a node; `None` if the node has no values. For `sent`, see [`StageSplit::new`]. Returns `None` without
-    /// an iteration.
+    /// latency of a node; `None` if the node has no values. `sent` holds the number of iterations that sent a message
+    /// to the other host, and the number of iterations that received a message from it. Returns `None` without an
+    /// iteration.
     pub fn new(
         column: TotalColumn,
         iterations: u64,
@@ -57,6 +58,7 @@ impl LatencyBar {
         };
         let unattributed = (unattributed_name, split.unattributed_without_late_start());
         let outside_stages = [late_start, unattributed].into_iter().filter(|(_, seconds)| *seconds > 0.0);
+        // Without a measured total, the time outside of the stages is not known.
         let outside_stages = outside_stages.filter(|_| column == TotalColumn::Measured && total.is_some());
         let stages = split.parts.into_iter().filter(|(name, _)| *name != stage::UNATTRIBUTED);
         let parts: Vec<(Name, f64)> = stages.chain(outside_stages).collect();
@@ -64,8 +66,8 @@ impl LatencyBar {
         Some(Self { parts, total: mean, std: total.and_then(|total| total.std) })
     }
 
-    /// Returns the bar of rows that are in the statistics, such as those of all repeats of a configuration. Numbers that
-    /// are not [plausible](is_plausible) are left out. Returns `None` without a row.
+    /// Returns the bar of rows that are in the statistics, such as those of all repeats of a configuration. Numbers
+    /// that are not [plausible](is_plausible) are left out. Returns `None` without a row.
     pub fn from_rows<'a>(
         column: TotalColumn,
         rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
@@ -88,6 +90,7 @@ impl LatencyBar {
 
 /// Returns the names of all parts that a bar can have, in their order.
 pub fn part_order() -> impl Iterator<Item = Name> {
+    // The part for both directions comes before `upload`.
     let both_directions =
         |name: &Name| (*name == stage::UPLOAD).then_some(Name::from_static(BOTH_DIRECTIONS));
     let stages =
@@ -123,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn bar_and_split_agree_on_parts_of_one_name() {
+    fn bar_and_split_agree_on_common_parts() {
         let nodes = [("total", 15.0), ("sensing", 10.0), ("lateness", 4.5)];
         let mean_of = |name: &str| nodes.iter().find(|(node, _)| *node == name).map(|(_, mean)| (10, *mean));
         let (parts, _) = bar(TotalColumn::Measured, 0, &nodes);

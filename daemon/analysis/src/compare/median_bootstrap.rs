@@ -179,8 +179,8 @@ mod tests {
         assert!(in_pieces >= 88, "{in_pieces} % of the intervals of values that are joined to pieces");
     }
 
-    /// The expected interval of independent values is 1.96 standard errors of 1 / (2 f √n); the density f of the sum of three uniform
-    /// values is 3 / 8 in the middle.
+    /// The expected interval of independent values is 1.96 standard errors of 1 / (2 f √n); the density f of the sum of
+    /// three uniform values is 3 / 8 in the middle.
     #[test]
     fn long_run_has_interval_of_textbook() {
         let [a, b] =
@@ -195,9 +195,8 @@ mod tests {
     #[test]
     fn median_of_frequent_values_stays_among_them() {
         // One fifth of the values is two less than the median and one fifth is one less; the rest is the median itself.
-        let frequent_values = |add: f64| {
-            (0..400).map(|n: i32| add + f64::from((n % 5).min(2) - 1).max(-1.0)).collect::<Vec<_>>()
-        };
+        let frequent_values =
+            |add: f64| (0..400).map(|n: i32| add + f64::from((n % 5).min(2) - 1)).collect::<Vec<_>>();
         let found = difference(&[frequent_values(0.0)], &[frequent_values(3.0)], 1).expect("values");
         assert_eq!((found.value, found.interval), (3.0, Some((3.0, 3.0))));
         // If all values are equal, every resample has the same median, whether the number of values is even or odd.

@@ -54,7 +54,8 @@ use crate::total_column::TotalColumn;
 use crate::trust::{DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, ReplayedLatencies, Starts};
 use labels::EMPTY_CELL;
 
-/// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the measured total.
+/// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the
+/// measured total.
 pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", "stages-total", "total"];
 
 /// Scores that are shown as means over the answers. [`ACCURACIES`] are shown as shares of right answers instead.
@@ -80,8 +81,8 @@ pub enum Repeats<'a> {
     Pooled,
     /// Each repeat is a line.
     Separate,
-    /// Repeats are pooled, except for the runs with these indices. Each of these runs has a separate line, next to the
-    /// line of the other repeats of the same configuration.
+    /// Repeats are pooled, except for the repeats of the runs with these indices. These repeats have a separate line,
+    /// next to the line of the other repeats of the same configuration.
     PooledExcept(&'a [usize]),
 }
 
@@ -92,7 +93,8 @@ pub struct Comparison {
     pub axes: Vec<String>,
     /// One line for each configuration, in the order of the input.
     pub lines: Vec<Line>,
-    /// Index of the line with the smallest mean of [`total_column`](Self::total_column). `None` for a single line, or if no line has a mean.
+    /// Index of the line with the smallest mean of [`total_column`](Self::total_column). `None` for a single line, or
+    /// if no line has a mean.
     pub best: Option<usize>,
     /// Indices of the lines whose difference from the best may be chance: its 95 % confidence interval contains zero.
     pub ties: Vec<usize>,
@@ -115,7 +117,7 @@ pub struct Line {
     pub labels: Vec<String>,
     /// Name in sentences ([`readable_names`]), as on the page *Compare* and in figures.
     pub name: String,
-    /// Indices of the results in this line.
+    /// Indices of the runs in this line.
     pub runs: Vec<usize>,
     /// Number of repeats. Results of edges that were measured at the same time belong to one repeat.
     pub repeats: usize,
@@ -149,7 +151,8 @@ pub struct Line {
     pub scores: [Option<QualityEstimate>; SCORES.len()],
     /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
     pub unknown_labels: Option<UnknownLabels>,
-    /// Mean of [`total_column`](Comparison::total_column) minus that of the best line. `None` for the best line itself, or without a mean.
+    /// Mean of [`total_column`](Comparison::total_column) minus that of the best line. `None` for the best line itself,
+    /// or without a mean.
     pub difference_to_best: Option<Difference>,
     /// Moments of [`total_column`](Comparison::total_column), for each repeat.
     repeat_moments: Vec<Moments>,
@@ -178,7 +181,7 @@ impl Comparison {
         match repeats {
             Repeats::Pooled => {}
             Repeats::Separate => configurations.add_repeats(runs),
-            Repeats::PooledExcept(chosen) => configurations.separate_runs(runs, chosen),
+            Repeats::PooledExcept(chosen) => configurations.separate_repeats(runs, chosen),
         }
         let groups = configurations.named_groups();
         let Configurations { axes, labels } = configurations;
@@ -234,6 +237,7 @@ impl Line {
     /// Computes the statistics of the line from its runs.
     fn fill(&mut self, runs: &[Loaded], total_column: &str) {
         let runs_of_line = || self.runs.iter().map(|run| &runs[*run]);
+        // Runs of several edges at the same time are one repeat.
         let repeats = concurrent_groups(
             runs_of_line(),
             |run| run.record.experiment.as_ref(),
@@ -249,6 +253,7 @@ impl Line {
         };
         self.repeat_moments = repeats.iter().map(moments).collect();
         for Loaded { rows, .. } in runs_of_line() {
+            // The number of unseen iterations is not used here, so it is set to 0.
             let counts = Counts::from_rows(rows, 0);
             self.count += counts.ok;
             self.failed += counts.all_failed();
@@ -302,7 +307,7 @@ pub fn needs_column(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let columns = STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
     let columns = columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, FIRST_TOKEN]);
-    // Starts of iterations: the last one stands for the end of a run whose end is not recorded.
+    // `at` is the start of an iteration. The last start stands for the end of a run whose end is not recorded.
     let columns = columns.chain(&[DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, "at"]);
     columns.chain(&EPISODE_VALUES).chain(&SCORES.map(Quality::name)).any(|name| *name == column)
 }

@@ -5,7 +5,7 @@ use std::cmp::Ordering;
 
 use peernet_stream::ExperimentPosition;
 
-/// Units of labels, each with its size in the base unit of its kind: bytes, seconds or hertz.
+/// Units of labels in lower case, each with its size in the base unit of its kind: bytes, seconds or hertz.
 const UNITS: [(&str, f64); 14] = [
     ("b", 1.0),
     ("kb", 1e3),
@@ -34,7 +34,8 @@ pub fn compare_positions(a: &ExperimentPosition, b: &ExperimentPosition) -> Orde
     index(a).cmp(&index(b)).then_with(labels).then(a.repeat.cmp(&b.repeat))
 }
 
-/// Compares the labels of two configurations axis by axis, each in its natural order: the first axis in which they differ decides.
+/// Compares the labels of two configurations axis by axis, each in its natural order: the first axis in which they
+/// differ decides.
 fn compare_labels(a: &[(String, String)], b: &[(String, String)]) -> Ordering {
     let pairs = a.iter().zip(b);
     let first_difference = pairs.map(|((_, a), (_, b))| compare_label(a, b)).find(|order| order.is_ne());

@@ -12,9 +12,9 @@ pub struct PairwiseDifference {
     /// Second duration minus first duration, for all pairs of a quantile of one distribution and a quantile of the
     /// other.
     pub differences: Summary,
-    /// Share of the pairs in which the second duration is smaller, from 0 to 1. This is the statistic of Mann and Whitney (*On a test of whether
-    /// one of two random variables is stochastically larger than the other*, Annals of Mathematical Statistics 18, 1947), divided by the
-    /// number of pairs.
+    /// Share of all pairs of iterations in which the second duration is smaller, from 0 to 1. This is the statistic of
+    /// Mann and Whitney (*On a test of whether one of two random variables is stochastically larger than the other*,
+    /// Annals of Mathematical Statistics 18, 1947), divided by the number of pairs.
     pub share_smaller: f64,
 }
 
@@ -31,7 +31,8 @@ impl PairwiseDifference {
         let mut differences = Summary::default();
         a.iter().flat_map(|a| b.iter().map(move |b| b - a)).for_each(|value| differences.record(value));
         let first_count = first.sketch.count() as f64;
-        // For each bin of the first distribution: its share of all values, times the share of the second distribution below it.
+        // For each bin of the first distribution: its share of all values, times the share of the second distribution
+        // below it.
         let shares = first.sketch.bins().filter_map(|(value, count)| {
             Some(second.sketch.fraction_below(value)? * count as f64 / first_count)
         });

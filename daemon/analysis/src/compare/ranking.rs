@@ -19,7 +19,8 @@ pub struct Ranking {
 pub struct ConfigurationTotal {
     /// `false` if the model of at least one run only returns its input: see [`model_computes`].
     pub model_computes: bool,
-    /// Mean of the [`TotalColumn`](crate::total_column::TotalColumn) of all configurations; `None` without measurements.
+    /// Mean of the [`TotalColumn`](crate::total_column::TotalColumn) of all configurations; `None` without
+    /// measurements.
     pub mean: Option<MeanEstimate>,
 }
 
@@ -65,8 +66,8 @@ impl Ranking {
     }
 }
 
-/// Returns whether the model of a run computes something, from the facts of the run. A model that only returns its input is not ranked with
-/// models that compute, because its latency is small without any work.
+/// Returns whether the model of a run computes something, from the facts of the run. A model that only returns its
+/// input is not ranked with models that compute, because its latency is small without any work.
 pub fn model_computes(facts: &[(String, String)]) -> bool {
     // The model kind `echo` describes itself by one of these facts.
     let is_echo = |fact: &str| fact == "echo" || fact.starts_with("echo, ");

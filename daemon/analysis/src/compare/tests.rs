@@ -232,10 +232,11 @@ fn differences_are_computed_per_stage() {
     let stages: Vec<&str> = differences.stages.iter().map(|stage| stage.stage.as_str()).collect();
     assert_eq!(stages, ["sensing", "upload", "inference", "download", "stages-total", "total"]);
     let upload = &differences.stages[1];
-    assert!((upload.mean.value - 0.08075).abs() < 1e-9, "{upload:?}");
-    assert_eq!((upload.mean.is_distinct(), upload.median.is_distinct()), (Some(true), Some(true)));
+    assert!((upload.mean_difference.value - 0.08075).abs() < 1e-9, "{upload:?}");
+    let is_distinct = (upload.mean_difference.is_distinct(), upload.median_difference.is_distinct());
+    assert_eq!(is_distinct, (Some(true), Some(true)));
     assert_eq!(
-        differences.stages[2].mean.is_distinct(),
+        differences.stages[2].mean_difference.is_distinct(),
         Some(false),
         "inference takes the same time in both runs"
     );
@@ -258,10 +259,10 @@ fn difference_columns_have_equal_decimals() {
     let stage = |stage: &str, value: f64, half: f64| StageDifference {
         stage: stage.to_owned(),
         means: (value, 2.0 * value),
-        mean: difference(value, half),
+        mean_difference: difference(value, half),
         medians: (value, 2.0 * value),
-        median: difference(value, 0.0),
-        clocks: Some(half),
+        median_difference: difference(value, 0.0),
+        clock_error: Some(half),
     };
     let stages = vec![stage("upload", 0.012_3, 0.002), stage("download", 0.000_34, 0.000_004)];
     let differences = Differences { baseline: "a".to_owned(), other: "b".to_owned(), stages };
