@@ -114,8 +114,8 @@ impl ClockBucket {
     }
 }
 
-/// Returns the number of the bucket of a point, counted from 1970. The time of a point is its end, and the end of a bucket belongs to the
-/// bucket.
+/// Returns the number of the bucket of a point, counted from 1970. The time of a point is its end, and the end of a
+/// bucket belongs to the bucket.
 pub fn bucket_number(at: WallTime, width_s: u32) -> i64 {
     at.unix_nanos().saturating_sub(1).div_euclid(i64::from(width_s.max(1)) * 1_000_000_000)
 }

@@ -28,7 +28,7 @@ pub fn concurrent_groups<'a, R, E: PartialEq>(
 
 /// Returns the complete groups: those with the number of edges that the experiment records. If it records none, those
 /// with as many edges as the largest group of the same configuration.
-// Without one of the edges, the other edges would get more of the cloud than configured.
+// An incomplete group is left out: without one of its edges, the other edges got more of the cloud than configured.
 pub fn complete_groups<'a, R>(
     groups: Vec<Vec<&'a R>>,
     position_of: impl Fn(&'a R) -> Option<&'a ExperimentPosition>,

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::rows::RowRef;
 
-/// Name of the node, and of the column, with the value 1 if an iteration took longer than the deadline of its pipeline or failed, else 0.
-/// Iterations of a pipeline without a deadline do not have the node.
+/// Name of the node, and of the column, with the value 1 if an iteration took longer than the deadline of its pipeline
+/// or failed, else 0. Iterations of a pipeline without a deadline do not have the node.
 pub const DEADLINE_MISSED: &str = "deadline-missed";
 
 /// Numbers of iterations that missed their deadline and of all iterations, without the warm-up.

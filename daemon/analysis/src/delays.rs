@@ -14,7 +14,8 @@ use crate::order::SortedValues;
 
 /// Returns whether an interval of this width, or half width, is that of an exact delay: one clock stamped both ends of
 /// the message.
-// The relation of two clocks always has an error. Stored statistics have widths, but no sources of the delays.
+// The relation of two clocks always has an error, so an interval without width needs no relation. The width is tested
+// and not the source of the delay, because stored statistics have no sources.
 pub fn is_exact(width: f64) -> bool {
     width == 0.0
 }
@@ -159,6 +160,7 @@ mod tests {
         let limited = second(10, Some(3), Verdict::summarise(verdicts).expect("delays"));
         let seconds = [vec![limited; 4], vec![second(10, Some(3), Verdict::Ok); 6]].concat();
         assert_eq!(seconds.iter().collect::<DelaySummary>().verdict(), Some(Verdict::Limited));
+        // With a separate verdict for each of the same 100 delays, the summary is `Ok`.
         let single_delays = [(Verdict::Ok, 96), (Verdict::Limited, 4)];
         assert_eq!(Verdict::summarise(single_delays), Some(Verdict::Ok));
     }

@@ -26,8 +26,8 @@ const NUMBERED_FIGURES: [&str; 4] = ["payload-latency", "payload-throughput", "t
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// Returns the names of the files in a result folder that are figures of the results, whatever their kind.
-// A file is recognised by its exact name, because figures of earlier results are removed, and files that a person added must
-// stay.
+// A file is recognised by its exact name, because figures of earlier results are removed, and files that a person added
+// must stay.
 pub fn figure_files(dir: &Path) -> Vec<String> {
     let columns = columns(&dir.join("data.csv"));
     let entries = read_dir(dir).into_iter().flatten().filter_map(Result::ok);
@@ -54,7 +54,8 @@ fn is_figure(name: &str, columns: &[String]) -> bool {
         || is_column()
 }
 
-/// Returns the names of the columns in `data.csv`, each of which may have a histogram. Empty if the file cannot be read.
+/// Returns the names of the columns in `data.csv`, each of which may have a histogram. Empty if the file cannot be
+/// read.
 fn columns(data: &Path) -> Vec<String> {
     let header = || -> Option<String> {
         let file = data.is_file().then(|| File::open(data).ok())??;

@@ -7,15 +7,17 @@
 //!                     └─ accuracy, deadline, trust, slowness, summary
 //! ```
 //!
-//! Each question has one function. Pages, REST API and commands call the same function, so that their answers agree. The function takes one
-//! plain value, such as [`compare::MeanEstimate`], [`trust::TrustInput`] or [`slowness::Medians`]. `peernet-results` fills this value from
-//! rows, `peernet-store` from roll-ups. There is no single value for all questions, because a page would then read the data of all questions
-//! to answer one question.
+//! Each question has one function. Pages, REST API and commands call the same function, so that their answers agree.
+//! The function takes one plain value, such as [`compare::MeanEstimate`], [`trust::TrustInput`] or
+//! [`slowness::Medians`]. `peernet-results` fills this value from rows, `peernet-store` from roll-ups. There is no
+//! single value for all questions, because a page would then read the data of all questions to answer one question.
 //!
-//! Files contain every value, so medians and quantiles from files are exact; the quantiles of a sketch are within 1 %. Medians from files
-//! have confidence intervals. Medians from roll-ups have none, because the bootstrap needs single values.
+//! Files contain every value, so medians and quantiles from files are exact; the quantiles of a sketch are within 1 %.
+//! Medians from files have confidence intervals. Medians from roll-ups have none, because the bootstrap needs single
+//! values.
 //!
-//! Writing tables is the only I/O. `peernet-results` reads and writes files of results, and `peernet-figures` draws figures.
+//! Writing tables is the only I/O. `peernet-results` reads and writes files of results, and `peernet-figures` draws
+//! figures.
 
 pub mod accuracy;
 pub mod actuator_results;

@@ -9,8 +9,8 @@ use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
 use crate::run_trust_input::early_end;
 
-/// Text that replaces the reason for the end of a run if its folder has rows, but no record. A run writes its record after
-/// its rows.
+/// Text that replaces the reason for the end of a run if its folder has rows, but no record. A run writes its record
+/// after its rows.
 pub const NO_RECORD: &str =
     "run.json is missing: the run is in progress or was killed, or data.csv was copied without it";
 
@@ -42,9 +42,9 @@ pub enum RowsDamage {
 }
 
 impl Loaded {
-    /// Returns the reason why the rows are incomplete, in one clause: some measurements are missing, or the run was interrupted, broke off,
-    /// was killed or is still in progress. `None` if the rows are complete, or if it is not known whether they are, as for files of other
-    /// programs.
+    /// Returns the reason why the rows are incomplete, in one clause: some measurements are missing, or the run was
+    /// interrupted, broke off, was killed or is still in progress. `None` if the rows are complete, or if it is not
+    /// known whether they are, as for files of other programs.
     pub fn incompleteness(&self) -> Option<String> {
         let has_no_record = self.record.reason.failure() == Some(NO_RECORD);
         self.damage().map(|damage| damage.to_string()).or_else(|| match has_no_record {
@@ -53,8 +53,8 @@ impl Loaded {
         })
     }
 
-    /// Returns the difference between the rows of `data.csv` and the counts in `run.json`. A difference shows that a file was truncated or
-    /// changed. `None` if rows and counts agree, or if there are no counts.
+    /// Returns the difference between the rows of `data.csv` and the counts in `run.json`. A difference shows that a
+    /// file was truncated or changed. `None` if rows and counts agree, or if there are no counts.
     pub fn damage(&self) -> Option<RowsDamage> {
         let record_counts = self.record.counts;
         let row_counts = Counts::from_rows(&self.rows, record_counts.unseen);

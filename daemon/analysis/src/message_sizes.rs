@@ -1,4 +1,5 @@
-//! Delay of messages against their size, in one direction of a link: the statistics of each size, and the line through the medians.
+//! Delay of messages against their size, in one direction of a link: the statistics of each size, and the line through
+//! the medians.
 //!
 //! A calibration, the payload study of recorded runs and the page that compares runs all use this module, so that they
 //! show equal numbers for equal messages.
@@ -51,10 +52,12 @@ pub struct SizeSummary {
     pub count: u64,
     /// Median delay.
     pub median: f64,
-    /// Largest relative error of the medians and percentiles: 0 from single values, [`Sketch::RELATIVE_ERROR`] from sketches.
+    /// Largest relative error of the medians and percentiles: 0 from single values, [`Sketch::RELATIVE_ERROR`] from
+    /// sketches.
     #[serde(skip)]
     pub relative_error: f64,
-    /// Standard error of the median; `None` with fewer than six values. For a median from sketches, the error of the sketch is included.
+    /// Standard error of the median; `None` with fewer than six values. For a median from sketches, the error of the
+    /// sketch is included.
     pub median_error: Option<f64>,
     /// 5th and 95th percentile; `None` with fewer than 60 values.
     pub tails: Option<(f64, f64)>,
@@ -65,7 +68,8 @@ pub struct SizeSummary {
     pub bounds_method: IntervalMethod,
     /// Size divided by the median delay; `None` if the median delay is not above zero.
     pub throughput: Option<f64>,
-    /// Size divided by the upper bound of the delay, and size divided by the lower bound. The second value is `None` if the lower bound is zero.
+    /// Size divided by the upper bound of the delay, and size divided by the lower bound. The second value is `None` if
+    /// the lower bound is zero.
     pub throughput_bounds: Option<(f64, Option<f64>)>,
 }
 
@@ -93,7 +97,8 @@ impl SizeSummary {
         Some(size.with_throughput())
     }
 
-    /// Returns the summary of the messages of all these runs, which count as messages of one size. `None` without a known delay.
+    /// Returns the summary of the messages of all these runs, which count as messages of one size. `None` without a
+    /// known delay.
     pub fn from_sketches(payload_bytes: u64, runs: &[MessageSketches<'_>]) -> Option<Self> {
         let mut merged = [(); 4].map(|()| Summary::default());
         for run in runs {
@@ -104,6 +109,7 @@ impl SizeSummary {
                 .for_each(|(all, one)| one.iter().for_each(|one| all.merge(one)));
         }
         let [payload, metadata, delay, half_width] = merged;
+        // If a run has no stored ends, there are fewer ends than delays. The bounds then follow from the half widths.
         let mut ends: [Summary; 2] = Default::default();
         for stored in runs.iter().filter_map(|run| run.ends) {
             ends.iter_mut().zip(stored).for_each(|(all, one)| all.merge(one));
@@ -145,8 +151,8 @@ impl SizeSummary {
         let rate = |seconds: f64| (seconds > 0.0).then(|| self.wire_bytes * 8.0 / seconds);
         Self {
             throughput: rate(self.median),
-            // The upper bound of the delay gives the lower bound of the throughput. If the lower bound of the delay is zero or less, the
-            // throughput has no upper bound.
+            // The upper bound of the delay gives the lower bound of the throughput. If the lower bound of the delay is
+            // zero or less, the throughput has no upper bound.
             throughput_bounds: self.bounds.and_then(|(lo, hi)| Some((rate(hi)?, rate(lo)))),
             ..self
         }
@@ -158,8 +164,9 @@ impl SizeSummary {
     }
 }
 
-/// Fits a line of seconds over bytes through the medians by least squares. Each median is weighted by its precision. If one size has so few
-/// messages that the precision of its median is unknown, all sizes have the same weight. `None` with fewer than three sizes.
+/// Fits a line of seconds over bytes through the medians by least squares. Each median is weighted by its precision. If
+/// one size has so few messages that the precision of its median is unknown, all sizes have the same weight. `None`
+/// with fewer than three sizes.
 pub fn line_through_medians(sizes: &[SizeSummary]) -> Option<Fit> {
     let errors: Option<Vec<f64>> = sizes.iter().map(|size| size.median_error).collect();
     let weight =

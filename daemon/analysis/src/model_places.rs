@@ -1,4 +1,5 @@
-//! Models that ran at several places, such as on the robot and in the cloud. A place is a kind of placement and a device.
+//! Models that ran at several places, such as on the robot and in the cloud. A place is a kind of placement and a
+//! device.
 
 use peernet_stream::PlacementKind;
 
@@ -16,8 +17,8 @@ pub struct PlacedModel {
 /// Models that ran at several places, with these places.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ModelPlaces {
-    /// Names of all places, the local places first. A name is the word for the kind of placement. The device follows if several places have
-    /// this kind.
+    /// Names of all places, the local places first. A name is the word for the kind of placement. The device follows if
+    /// several places have this kind.
     pub places: Vec<String>,
     /// Each model with the indexes of its runs: one list of indexes for each of `places`, in the order of `places`.
     pub models: Vec<(String, Vec<Vec<usize>>)>,
@@ -62,7 +63,8 @@ impl ModelPlaces {
     }
 }
 
-/// Returns the word for a kind of placement in tables and figures: `cloud` for `remote`, like the labels of experiments.
+/// Returns the word for a kind of placement in tables and figures: `cloud` for `remote`, like the labels of
+/// experiments.
 pub fn place_word(kind: &str) -> &str {
     if kind == PlacementKind::Remote.name() { "cloud" } else { kind }
 }

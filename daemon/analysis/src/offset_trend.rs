@@ -8,9 +8,9 @@ use crate::clock_points::ClockPoint;
 use crate::fit::{Point, theil_sen};
 use crate::order::SortedValues;
 
-/// Returns the estimate of an offset and the largest error of the estimate, seconds. The largest error is the larger of the distances from
-/// the estimate to the two bounds, because the estimate is seldom in their middle. `None` if sources or exchanges contradict each other: such
-/// an offset has no value.
+/// Returns the estimate of an offset and the largest error of the estimate, seconds. The largest error is the larger of
+/// the distances from the estimate to the two bounds, because the estimate is seldom in their middle. `None` if sources
+/// or exchanges contradict each other: such an offset has no value.
 pub fn estimate_and_max_error(offset: &Offset) -> Option<(f64, f64)> {
     let [estimate, lo, hi] = [offset.estimate, offset.bounds.lo, offset.bounds.hi].map(|span| span.seconds());
     offset.is_consistent().then(|| (estimate, (hi - estimate).max(estimate - lo)))

@@ -36,8 +36,8 @@ impl SortedValues {
         self.0.is_empty()
     }
 
-    /// Returns the quantile at `p` from 0 to 1, by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996). `None`
-    /// without values.
+    /// Returns the quantile at `p` from 0 to 1, by linear interpolation between neighbours (definition 7 of Hyndman and
+    /// Fan 1996). `None` without values.
     pub fn quantile(&self, p: f64) -> Option<f64> {
         self.0.interpolated_quantile(p)
     }
@@ -64,7 +64,7 @@ impl SortedValues {
 
     /// Returns the upper end of an axis for these values: the largest finite value, but at most `factor` times the
     /// quantile at `p`. A quantile of 0 does not limit the axis. `None` without finite values.
-    // On an axis up to an extreme outlier, all other values would be one line.
+    // If the axis reached up to an extreme outlier, all other values would be drawn at almost the same place.
     pub fn scale_end(&self, p: f64, factor: f64) -> Option<f64> {
         let finite: Self = self.0.iter().copied().filter(|value| value.is_finite()).collect();
         let (largest, limit) = (finite.0.last().copied()?, finite.quantile(p)? * factor);

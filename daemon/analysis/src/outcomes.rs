@@ -61,7 +61,8 @@ impl Counts {
     }
 }
 
-/// Returns the number of warm-up iterations whose outcome is not `ok`. [`Counts`] has these iterations in `warm_up` only.
+/// Returns the number of warm-up iterations whose outcome is not `ok`. [`Counts`] has these iterations in `warm_up`
+/// only.
 pub fn failed_in_warm_up(rows: &Rows) -> u64 {
     rows.iter().filter(|row| row.warm_up() && row.outcome() != Outcome::Ok).count() as u64
 }
@@ -72,7 +73,8 @@ pub fn failed_share(counts: &OutcomeCounts) -> Option<f64> {
     (total > 0).then(|| counts.all_failed() as f64 / total as f64)
 }
 
-/// Returns a text for each outcome other than `ok` that occurred: its number of iterations and its name, such as `2 lost`.
+/// Returns a text for each outcome other than `ok` that occurred: its number of iterations and its name, such as
+/// `2 lost`.
 pub fn failed_texts(counts: &OutcomeCounts) -> Vec<String> {
     let outcomes = [
         (counts.failed, "with an error of sensor, model or actuator"),

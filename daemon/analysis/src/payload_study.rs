@@ -1,4 +1,5 @@
-//! Delay and throughput against payload in recorded runs: which messages are compared, and which sizes and directions are drawn.
+//! Delay and throughput against payload in recorded runs: which messages are compared, and which sizes and directions
+//! are drawn.
 //!
 //! A file of results has every message of a run; a page has only the run's sketches. Files and pages both fill
 //! [`DirectionMessages`], and the further steps are the same.
@@ -39,7 +40,8 @@ impl From<&RunRecord> for Link {
 }
 
 impl Link {
-    /// Returns the name of the link: the names of its two hosts, as far as they are known, and the address of the cloud.
+    /// Returns the name of the link: the names of its two hosts, as far as they are known, and the address of the
+    /// cloud.
     fn name(&self) -> String {
         let hosts: Vec<&str> =
             self.hosts.iter().map(String::as_str).filter(|name| !name.is_empty()).collect();
@@ -52,9 +54,9 @@ impl Link {
 }
 
 /// Groups runs by their link, in the order of the first run of each link. Each run is given as its link, its position
-/// in an experiment (`None` for a run outside of an experiment), and an item that stands for the run. Runs over the same link are one study. The
-/// runs of the concurrent edges of an experiment (its *users*: `NAME-1`, `NAME-2`, … on one machine) are one study,
-/// too.
+/// in an experiment (`None` for a run outside of an experiment), and an item that stands for the run. Runs over the
+/// same link are one study. The runs of the concurrent edges of an experiment (its *users*: `NAME-1`, `NAME-2`, … on
+/// one machine) are one study, too.
 pub fn group_by_link<'a, T>(
     runs: impl IntoIterator<Item = (Link, Option<&'a ExperimentPosition>, T)>,
 ) -> Vec<(Link, Vec<T>)> {
@@ -109,6 +111,7 @@ impl DirectionMessages {
             let bounds = row.value(&lower).zip(row.value(&upper));
             by_payload.entry(bytes as u64).or_default().push(Message { wire_bytes, delay, bounds });
         }
+        // Each item is one message.
         let sizes = merge_sizes(by_payload, |_| 1).into_iter();
         let is_unknown = |row: &&RowRef<'_>| {
             row.has_unknown_delay(name) && row.value(&payload).is_some_and(|bytes| bytes > 0.0)
@@ -148,7 +151,8 @@ impl DirectionMessages {
         ends.is_some_and(|(smallest, largest)| largest.wire_bytes >= 2.0 * smallest.wire_bytes)
     }
 
-    /// Returns the reason why the direction is not drawn; `None` if no message was sent in this direction.
+    /// Returns the reason why the direction is not drawn; `None` if no message in this direction has a known
+    /// delay.
     fn missing_reason(&self) -> Option<String> {
         let (smallest, largest) = self.sizes.first().zip(self.sizes.last())?;
         let ends = [smallest, largest].map(|size| bytes(size.wire_bytes).plain());
@@ -182,9 +186,9 @@ impl DirectionMessages {
     }
 }
 
-/// Merges neighbouring sizes if there are more than [`MAX_SIZES`], so that all sizes have about equal numbers of messages. For example, the compressed
-/// images of a camera all have different sizes. `count` returns the number of messages of an item. Returns each merged size as its smallest
-/// payload and its items.
+/// Merges neighbouring sizes if there are more than [`MAX_SIZES`], so that all sizes have about equal numbers of
+/// messages. For example, the compressed images of a camera all have different sizes. `count` returns the number of
+/// messages of an item. Returns each merged size as its smallest payload and its items.
 fn merge_sizes<T>(by_payload: BTreeMap<u64, Vec<T>>, count: impl Fn(&T) -> u64) -> Vec<(u64, Vec<T>)> {
     let messages = |items: &[T]| items.iter().map(&count).sum::<u64>();
     let total = by_payload.values().map(|items| messages(items)).sum::<u64>().max(1);
@@ -219,7 +223,8 @@ pub struct PayloadStudy {
 }
 
 impl PayloadStudy {
-    /// Returns the study of a link from the messages of its two directions. `notes` are further notes on these messages.
+    /// Returns the study of a link from the messages of its two directions. `notes` are further notes on these
+    /// messages.
     pub fn new(
         link: &Link,
         directions: [DirectionMessages; 2],
@@ -254,7 +259,8 @@ impl PayloadStudy {
         drawable
     }
 
-    /// Returns all notes: what is not drawn, how the messages were selected, and the number of messages behind each point.
+    /// Returns all notes: what is not drawn, how the messages were selected, and the number of messages behind each
+    /// point.
     pub fn all_notes(&self) -> Vec<String> {
         self.missing.iter().chain(&self.notes).cloned().chain(self.count_note()).collect()
     }
@@ -271,6 +277,7 @@ pub fn pooled_note(axes: &[String], labels_of_runs: &[&[String]]) -> Option<Stri
     let (first, others) = labels_of_runs.split_first()?;
     (!others.is_empty()).then_some(())?;
     let differs = |axis: usize| others.iter().any(|labels| labels.get(axis) != first.get(axis));
+    // The axis `run` has only the names of folders or pipelines.
     let differing = axes.iter().enumerate().filter(|(axis, name)| *name != "run" && differs(*axis));
     let differing: Vec<&str> = differing.map(|(_, name)| name.as_str()).collect();
     let count = labels_of_runs.len();

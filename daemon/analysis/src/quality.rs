@@ -46,7 +46,8 @@ impl QualityEstimate {
         Some(self.interval).filter(|(low, high)| self.count > 1 || low < high)
     }
 
-    /// Formats the estimate, or an end of its interval: a share in percent, or a return with the decimals of [`EpisodeReturn::text`](crate::actuator_results::EpisodeReturn::text).
+    /// Formats the estimate, or an end of its interval: a share in percent, or a return with the decimals of
+    /// [`EpisodeReturn::text`](crate::actuator_results::EpisodeReturn::text).
     pub fn format(&self, quality: Quality, value: f64) -> String {
         match quality {
             Quality::Return => fixed(value, return_decimals(self.value, self.std)),
@@ -103,10 +104,12 @@ impl Quality {
         match self {
             Self::Top1 => {
                 let (count, mean, _) = statistics_of(self.name())?;
+                // Unscored answers are not reported here, so the number of answers is the number of scores.
                 let Accuracy { share, interval, count, .. } = Accuracy::from_mean(mean, count, count)?;
                 Some(QualityEstimate { value: share, interval, count, std: None })
             }
-            // For a detection, the node `mean-iou` holds the mean overlap of the found objects, which is not a score of the answer.
+            // For a detection, the node `mean-iou` holds the mean overlap of the found objects, which is not a score of
+            // the answer.
             Self::MeanIou if statistics_of(Self::Map50.name()).is_some() => None,
             Self::Map50 | Self::MeanIou => mean_estimate(statistics_of(self.name())?, (0.0, 1.0)),
             Self::Success => {
@@ -135,8 +138,8 @@ impl Quality {
     }
 }
 
-/// Returns the value of a node in an iteration; `None` if the value is missing or invalid. Of an iteration that is not in
-/// the statistics, only the values of its episode count.
+/// Returns the value of a node in an iteration; `None` if the value is missing or invalid. An iteration that is not
+/// in the statistics has only the values of its episode.
 fn value(row: RowRef<'_>, name: &str) -> Option<f64> {
     match name {
         _ if !is_value_in_statistics(name, row.is_in_statistics()) => None,

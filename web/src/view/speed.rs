@@ -132,7 +132,7 @@ pub(crate) fn direction_traffic(window: &Window, direction: NetworkDirection) ->
 /// Returns the interval of a speed while sending in MB/s, from the statistics of the delays. `None` if a delay has no interval.
 fn interval(speed: f64, delay: &QuantityStatistics, accuracy: &DelayAccuracy) -> Option<String> {
     let interval = accuracy.interval_of_mean(delay)?;
-    let ClockInterval { lo, hi, method } = interval.of_speed(speed, delay.mean);
+    let ClockInterval { lo, hi, method } = interval.throughput_interval(speed, delay.mean);
     let text = throughput_between((lo, Some(hi)));
     Some(method.remark().map_or_else(|| text.clone(), |remark| format!("{text} ({remark})")))
 }

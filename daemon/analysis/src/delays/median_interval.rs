@@ -5,9 +5,9 @@ use peernet_statistics::Summary;
 
 use crate::order::SortedValues;
 
-/// Returns the median of the lower bounds and the median of the upper bounds of all values. If each true value lies between its bounds, the
-/// median of the true values lies between these medians. `None` unless every value has bounds: a value
-/// without bounds may be anywhere, and so may the median.
+/// Returns the median of the lower bounds and the median of the upper bounds of all values. If each true value lies
+/// between its bounds, the median of the true values lies between these medians. `None` unless every value has bounds:
+/// a value without bounds may be anywhere, and so may the median.
 pub fn median_bounds(bounds: impl Iterator<Item = Option<(f64, f64)>>) -> Option<(f64, f64)> {
     let (lower, upper): (Vec<f64>, Vec<f64>) = bounds.collect::<Option<Vec<_>>>()?.into_iter().unzip();
     let median = |values: Vec<f64>| values.into_iter().collect::<SortedValues>().median();
@@ -73,13 +73,13 @@ impl ClockInterval {
         (self.lo, self.hi)
     }
 
-    /// Converts the interval of a delay into the interval of a speed. The amount of data that `speed` transfers in
-    /// `delay` seconds is divided by the ends of the delay's interval.
+    /// Converts the interval of a delay into the interval of a throughput. The amount of data that `throughput`
+    /// transfers in `delay` seconds is divided by the ends of the delay's interval.
     #[must_use]
-    pub fn of_speed(&self, speed: f64, delay: f64) -> Self {
-        let amount = speed * delay;
-        let speed_for = |seconds: f64| if seconds > 0.0 { amount / seconds } else { f64::INFINITY };
-        Self { lo: speed_for(self.hi), hi: speed_for(self.lo), method: self.method }
+    pub fn throughput_interval(&self, throughput: f64, delay: f64) -> Self {
+        let amount = throughput * delay;
+        let throughput_for = |seconds: f64| if seconds > 0.0 { amount / seconds } else { f64::INFINITY };
+        Self { lo: throughput_for(self.hi), hi: throughput_for(self.lo), method: self.method }
     }
 
     /// Returns the interval from an average and half the width. If the average is not negative, the lower end is at
@@ -105,10 +105,11 @@ pub struct DelayAverages {
 }
 
 impl DelayAverages {
-    /// Returns the interval of the median or mean delay. `None` unless every delay has an interval, as for [`median_bounds`].
+    /// Returns the interval of the median or mean delay. `None` unless every delay has an interval, as for
+    /// [`median_bounds`].
     ///
-    /// No delay is below the lower end of its interval, so the median (or mean) of the delays is not below the median (or
-    /// mean) of the lower ends. Likewise, the median (or mean) of the delays is not above that of the upper ends.
+    /// No delay is below the lower end of its interval, so the median (or mean) of the delays is not below the median
+    /// (or mean) of the lower ends. Likewise, the median (or mean) of the delays is not above that of the upper ends.
     pub fn interval(&self) -> Option<ClockInterval> {
         // A delay without an interval may be anywhere, and so may the median.
         let is_complete = |average: &CountedAverage| average.count >= self.delay.count;
@@ -139,7 +140,8 @@ pub struct ClockedSummaries<'a> {
 }
 
 impl ClockedSummaries<'_> {
-    /// Returns the interval of the median delay. `None` unless every delay has an interval, as for [`median_bounds`].
+    /// Returns the interval of the median delay; `values` must be the delays themselves. `None` unless every delay has
+    /// an interval, as for [`median_bounds`].
     pub fn interval_of_median_delay(&self) -> Option<ClockInterval> {
         self.delay_medians()?.interval()
     }
@@ -147,18 +149,19 @@ impl ClockedSummaries<'_> {
     /// Returns the interval of the median throughput. `None` unless every delay has an interval.
     ///
     /// If the ends are not stored, they are computed from the interval of the median delay
-    /// ([`ClockInterval::of_speed`]). They then equal the ends of [`median_bounds`] only if all messages have about the
-    /// same size and the conditions of [`IntervalMethod::HalfWidths`] hold.
+    /// ([`ClockInterval::throughput_interval`]). They then equal the ends of [`median_bounds`] only if all messages
+    /// have about the same size and the conditions of [`IntervalMethod::HalfWidths`] hold.
     pub fn interval_of_median_throughput(&self) -> Option<ClockInterval> {
         self.interval_from_throughput_ends().or_else(|| {
             // `self.ends` are the ends of throughputs here, not of delays, so only the half widths of the delays can be
             // used.
             let medians = DelayAverages { ends: None, ..self.delay_medians()? };
             let interval = medians.interval()?;
-            Some(interval.of_speed(self.values.quantile(0.5)?, medians.delay.value))
+            Some(interval.throughput_interval(self.values.quantile(0.5)?, medians.delay.value))
         })
     }
 
+    /// Returns the medians of the delays. The `ends` of the result are ends of delays only if `values` are the delays.
     fn delay_medians(&self) -> Option<DelayAverages> {
         Some(DelayAverages {
             delay: CountedAverage::median_of(self.delays)?,
@@ -179,7 +182,8 @@ impl ClockedSummaries<'_> {
     }
 }
 
-/// Returns the median of `count` upper ends. `finite_ends` is the summary of the finite ends; all other ends are infinite.
+/// Returns the median of `count` upper ends. `finite_ends` is the summary of the finite ends; all other ends are
+/// infinite.
 fn median_upper_end(finite_ends: &Summary, count: u64) -> f64 {
     let (rank, last_finite_rank) = ((count - 1) as f64 / 2.0, finite_ends.count() as f64 - 1.0);
     // In ascending order, the infinite ends come after all finite ends.

@@ -3,13 +3,13 @@
 //! Delays have long tails: a message that waited behind others is late by any amount and never early by much. This has
 //! consequences for a line of best fit:
 //!
-//! * [`least_squares`] over single delays depends on the square of every late delay, and its standard errors are only valid
-//!   for normal errors. Over *medians*, each weighted by its precision, it is valid. Medians of many samples are nearly
-//!   normal with any tail (the central limit theorem of order statistics), and the medians of large messages, which vary
-//!   more, have smaller weights. The scale of the errors is estimated from the residuals, so a delay that is not quite
-//!   linear in size makes the intervals wider.
-//! * [`theil_sen`] computes the median of the slopes of all pairs. Up to 29 % of the points may be arbitrarily wrong. The
-//!   intervals only assume that the deviations from the line have the same distribution.
+//! * [`least_squares`] over single delays depends on the square of every late delay, and its standard errors are only
+//!   valid for normal errors. Over *medians*, each weighted by its precision, it is valid. Medians of many samples are
+//!   nearly normal with any tail (the central limit theorem of order statistics), and the medians of large messages,
+//!   which vary more, have smaller weights. The scale of the errors is estimated from the residuals, so a delay that is
+//!   not quite linear in size makes the intervals wider.
+//! * [`theil_sen`] computes the median of the slopes of all pairs. Up to 29 % of the points may be arbitrarily wrong.
+//!   The intervals only assume that the deviations from the line have the same distribution.
 
 mod least_squares;
 mod theil_sen;
@@ -80,7 +80,8 @@ const MAX_RELATIVE_WIDTH: f64 = 0.5;
 pub struct SlopeRate {
     /// Reciprocal of the slope.
     pub value: f64,
-    /// Reciprocals of the ends of the slope's interval. The upper end is `None` if the interval of the slope reaches zero.
+    /// Reciprocals of the ends of the slope's interval. The upper end is `None` if the interval of the slope reaches
+    /// zero.
     pub interval: Option<(f64, Option<f64>)>,
 }
 
@@ -90,8 +91,8 @@ impl SlopeRate {
         Some(Self { value: rate_of(slope.value)?, interval: slope.interval.and_then(rate_range) })
     }
 
-    /// Returns the rate and the margin of its 95 % interval. `None` if the interval is not known, has no upper end, or is wider than half the
-    /// rate.
+    /// Returns the rate and the margin of its 95 % interval. `None` if the interval is not known, has no upper end, or
+    /// is wider than half the rate.
     pub fn with_margin(self) -> Option<(f64, f64)> {
         let (low, high) = self.interval?;
         let (rate, high) = (self.value, high?);
@@ -110,12 +111,14 @@ fn rate_of(slope: f64) -> Option<f64> {
     (slope > 0.0).then(|| 8.0 / slope)
 }
 
-/// Returns the lowest and the highest rate for slopes in this range. The highest rate is `None` if the lowest slope is not positive.
+/// Returns the lowest and the highest rate for slopes in this range. The highest rate is `None` if the lowest slope is
+/// not positive.
 pub(crate) fn rate_range((low_slope, high_slope): (f64, f64)) -> Option<(f64, Option<f64>)> {
     Some((rate_of(high_slope)?, rate_of(low_slope)))
 }
 
-/// Returns whether a line can be fitted: there are at least three points, not all of them have the same x, and all coordinates are finite.
+/// Returns whether a line can be fitted: there are at least three points, not all of them have the same x, and all
+/// coordinates are finite.
 fn can_be_fitted(points: impl IntoIterator<Item = Point>) -> bool {
     let points: Vec<Point> = points.into_iter().collect();
     points.len() >= 3

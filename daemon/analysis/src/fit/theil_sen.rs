@@ -71,10 +71,11 @@ impl Pairs {
         let pair_count = |n: usize| (n as u64) * (n as u64).saturating_sub(1) / 2;
         let count =
             pair_count(points.len()) - groups.iter().map(|(_, group)| pair_count(group.len())).sum::<u64>();
-        // A slope over several groups is an average of slopes between neighbouring groups. The lowest and the highest slope are therefore
-        // slopes between neighbouring groups.
+        // A slope over several groups is an average of slopes between neighbouring groups. The lowest and the highest
+        // slope are therefore slopes between neighbouring groups.
         let slopes = groups.windows(2).flat_map(|pair| {
             let ((left_x, left), (right_x, right)) = (&pair[0], &pair[1]);
+            // No group is empty, so the 0 is never used.
             let rise =
                 |from: Option<&f64>, to: Option<&f64>| to.zip(from).map_or(0.0, |(to, from)| to - from);
             let run = right_x - left_x;
@@ -86,8 +87,9 @@ impl Pairs {
 
     /// Returns the slope with this rank, from 0, in the ascending order of the slopes.
     ///
-    /// The range of slopes is bisected. Each step counts the pairs with at most a given slope in O(n log n): the line with this slope is
-    /// subtracted from all points, and then a merge sort counts its inversions, which are the pairs that do not rise.
+    /// The range of slopes is bisected. Each step counts the pairs with at most a given slope in O(n log n): the line
+    /// with this slope is subtracted from all points, and then a merge sort counts its inversions, which are the pairs
+    /// that do not rise.
     fn slope(&self, rank: u64) -> f64 {
         let (mut lo, mut hi) = self.range;
         for _ in 0..MAX_BISECTIONS {

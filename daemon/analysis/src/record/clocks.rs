@@ -28,7 +28,8 @@ pub struct DelayQuality {
     pub sources: BTreeMap<String, u64>,
     /// Median width of the bounds, seconds; `None` without bounds.
     pub median_width: Option<f64>,
-    /// Offset of the receiver's wall clock, minus that of the sender, at the first message with a known offset; seconds.
+    /// Offset of the receiver's wall clock, minus that of the sender, at the first message with a known offset;
+    /// seconds.
     pub first_offset: Option<BoundedEstimate>,
     /// Offset at the last message with a known offset, seconds.
     pub last_offset: Option<BoundedEstimate>,

@@ -23,8 +23,8 @@ use crate::trust;
 /// Format version that this program writes.
 pub const FORMAT: u32 = 1;
 
-/// Everything about a run except its rows. Unknown values are `None` or empty, so that results of other programs and of other versions can
-/// be read.
+/// Everything about a run except its rows. Unknown values are `None` or empty, so that results of other programs and of
+/// other versions can be read.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct RunRecord {
@@ -51,7 +51,8 @@ pub struct RunRecord {
     pub folder: String,
     /// Environment variables that influence file lookup and speed, if they were set.
     pub environment: BTreeMap<String, String>,
-    /// The file with the addresses of the devices that the command or the experiment names; `None` if neither names one.
+    /// The file with the addresses of the devices that the command or the experiment names; `None` if neither names
+    /// one.
     pub network_config: Option<NetworkConfig>,
     /// Edge host, which ran the sensor.
     pub edge: HostRecord,

@@ -15,7 +15,8 @@ pub const LATENESS: &str = "lateness";
 /// Kind of the cells of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnKind {
-    /// Property of the iteration itself: its position in the run, its start time, its outcome, or whether it is warm-up.
+    /// Property of the iteration itself: its position in the run, its start time, its outcome, or whether it is
+    /// warm-up.
     Iteration,
     /// Value of a node of the tree.
     Node,
@@ -26,8 +27,8 @@ pub enum ColumnKind {
 /// Number of columns of the paper's original program.
 pub const PUBLISHED_COLUMN_COUNT: usize = 13;
 
-/// Columns of every `data.csv`: first the columns of the paper's original program in their order, then the columns of this program. After
-/// these columns, the file of a run has the columns of its further measurements.
+/// Columns of every `data.csv`: first the columns of the paper's original program in their order, then the columns of
+/// this program. After these columns, the file of a run has the columns of its further measurements.
 pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
     ("iteration", ColumnKind::Iteration),
     ("sensing", ColumnKind::Node),
@@ -99,8 +100,8 @@ pub fn column(name: &str) -> Column {
 ///
 /// The rules for names are those of the paper's original program: the names of nested nodes are joined with `_`, and
 /// `_val` is appended for a node that has both a value and children. The fixed columns are exceptions, because their
-/// names never change: the column is `sensing` and not `sensing_val`, although the node has children. The columns of its
-/// children are `capture` and `transform`, not `sensing_capture` and `sensing_transform`.
+/// names never change: the column is `sensing` and not `sensing_val`, although the node has children. The columns of
+/// its children are `capture` and `transform`, not `sensing_capture` and `sensing_transform`.
 pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
     TreeValues::from_tree(tree).values()
 }
@@ -121,9 +122,10 @@ pub(super) struct TreeValues<'a> {
 impl<'a> TreeValues<'a> {
     pub(super) fn from_tree(tree: &'a Tree) -> Self {
         let mut tree_values = TreeValues::default();
-        let mut labels: Vec<Column> = vec![Column::Borrowed(""); tree.nodes().len()];
+        let mut prefixes: Vec<Column> = vec![Column::Borrowed(""); tree.nodes().len()];
+        // The first node is the root, which has no column.
         for (id, node) in tree.iter().skip(1) {
-            labels[id.index()] = tree_values.add_node(tree, id, node, &labels);
+            prefixes[id.index()] = tree_values.add_node(tree, id, node, &prefixes);
         }
         tree_values
     }
@@ -143,13 +145,14 @@ impl<'a> TreeValues<'a> {
         self.further.iter().map(|(name, _, unit)| (name.as_ref(), unit))
     }
 
-    /// Adds the value of a node. Returns the text with which the column names of the node's children begin. `labels`
+    /// Adds the value of a node. Returns the text with which the column names of the node's children begin. `prefixes`
     /// has these texts for the nodes that were added before.
-    fn add_node(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
+    fn add_node(&mut self, tree: &Tree, id: NodeId, node: &'a Node, prefixes: &[Column]) -> Column {
         let parent = node.parent.unwrap_or(NodeId::ROOT);
         let value = node.measure.value().filter(|value| !value.is_nan());
         if let NodeRole::OfIteration(_) = self.of_iteration.add(id, node.parent, &node.name, value) {
             let name = column(&node.name);
+            // A name that is owned has no fixed column, so its value gets a further column.
             if let (Column::Owned(name), Some(sum)) = (&name, self.of_iteration.get(&node.name)) {
                 self.set_further(name, sum, node.measure.unit());
             }
@@ -160,9 +163,9 @@ impl<'a> TreeValues<'a> {
         }
         let occurrence = self.siblings.entry((parent, node.name.as_str())).or_default();
         *occurrence += 1;
-        let mut label = match labels[parent.index()].as_ref() {
+        let mut label = match prefixes[parent.index()].as_ref() {
             "" => node.name.to_string(),
-            parent_label => format!("{parent_label}_{}", node.name),
+            prefix => format!("{prefix}_{}", node.name),
         };
         if *occurrence > 1 {
             label = format!("{label}_{occurrence}");
