@@ -71,10 +71,10 @@ impl fmt::Display for RunState {
 pub enum Exclusion {
     /// The run was not measured to its end.
     Unfinished(RunState),
-    /// The run with this index was not measured to its end. It is the run of another edge, which measured the same
-    /// repeat at the same time.
-    OtherEdgeUnfinished(usize),
-    /// Fewer edges have a run of the repeat that was measured to its end than the experiment has edges: another edge
+    /// The run with this index was not measured to its end. It is the run of another edge or of another pipeline, which
+    /// measured the same repeat at the same time.
+    ConcurrentRunUnfinished(usize),
+    /// At least one edge of the experiment has no run of the repeat that was measured to its end: for example, the edge
     /// failed before its run began.
     EdgeMissing {
         /// Number of edges with such a run.
@@ -93,7 +93,7 @@ impl Exclusion {
     pub fn describe(&self, run_name: impl Fn(usize) -> String) -> String {
         match self {
             Self::Unfinished(state) => state.to_string(),
-            Self::OtherEdgeUnfinished(other) => {
+            Self::ConcurrentRunUnfinished(other) => {
                 format!("measured together with {}, which was not measured to its end", run_name(*other))
             }
             Self::EdgeMissing { measured, edges } => {
@@ -199,13 +199,13 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
         Some(Exclusion::Unfinished(state.clone()))
     };
     let mut exclusions: Vec<Option<Exclusion>> = runs.iter().map(unfinished).collect();
-    // After one of several edges ended early, the other edges had less competition than configured, so they do not
-    // count either.
+    // After one of several concurrent runs ended early, the other runs had less competition than configured, so they do
+    // not count either.
     let unfinished_runs: Vec<usize> = (0..runs.len()).filter(|index| exclusions[*index].is_some()).collect();
     exclude(runs, &mut exclusions, |run| {
         (!run.is_named).then_some(())?;
         let other = unfinished_runs.iter().find(|other| run.is_together_with(&runs[**other]))?;
-        Some(Exclusion::OtherEdgeUnfinished(*other))
+        Some(Exclusion::ConcurrentRunUnfinished(*other))
     });
     // An edge that failed before its run began has no run, but the other edges had less competition all the same. The
     // times are not compared: edges with few iterations can end before the others begin.
@@ -219,7 +219,8 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
         (measured < edges).then_some(Exclusion::EdgeMissing { measured, edges })
     });
     // Copies are excluded before repeats are compared: copies of one run belong to one repeat, and if the comparison of
-    // repeats came first, the time would choose among the copies instead of the rank.
+    // repeats came first, the time would choose among the copies instead of the rank. `false` comes before `true`,
+    // so a named copy comes before the others.
     let originals = best_runs(runs, &exclusions, |run| run.id, |index, run| (!run.is_named, run.rank, index));
     exclude(runs, &mut exclusions, |run| Some(Exclusion::CopyOf(*originals.get(&run.id?)?)));
     let newest_runs = best_runs(

@@ -96,6 +96,7 @@ impl Medians {
         if !medians.is_empty() {
             return Some(medians.iter().sum());
         }
+        // `upload` and `download` have no median here, so these are the other stages.
         let others = stage::ORDER.into_iter().filter_map(|name| self.median(&name));
         Some(both_ways(self.median(&stage::TOTAL)?, others, self.median(&stage::UNATTRIBUTED)?))
     }

@@ -10,8 +10,8 @@ use crate::slowness::{self, BOTH_DIRECTIONS};
 const MIN_REST_SHARE: f64 = 1e-9;
 /// If at least this share of the total is unexplained, the trust report has a caveat and the overview warns.
 pub const NOTABLE_UNEXPLAINED_SHARE: f64 = 0.05;
-/// Unexplained time in seconds that is negligible if it is shorter, even if it is a large share of the total: it is the normal cost of
-/// instructions and of the scheduler.
+/// Unexplained time that is shorter than this number of seconds is negligible, even if it is a large share of the total:
+/// it is the normal cost of instructions and of the scheduler.
 pub const NEGLIGIBLE_UNEXPLAINED_S: f64 = 1e-4;
 
 /// Parts that add up to the mean total latency, unless the clocks show a stage as longer than it was.
@@ -20,8 +20,8 @@ pub struct StageSplit {
     /// Mean of each part per iteration, seconds, in the order of the stages. The last part is `unattributed`, if there
     /// is time that belongs to no stage.
     pub parts: Vec<(Name, f64)>,
-    /// Part of `unattributed` before the real start of the iteration, seconds. This part is not longer than `unattributed`, even if the clocks
-    /// disagree.
+    /// `lateness` as a part of `unattributed`, seconds; 0 in a closed loop. This part is not longer than `unattributed`, although
+    /// `lateness` may be if the clocks disagree.
     pub late_start: f64,
     /// Mean of the total, seconds; 0 without a total.
     pub total: f64,
@@ -76,7 +76,7 @@ impl StageSplit {
         if unattributed > MIN_REST_SHARE * total {
             parts.push((stage::UNATTRIBUTED, unattributed));
         }
-        // Without the unattributed time of any iteration, the rest may be a stage whose duration is unknown.
+        // If no iteration has a value of `unattributed`, the rest may be a stage whose duration is unknown.
         let rest = mean_of(&stage::UNATTRIBUTED).map(|_| unattributed);
         let per_iteration = |name: &str| mean_of(name).map(|values| mean_per_iteration(values, iterations));
         let lateness = per_iteration(LATENESS);
@@ -268,12 +268,12 @@ mod tests {
 
     #[test]
     fn late_start_and_restart_count_as_explained() {
-        let of = |nodes: &'static [(&'static str, u64, f64)]| {
+        let split_of = |nodes: &'static [(&'static str, u64, f64)]| {
             StageSplit::new([0; 2], |name| {
                 nodes.iter().find(|(node, ..)| *node == name).map(|(_, count, mean)| (*count, *mean))
             })
         };
-        let split = of(&[
+        let split = split_of(&[
             ("total", 50, 0.020),
             ("sensing", 50, 0.010),
             ("unattributed", 40, 0.010),
@@ -284,9 +284,9 @@ mod tests {
         assert!((unexplained - 0.001).abs() < 1e-12 && !split.is_notable(unexplained, 0.06), "{split:?}");
         assert!(split.is_notable(unexplained, 0.04) && split.is_notable(-unexplained, 0.04));
         assert!(!split.is_notable(0.9 * NEGLIGIBLE_UNEXPLAINED_S, 0.0));
-        // Without the sum of the stages of any iteration, the rest may be a stage whose duration is unknown.
-        assert_eq!(of(&[("total", 50, 0.020), ("sensing", 50, 0.010)]).unexplained(), None);
-        let overlap = of(&[("total", 50, 0.020), ("sensing", 50, 0.030), ("unattributed", 50, -0.010)]);
+        // No iteration has a value of `unattributed`, so the rest may be a stage whose duration is unknown.
+        assert_eq!(split_of(&[("total", 50, 0.020), ("sensing", 50, 0.010)]).unexplained(), None);
+        let overlap = split_of(&[("total", 50, 0.020), ("sensing", 50, 0.030), ("unattributed", 50, -0.010)]);
         assert!((overlap.unexplained().expect("known") + 0.010).abs() < 1e-12 && overlap.late_start == 0.0);
     }
 

@@ -63,9 +63,9 @@ mod tests {
 
     #[test]
     fn clock_set_by_months_causes_standstill() {
-        let days = 115 * 86_400;
-        let length_s = standstill_s(895, 3_600, &[-1_800, days], days + 4).expect("a standstill");
-        assert!((length_s - f64::from(days as i32 - 1_800)).abs() < 1e-6, "{length_s}");
+        let days_s = 115 * 86_400;
+        let length_s = standstill_s(895, 3_600, &[-1_800, days_s], days_s + 4).expect("a standstill");
+        assert!((length_s - f64::from(days_s as i32 - 1_800)).abs() < 1e-6, "{length_s}");
         assert!(standstill_s(895, 1, &[0, 3_600], 3_601).is_some());
     }
 

@@ -92,6 +92,7 @@ impl Transfers {
 /// delay was judged. Returns `None` if the speed is unknown, because the verdict is neither `ok` nor `limited`.
 pub const fn is_speed_limited(verdict: Option<Verdict>) -> Option<bool> {
     match verdict {
+        // Results of other programs have delays without verdicts.
         None | Some(Verdict::Ok) => Some(false),
         Some(Verdict::Limited) => Some(true),
         Some(_) => None,

@@ -41,17 +41,17 @@ impl UnaccountedTime {
     /// replaces both directions.
     pub fn of(durations: &IterationDurations<'_>) -> Self {
         let IterationDurations { total, stages, both_ways, unattributed, .. } = *durations;
-        let sum_of_stages = |with_one_way: bool| {
-            let counted = stages.iter().filter(|(name, _)| with_one_way || !is_one_way(name));
-            counted.map(|(_, seconds)| seconds).sum::<f64>()
+        let sum_of_stages = |is_included: fn(&Name) -> bool| {
+            let included = stages.iter().filter(|(name, _)| is_included(name));
+            included.map(|(_, seconds)| seconds).sum::<f64>()
         };
         let (network, unattributed) = match (both_ways, durations.has_unknown_delay) {
             (Some(both), _) => (Some((BOTH_DIRECTIONS, both)), unattributed),
             // All stages are known, so the rest of the total is unattributed.
-            (None, false) => (None, Some(total - sum_of_stages(true))),
+            (None, false) => (None, Some(total - sum_of_stages(|_| true))),
             // Neither the time in the network nor the unattributed time is known, but their sum is.
             (None, true) if durations.is_answered => {
-                (Some((NETWORK_AND_REST, total - sum_of_stages(false))), None)
+                (Some((NETWORK_AND_REST, total - sum_of_stages(|name| !is_one_way(name)))), None)
             }
             // Without an answer, the rest may also be time on the other host or a wait for a lost message.
             (None, true) => (None, None),
@@ -87,14 +87,15 @@ pub fn is_one_way(name: &str) -> bool {
 mod tests {
     use super::*;
 
-    /// Returns the parts of an iteration of 1.2 s whose download is not known.
-    fn parts(sums: Option<(f64, f64)>, is_answered: bool) -> Vec<(String, f64)> {
+    /// Returns the parts of an iteration of 1.2 s whose download is not known. `measured` has the sum of upload and download,
+    /// and the unattributed time.
+    fn parts(measured: Option<(f64, f64)>, is_answered: bool) -> Vec<(String, f64)> {
         let stages = [(stage::SENSING, 0.002), (stage::UPLOAD, 0.010), (stage::INFERENCE, 0.0002)];
         let durations = IterationDurations {
             total: 1.2,
             stages: &stages,
-            both_ways: sums.map(|(both_ways, _)| both_ways),
-            unattributed: sums.map(|(_, unattributed)| unattributed),
+            both_ways: measured.map(|(both_ways, _)| both_ways),
+            unattributed: measured.map(|(_, unattributed)| unattributed),
             has_unknown_delay: true,
             is_answered,
         };

@@ -3,6 +3,9 @@
 //! ```text
 //! iteration ── Row ── Rows ── RowRef
 //! ```
+//!
+//! A [`Row`] is made from an iteration. [`Rows`] stores the numbers of many rows by column. A [`RowRef`] refers to one of
+//! the stored rows.
 
 mod chunks;
 mod columns;
@@ -113,6 +116,7 @@ impl Rows {
     pub fn push(&mut self, row: &Row) {
         let mut builder = self.build_row();
         for (name, kind) in FIXED_COLUMNS {
+            // The numbers of nodes are in `row.values`. The flag for warm-up is stored with the outcomes.
             if kind != ColumnKind::Node && name != WARM_UP {
                 builder.numbers[self.column_indexes[name]] = row.value(name);
             }
@@ -165,7 +169,8 @@ impl Rows {
         self.names.len() - 1
     }
 
-    /// Returns the names of the columns: first the columns of every file, then the further columns of this run.
+    /// Returns the names of the columns: first the fixed columns, which every `data.csv` has, then the
+    /// further columns of this run.
     pub fn names(&self) -> &[Column] {
         &self.names
     }

@@ -64,7 +64,7 @@ impl Numbers {
         match self {
             Self::Linear { first, step, count } => {
                 match (*count, *first, number) {
-                    // The first two numbers determine the line.
+                    // The first two numbers determine `first` and `step`.
                     (0, ..) => *first = number,
                     (1, Some(first), Some(number)) if (number - first).is_finite() => *step = number - first,
                     _ => {}
@@ -155,11 +155,11 @@ mod tests {
 
     #[test]
     fn column_widens_when_number_does_not_fit() {
-        let steps: [&[f64]; 4] =
+        let additions: [&[f64]; 4] =
             [&[2.0, 2.0], &[1.0, -1.0], &[0.25, 1e-9], &[3.0, f64::INFINITY, -0.0, 1e-300]];
         let mut all = Vec::new();
-        for step in steps {
-            all.extend(step.iter().copied().map(Some));
+        for added in additions {
+            all.extend(added.iter().copied().map(Some));
             let column = column_of(&all);
             assert!((0..all.len()).all(|at| is_same(column.get(at), all[at])), "{all:?}: {column:?}");
         }

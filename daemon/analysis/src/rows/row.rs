@@ -101,6 +101,7 @@ impl Row {
         let tree = &iteration.tree;
         Self {
             iteration: iteration.number,
+            // The first anchor is that of the edge, and its time is the intended start of the iteration.
             at: tree.anchors().first().map_or(0.0, |anchor| anchor.wall.unix_nanos() as f64 / 1e9),
             episode: iteration.episode,
             step: iteration.step,

@@ -58,7 +58,7 @@ fn edge_beside_failed_edge_does_not_count() {
         run(1, edge, RunState::Finished, 11),
     ];
     let unfinished = Some(Exclusion::Unfinished(failed));
-    let other_unfinished = Some(Exclusion::OtherEdgeUnfinished(1));
+    let other_unfinished = Some(Exclusion::ConcurrentRunUnfinished(1));
     assert_eq!(exclusions(&runs), [other_unfinished, unfinished.clone(), None, None, None]);
     runs[0].is_named = true;
     assert_eq!(exclusions(&runs), [None, unfinished, None, None, None]);

@@ -15,7 +15,8 @@ fn start_time(at: f64) -> WallTime {
 }
 
 impl Starts {
-    /// Adds the start of an iteration, unless the iteration is warm-up.
+    /// Adds the start of an iteration, unless the iteration is warm-up. `times` then has the earliest and the latest start,
+    /// whatever the numbers of their iterations.
     pub fn add(&mut self, row: &Row) {
         let Some(at) = row.value("at").filter(|_| !row.warm_up).map(start_time) else { return };
         self.started += 1;
@@ -28,10 +29,10 @@ impl StartTimes {
     /// Returns the start times of a run from its record and rows.
     pub fn from_run(record: &RunRecord, rows: &Rows) -> Self {
         let start = |row: RowRef<'_>| start_time(row.at());
-        let started = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0);
+        let rows_with_start = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0);
         // Rows are in the order in which their iterations ended, so an earlier start can follow a later one.
-        let first = started().min_by_key(|row| row.iteration()).map(start);
-        let last = started().max_by_key(|row| row.iteration()).map(start);
+        let first = rows_with_start().min_by_key(|row| row.iteration()).map(start);
+        let last = rows_with_start().max_by_key(|row| row.iteration()).map(start);
         let wall = |time: Option<DateTime<Utc>>| {
             time.and_then(|time| time.timestamp_nanos_opt()).map(WallTime::from_unix_nanos)
         };
@@ -40,13 +41,13 @@ impl StartTimes {
         let extent = extent.map(|(started_at, end)| RunExtent {
             started: started_at,
             end,
-            iterations: started().count() as u64,
+            iterations: rows_with_start().count() as u64,
             slowest_s,
         });
         // Missing iterations may have started during a pause between rows, which is then no standstill.
         let extent = extent.filter(|_| record.counts.unseen == 0);
         // A row has the time of one start, which is a range of length zero.
-        let start_ranges = started().map(start).map(|at| (at, at));
+        let start_ranges = rows_with_start().map(start).map(|at| (at, at));
         Self { first, last, standstill_s: extent.and_then(|extent| standstill(&extent, start_ranges)) }
     }
 }

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use peernet_statistics::{self as statistics, Moments};
 
 use crate::accuracy::{Accuracy, UnknownLabels};
-use crate::actuator_results::{ActuatorResults, is_value_in_statistics};
+use crate::actuator_results::{ActuatorResults, EPISODE_VALUES};
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::delays::median_bounds;
 use crate::order::SortedValues;
@@ -23,7 +23,7 @@ use crate::trust::{ReplayedLatencies, Starts};
 pub struct Summary {
     /// Title for people.
     pub title: String,
-    /// Summaries of the columns that have a number in a row in the statistics, in the order of the file.
+    /// Summaries of the columns that have a number in a row in the statistics, in the order of `data.csv`.
     pub quantities: Vec<Quantity>,
     /// Number of iterations by outcome.
     pub counts: Counts,
@@ -77,8 +77,8 @@ pub struct Quantity {
 impl Summary {
     /// Returns the summary of these rows, without the facts of their run.
     pub fn from_rows(rows: &Rows) -> Self {
-        // The bounds of delays have another kind. The bounds of throughputs have the kind `Node`, so their names
-        // exclude them.
+        // Bounds are not summarised. The bounds of delays are left out by their kind. The bounds of throughputs have the kind
+        // `Node` and are left out by their names.
         let summarised_columns = rows.names().iter().enumerate().filter(|(index, name)| {
             FIXED_COLUMNS.get(*index).is_none_or(|(_, kind)| *kind == ColumnKind::Node)
                 && !is_throughput_bound(name)
@@ -94,7 +94,7 @@ impl Summary {
                 );
             }
             // The values of episodes count in all iterations.
-            if is_value_in_statistics(name, false) {
+            if EPISODE_VALUES.contains(&name.as_ref()) {
                 return Quantity::from_values(name.clone(), rows.iter().filter_map(|row| row.value(name)));
             }
             let quantity = Quantity::from_values(name.clone(), rows.values_in_statistics(name))?;

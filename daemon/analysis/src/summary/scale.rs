@@ -47,9 +47,10 @@ impl Scale {
     /// was logged with its values. A second node with the name of a standard column, such as `upload_2`, has the scale of that column if no
     /// unit was logged.
     pub fn for_column(column: &str, unit: Option<&str>) -> Self {
-        let is_total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
+        let is_duration_of_iteration =
+            ["lateness", "total", "stages-total", "unattributed"].contains(&column);
         match column {
-            _ if is_total || DURATION_COLUMNS.contains(&column) => Self::Milliseconds,
+            _ if is_duration_of_iteration || DURATION_COLUMNS.contains(&column) => Self::Milliseconds,
             "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
             "upload-bytes" | "download-bytes" | "upload-logger-bytes" | "download-logger-bytes" => {
                 Self::Bytes

@@ -200,6 +200,7 @@ mod tests {
     fn required_fonts_are_named() {
         let font_comment =
             |name: &str| rows(&[[name, "1"]]).latex("").lines().nth(1).unwrap_or_default().to_owned();
+        // The table begins in the second line, because no comment names a font.
         assert_eq!(font_comment("5 µm, Ω → 2 × θ"), "\\begin{table*}");
         assert_eq!(font_comment("Größe é ł «x» đ ½ …"), "% needs \\usepackage[T1]{fontenc}");
         assert_eq!(font_comment("車車いす é ŧ"), "% needs LuaLaTeX or XeLaTeX, and a font that has ŧいす車");

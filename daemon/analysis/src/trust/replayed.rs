@@ -117,14 +117,14 @@ mod tests {
 
     #[test]
     fn runs_with_different_seeds_are_described_together() {
-        let of = |runs: &[(&str, f64)]| {
+        let description_of = |runs: &[(&str, f64)]| {
             let runs = runs.iter().map(|(text, overrun)| replayed(text, 0.01, *overrun));
             ReplayedLatencies::describe_all(runs)
         };
-        assert_eq!(of(&[]), None);
-        assert_eq!(of(&[("x, seed 3", 0.0), ("x, seed 3", 0.0)]).as_deref(), Some("x, seed 3"));
+        assert_eq!(description_of(&[]), None);
+        assert_eq!(description_of(&[("x, seed 3", 0.0), ("x, seed 3", 0.0)]).as_deref(), Some("x, seed 3"));
         assert_eq!(
-            of(&[("x, seed 3", 0.0), ("x, seed 4", 0.004)]).as_deref(),
+            description_of(&[("x, seed 3", 0.0), ("x, seed 4", 0.004)]).as_deref(),
             Some(
                 "x, a seed of its own for each run; inference took 2.00 ms longer than drawn on average (mean drawn latency 10.0 ms)"
             )

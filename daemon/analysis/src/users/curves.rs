@@ -61,6 +61,7 @@ fn axis_of_edges(users: &Users) -> Option<usize> {
     let contains_number = |label: &str, edges: usize| {
         label.split(|char: char| !char.is_ascii_digit()).any(|number| number.parse() == Ok(edges))
     };
+    // If all lines have the same number of edges, no axis is returned.
     let axes = || (0..users.axes.len()).filter(|_| edges_vary);
     // An axis whose labels are the numbers themselves comes first: labels of another axis, such as the model `v2`, may
     // contain the same numbers by chance.

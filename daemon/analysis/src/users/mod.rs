@@ -206,13 +206,16 @@ impl Users {
             let groups: Vec<Vec<&Loaded>> = groups.iter().map(edges_of).collect();
             let repeats: Vec<Repeat<SortedValues>> =
                 groups.iter().map(|edges| repeat_from_edges(edges)).collect();
-            let runs = || groups.iter().flatten();
+            let line_runs = || groups.iter().flatten();
             let all_totals = || {
-                runs().flat_map(|edge| edge.rows.values_in_statistics(TotalColumn::Measured.name())).collect()
+                line_runs()
+                    .flat_map(|run| run.rows.values_in_statistics(TotalColumn::Measured.name()))
+                    .collect()
             };
+            // All groups are complete, so the first group has as many edges as the others.
             let line = UsersLine::new(line_labels, groups[0].len(), &repeats, all_totals);
             let replayed =
-                runs().filter_map(|edge| ReplayedLatencies::from_run(&edge.record.facts, &edge.rows));
+                line_runs().filter_map(|run| ReplayedLatencies::from_run(&run.record.facts, &run.rows));
             UsersLine { replayed: ReplayedLatencies::describe_all(replayed), ..line }
         };
         Some(Self { axes, lines: group_by_labels(&labels).into_iter().map(line).collect() })

@@ -59,9 +59,9 @@ impl ExclusionReasons {
             (!descriptions.is_empty()).then(|| format!("excluded, {kind}: {listed}{more}"))
         };
         let unfinished = note("unfinished runs", &|exclusion| match exclusion {
-            Exclusion::Unfinished(_) | Exclusion::OtherEdgeUnfinished(_) | Exclusion::EdgeMissing { .. } => {
-                Some(exclusion.describe(folder))
-            }
+            Exclusion::Unfinished(_)
+            | Exclusion::ConcurrentRunUnfinished(_)
+            | Exclusion::EdgeMissing { .. } => Some(exclusion.describe(folder)),
             _ => None,
         });
         let copied_results =

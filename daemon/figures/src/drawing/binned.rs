@@ -17,8 +17,8 @@ const ROUNDING: f64 = 1e-9;
 /// A smallest value that is less than this share of the largest value becomes zero. Otherwise the smallest value would
 /// make the axis logarithmic.
 const ZERO_SHARE: f64 = 1e-12;
-/// Approximate number of marks on the axis.
-const MARKS: usize = 5;
+/// Approximate number of ticks on the axis.
+const TICKS: usize = 5;
 /// An axis begins at zero unless the smallest value is more than this share of the largest value.
 const ZERO_THRESHOLD: f64 = 0.75;
 
@@ -42,11 +42,11 @@ impl BinnedAxis {
         if let [single] = all.as_slice() {
             let edges: Vec<f64> =
                 Binning::of(*single, MAX_BINS)?.edges().iter().map(|edge| edge * unit.per_si).collect();
-            let scale = Scale::linear((*edges.first()?, *edges.last()?)).widened(MARKS);
+            let scale = Scale::linear((*edges.first()?, *edges.last()?)).widened(TICKS);
             return Some(Self { unit, scale, edges });
         }
         let ends = Self::ends(&all, &unit)?;
-        let scale = Scale::decades(ends).unwrap_or_else(|| Scale::linear(ends).widened(MARKS));
+        let scale = Scale::decades(ends).unwrap_or_else(|| Scale::linear(ends).widened(TICKS));
         Some(Self::new(unit, scale, ends))
     }
 
@@ -62,18 +62,18 @@ impl BinnedAxis {
         let is_squeezed = lo > hi * ZERO_THRESHOLD;
         match lo {
             _ if lo < 0.0 => {
-                let scale = Scale::linear((lo, hi.max(0.0))).widened(MARKS);
+                let scale = Scale::linear((lo, hi.max(0.0))).widened(TICKS);
                 Some(Self::new(unit, scale, (lo, hi)))
             }
             _ if is_squeezed => {
-                let scale = Scale::linear((lo - margin, hi + margin)).widened(MARKS);
+                let scale = Scale::linear((lo - margin, hi + margin)).widened(TICKS);
                 Some(Self::new(unit, scale, (lo, hi)))
             }
             _ => {
                 // On an axis from zero, even the lower tail has a position, so the bins begin at the smallest value of
                 // all.
                 let min = all.iter().map(|summary| summary.moments.min * unit.per_si).fold(lo, f64::min);
-                Some(Self::new(unit, Scale::up_to(hi + margin / 2.0, MARKS + 1), (min.max(0.0), hi)))
+                Some(Self::new(unit, Scale::up_to(hi + margin / 2.0, TICKS + 1), (min.max(0.0), hi)))
             }
         }
     }

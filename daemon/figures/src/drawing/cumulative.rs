@@ -102,8 +102,9 @@ impl Cumulative {
             if let [(_, count)] = counts_beyond.as_slice()
                 && self.curves.len() == 1
             {
-                plot.remark =
-                    Some(format!("{count} beyond {} →", self.unit.format_value(end / self.unit.per_si, 0.0)));
+                // The end needs no more decimals than three significant digits, so the spread is 0.
+                let end_text = self.unit.format_value(end / self.unit.per_si, 0.0);
+                plot.remark = Some(format!("{count} beyond {end_text} →"));
             }
             if !counts_beyond.is_empty() {
                 let counts: Vec<String> =

@@ -174,7 +174,7 @@ async fn run_without_end_overlaps_until_last_iteration() {
     let files = [results_in_files(&stored[0], rows), results_in_files(&stored[1], Rows::default())];
     let exclusions_in_files = exclusions(&files.iter().map(Candidate::from_results).collect::<Vec<_>>());
     assert_eq!(exclusions_in_store, exclusions_in_files);
-    let expected = [Exclusion::Unfinished(RunState::Open), Exclusion::OtherEdgeUnfinished(0)];
+    let expected = [Exclusion::Unfinished(RunState::Open), Exclusion::ConcurrentRunUnfinished(0)];
     assert_eq!(exclusions_in_store, expected.map(Some));
     assert!(needs_column("at"), "a comparison reads only the columns that it needs");
 }
