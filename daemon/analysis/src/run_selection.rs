@@ -27,7 +27,8 @@ pub enum RunState {
 }
 
 impl RunState {
-    /// Returns the state of a run that began, from the reason for its end. `reason` is `None` for a run without a recorded end.
+    /// Returns the state of a run that began, from the reason for its end. `reason` is `None` for a run without a
+    /// recorded end.
     pub fn from_end_reason(reason: Option<&EndReason>) -> Self {
         match reason {
             None | Some(EndReason::Unknown) => Self::Open,
@@ -127,7 +128,8 @@ pub struct Candidate {
     pub rank: u8,
 }
 
-/// Repeat of a configuration, as one pipeline of one edge measured it. Several edges can measure the same repeat as users of one cloud.
+/// Repeat of a configuration, as one pipeline of one edge measured it. Several edges can measure the same repeat as
+/// users of one cloud.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Repeat {
     experiment: String,
@@ -152,8 +154,8 @@ impl Repeat {
 }
 
 impl Candidate {
-    /// Returns the candidate of results that were read. Results outside of experiments have no state, because such runs are not repeated
-    /// after a failure.
+    /// Returns the candidate of results that were read. Results outside of experiments have no state, because such runs
+    /// are not repeated after a failure.
     pub fn from_results(run: &Loaded) -> Self {
         let record = &run.record;
         let position = record.experiment.as_ref();
@@ -264,7 +266,10 @@ fn exclude(
     reason: impl Fn(&Candidate) -> Option<Exclusion>,
 ) {
     for (index, (run, exclusion)) in runs.iter().zip(exclusions).enumerate() {
-        let names_run_itself = |reason: &Exclusion| matches!(reason, Exclusion::CopyOf(other) | Exclusion::MeasuredAgain(other) if *other == index);
+        let names_run_itself = |reason: &Exclusion| match reason {
+            Exclusion::CopyOf(other) | Exclusion::MeasuredAgain(other) => *other == index,
+            _ => false,
+        };
         if exclusion.is_none() {
             *exclusion = reason(run).filter(|reason| !names_run_itself(reason));
         }

@@ -13,8 +13,9 @@ const DROPPED_SAMPLES_SUFFIX: &str = "dropped-samples";
 
 /// Rate, periods and jitter of a sensor, from the samples of a run. Times are in seconds.
 ///
-/// The time of a sample is the time at which it was ready: the start of its iteration plus its `sensing`. A period is the time between two
-/// consecutive samples, without the warm-up. The jitter of a period is its absolute difference from the median period.
+/// The time of a sample is the time at which it was ready: the start of its iteration plus its `sensing`. A period is
+/// the time between two consecutive samples, without the warm-up. The jitter of a period is its absolute difference
+/// from the median period.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorStudy {
     /// Number of samples that the sensor returned.
@@ -53,7 +54,8 @@ struct SampleTime {
 }
 
 impl SensorStudy {
-    /// Returns the study of these rows, which may be in any order. `None` if no two consecutive iterations have a sample.
+    /// Returns the study of these rows, which may be in any order. `None` if no two consecutive iterations have a
+    /// sample.
     // A time across a failed iteration is no period of the sensor: it would contain the failure.
     pub fn from_rows(rows: &Rows) -> Option<Self> {
         let measured = rows.iter().filter(|row| !row.warm_up());

@@ -37,9 +37,10 @@ impl Cause {
     }
 }
 
-/// Returns the causes of a slow iteration, which took `total` seconds in a run with the median `median`. They are the parts with the largest
-/// excess over their medians, the largest first, until they explain 80 % of the excess of the total. `parts` must not overlap, because the
-/// same time would then count twice. Empty if the iteration took less than 1.05 times the median.
+/// Returns the causes of a slow iteration, which took `total` seconds in a run with the median `median`. They are the
+/// parts with the largest excess over their medians, the largest first, until they explain 80 % of the excess of the
+/// total. `parts` must not overlap, because the same time would then count twice. Empty if the iteration took less than
+/// 1.05 times the median.
 pub fn causes(total: f64, median: f64, parts: impl IntoIterator<Item = Cause>) -> Vec<Cause> {
     if total < USUAL_RATIOS.end * median {
         return Vec::new();
@@ -58,7 +59,8 @@ pub fn causes(total: f64, median: f64, parts: impl IntoIterator<Item = Cause>) -
         .collect()
 }
 
-/// Returns the time that both directions of the network take together: the total minus the other stages and the unattributed time.
+/// Returns the time that both directions of the network take together: the total minus the other stages and the
+/// unattributed time.
 pub fn both_ways(total: f64, others: impl Iterator<Item = f64>, unattributed: f64) -> f64 {
     (total - others.sum::<f64>() - unattributed).max(0.0)
 }
@@ -88,8 +90,8 @@ impl Medians {
         self.0.iter().find(|(node, _)| node == name).map(|(_, median)| *median)
     }
 
-    /// Returns the sum of the medians of `upload` and `download`. If neither has a median, because no delay is known, the sum is
-    /// computed from the medians of the total, of the other stages and of the unattributed time.
+    /// Returns the sum of the medians of `upload` and `download`. If neither has a median, because no delay is known,
+    /// the sum is computed from the medians of the total, of the other stages and of the unattributed time.
     pub fn both_ways(&self) -> Option<f64> {
         let medians = [stage::UPLOAD, stage::DOWNLOAD].into_iter().filter_map(|name| self.median(&name));
         let medians: Vec<f64> = medians.collect();
@@ -101,15 +103,16 @@ impl Medians {
         Some(both_ways(self.median(&stage::TOTAL)?, others, self.median(&stage::UNATTRIBUTED)?))
     }
 
-    /// Returns the ratio of a total to the median total of the run; `None` if the total or the median is not known, or the median is 0.
+    /// Returns the ratio of a total to the median total of the run; `None` if the total or the median is not known, or
+    /// the median is 0.
     pub fn ratio_to_median(&self, total: Option<f64>) -> Option<f64> {
         let median = self.median(&stage::TOTAL).filter(|median| *median > 0.0)?;
         Some(total? / median)
     }
 
-    /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage. If starts are late, the lateness is a
-    /// separate candidate, and [`REST_OF_UNATTRIBUTED`] replaces the unattributed time. If only the sum of upload and download is known, the
-    /// sum replaces both stages.
+    /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage. If starts are late,
+    /// the lateness is a separate candidate, and [`REST_OF_UNATTRIBUTED`] replaces the unattributed time. If only the
+    /// sum of upload and download is known, the sum replaces both stages.
     pub fn causes(&self, times: &IterationTimes<'_>) -> Vec<Cause> {
         let Some((total, median)) = times.total.zip(self.median(&stage::TOTAL)) else { return Vec::new() };
         let lateness = Name::from_static(LATENESS);

@@ -10,8 +10,8 @@ use crate::slowness::{self, BOTH_DIRECTIONS};
 const MIN_REST_SHARE: f64 = 1e-9;
 /// If at least this share of the total is unexplained, the trust report has a caveat and the overview warns.
 pub const NOTABLE_UNEXPLAINED_SHARE: f64 = 0.05;
-/// Unexplained time that is shorter than this number of seconds is negligible, even if it is a large share of the total:
-/// it is the normal cost of instructions and of the scheduler.
+/// Unexplained time that is shorter than this number of seconds is negligible, even if it is a large share of the
+/// total: it is the normal cost of instructions and of the scheduler.
 pub const NEGLIGIBLE_UNEXPLAINED_S: f64 = 1e-4;
 
 /// Parts that add up to the mean total latency, unless the clocks show a stage as longer than it was.
@@ -20,8 +20,8 @@ pub struct StageSplit {
     /// Mean of each part per iteration, seconds, in the order of the stages. The last part is `unattributed`, if there
     /// is time that belongs to no stage.
     pub parts: Vec<(Name, f64)>,
-    /// `lateness` as a part of `unattributed`, seconds; 0 in a closed loop. This part is not longer than `unattributed`, although
-    /// `lateness` may be if the clocks disagree.
+    /// `lateness` as a part of `unattributed`, seconds; 0 in a closed loop. This part is not longer than
+    /// `unattributed`, although `lateness` may be if the clocks disagree.
     pub late_start: f64,
     /// Mean of the total, seconds; 0 without a total.
     pub total: f64,
@@ -40,12 +40,13 @@ pub type CountAndMean = (u64, f64);
 
 impl StageSplit {
     /// Splits the mean of the total. `mean_of` returns the number and the mean of a node's values; `None` without
-    /// values. `sent` holds the number of iterations that sent a message to the other host, and the number of iterations
-    /// that received a message from it. The delays of some of these messages may be unknown. The result is empty
-    /// without a total.
+    /// values. `sent` holds the number of iterations that sent a message to the other host, and the number of
+    /// iterations that received a message from it. The delays of some of these messages may be unknown. The result is
+    /// empty without a total.
     ///
-    /// A stage that an iteration does not have counts as 0 in this iteration. An unknown delay counts as the mean of the known delays. If neither
-    /// upload nor download is known, because the clocks are not related, their sum replaces them. The sum needs no clock relation.
+    /// A stage that an iteration does not have counts as 0 in this iteration. An unknown delay counts as the mean of
+    /// the known delays. If neither upload nor download is known, because the clocks are not related, their sum
+    /// replaces them. The sum needs no clock relation.
     pub fn new(sent: [u64; 2], mean_of: impl Fn(&str) -> Option<CountAndMean>) -> Self {
         let Some((iterations, total)) = mean_of(&stage::TOTAL) else { return Self::default() };
         let mean = |name: &Name| {
@@ -101,8 +102,8 @@ impl StageSplit {
         if self.total > 0.0 { seconds / self.total } else { 0.0 }
     }
 
-    /// Returns whether this unexplained time is long enough to be reported: longer than negligible, and at least the share
-    /// `notable_share` of the total.
+    /// Returns whether this unexplained time is long enough to be reported: longer than negligible, and at least the
+    /// share `notable_share` of the total.
     pub fn is_notable(&self, unexplained: f64, notable_share: f64) -> bool {
         unexplained.abs() >= NEGLIGIBLE_UNEXPLAINED_S
             && self.share_of_mean_total(unexplained.abs()) >= notable_share
@@ -140,7 +141,8 @@ pub fn share_of_total(
     Some(seconds / total)
 }
 
-/// Returns the number of rows whose iteration sent a message to the other host, and the number of rows whose iteration received one.
+/// Returns the number of rows whose iteration sent a message to the other host, and the number of rows whose iteration
+/// received one.
 pub(crate) fn sent_in_rows<'a>(rows: impl Iterator<Item = RowRef<'a>>) -> [u64; 2] {
     rows.fold([0; 2], |[sent, received], row| {
         let [has_sent, has_received] = row.has_messages();
@@ -148,9 +150,10 @@ pub(crate) fn sent_in_rows<'a>(rows: impl Iterator<Item = RowRef<'a>>) -> [u64; 
     })
 }
 
-/// Returns the numbers of messages that were sent and received in a part of a run with `in_part` iterations. `sent` holds the numbers of the
-/// whole run, which has `iterations` iterations. The messages are assumed to be spread evenly over the iterations: in most runs, each iteration
-/// sends one message. A run with messages has at least one message in each part, so that the direction is not left out.
+/// Returns the numbers of messages that were sent and received in a part of a run with `in_part` iterations. `sent`
+/// holds the numbers of the whole run, which has `iterations` iterations. The messages are assumed to be spread evenly
+/// over the iterations: in most runs, each iteration sends one message. A run with messages has at least one message in
+/// each part, so that the direction is not left out.
 pub fn sent_in_part(sent: [u64; 2], iterations: u64, in_part: u64) -> [u64; 2] {
     let share = in_part as f64 / iterations.max(1) as f64;
     sent.map(|count| ((count as f64 * share).round() as u64).max(count.min(1)))
@@ -163,14 +166,15 @@ pub fn index_of_network(parts: &[(Name, f64)]) -> usize {
     parts.iter().filter(|(name, _)| stages_before.contains(name)).count()
 }
 
-/// Returns the mean of a node per iteration, from the number and the mean of its values. Iterations without the node count as 0.
+/// Returns the mean of a node per iteration, from the number and the mean of its values. Iterations without the node
+/// count as 0.
 pub fn mean_per_iteration((count, mean): CountAndMean, iterations: u64) -> f64 {
     mean * count as f64 / iterations.max(1) as f64
 }
 
 /// Returns the mean of a node per iteration over groups of iterations. A group, such as all iterations of a second, is
-/// given as its number of iterations and its mean per iteration. The mean is `None` if the group does not have the node;
-/// the iterations of such a group count as 0. Returns `None` without iterations, or if no group has the node.
+/// given as its number of iterations and its mean per iteration. The mean is `None` if the group does not have the
+/// node; the iterations of such a group count as 0. Returns `None` without iterations, or if no group has the node.
 pub fn mean_of_groups(groups: impl IntoIterator<Item = (u64, Option<f64>)>) -> Option<f64> {
     let (mut iterations, mut sum) = (0, None);
     for (count, mean) in groups {
@@ -186,8 +190,8 @@ pub fn mean_of_groups(groups: impl IntoIterator<Item = (u64, Option<f64>)>) -> O
 mod tests {
     use super::*;
 
-    /// Splits a mean total of 20 ms over 50 iterations. Each node is given as its name, the number of its values and their
-    /// mean. Returns the parts in milliseconds.
+    /// Splits a mean total of 20 ms over 50 iterations. Each node is given as its name, the number of its values and
+    /// their mean. Returns the parts in milliseconds.
     fn split(sent: u64, nodes: &[(&str, u64, f64)]) -> Vec<(String, f64)> {
         let mean_of = |name: &str| {
             let node = [("total", 50, 0.020)].into_iter().chain(nodes.iter().copied());

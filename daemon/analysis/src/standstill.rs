@@ -1,10 +1,10 @@
-//! Standstills: long periods in which a run seems to have started no iteration, because the clock of its host was set or
-//! the host was suspended. The number of iterations divided by the length of such a run is not a rate.
+//! Standstills: long periods in which a run seems to have started no iteration, because the clock of its host was set
+//! or the host was suspended. The number of iterations divided by the length of such a run is not a rate.
 
 use peernet_clock::WallTime;
 
-/// Minimum number of iterations for a standstill. In a run with fewer iterations, a pause of more than half of the run may be one slow
-/// iteration.
+/// Minimum number of iterations for a standstill. In a run with fewer iterations, a pause of more than half of the run
+/// may be one slow iteration.
 const MIN_ITERATIONS: u64 = 100;
 /// Longest pause that can be a wait for an answer or a model, seconds.
 const MAX_WAIT_S: f64 = 600.0;
@@ -23,9 +23,9 @@ pub struct RunExtent {
 }
 
 /// Returns the length of the standstill of a run, seconds. `start_ranges` lists the time ranges in which iterations
-/// started. The standstill is the longest pause between these ranges, or between the last range and the end of the run. `None`
-/// unless this pause is longer than each of these: half of the run, ten minutes, and the slowest iteration. The time
-/// before the first range does not count, because it may be the warm-up.
+/// started. The standstill is the longest pause between these ranges, or between the last range and the end of the run.
+/// `None` unless this pause is longer than each of these: half of the run, ten minutes, and the slowest iteration. The
+/// time before the first range does not count, because it may be the warm-up.
 pub fn standstill(
     run: &RunExtent,
     start_ranges: impl IntoIterator<Item = (WallTime, WallTime)>,
@@ -52,8 +52,8 @@ mod tests {
 
     use super::*;
 
-    /// Returns the standstill of a run of `length_s` seconds. The run has buckets of iterations, each `bucket_s` seconds long, which begin
-    /// `buckets` seconds after its start.
+    /// Returns the standstill of a run of `length_s` seconds. The run has buckets of iterations, each `bucket_s`
+    /// seconds long, which begin `buckets` seconds after its start.
     fn standstill_s(iterations: u64, bucket_s: i64, buckets: &[i64], length_s: i64) -> Option<f64> {
         let started = WallTime::from_unix_nanos(1_800_000_000_000_000_000);
         let after = |seconds: i64| started + Span::from_seconds(seconds);

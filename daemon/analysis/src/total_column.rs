@@ -27,12 +27,12 @@ impl TotalColumn {
         Self::from_counts(iterations, totals, sums)
     }
 
-    /// Returns the latency by which runs are compared. `iterations` is the number of iterations in the statistics, in all
-    /// runs together. `totals` of them have a total, and `sums` of them have a sum of stages.
+    /// Returns the latency by which runs are compared. `iterations` is the number of iterations in the statistics, in
+    /// all runs together. `totals` of them have a total, and `sums` of them have a sum of stages.
     ///
     /// A total cannot be compared with a sum of stages, because the total is longer than its stages. If at least one
-    /// iteration has no total, all iterations are therefore compared by the sum of their stages. If no iteration has such
-    /// a sum either, the total is returned.
+    /// iteration has no total, all iterations are therefore compared by the sum of their stages. If no iteration has
+    /// such a sum either, the total is returned.
     pub fn from_counts(iterations: u64, totals: u64, sums: u64) -> Self {
         if totals < iterations && sums > 0 { Self::SumOfStages } else { Self::Measured }
     }

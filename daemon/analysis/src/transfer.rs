@@ -21,8 +21,8 @@ pub struct Transfer {
 }
 
 impl Transfer {
-    /// Returns the sums of a direction; `None` if nothing was sent in this direction. `statistics` returns the number of values of a
-    /// node and their mean, in the SI unit of the node.
+    /// Returns the sums of a direction; `None` if nothing was sent in this direction. `statistics` returns the number
+    /// of values of a node and their mean, in the SI unit of the node.
     pub fn from_statistics(
         direction: Direction,
         statistics: impl Fn(&Name) -> Option<(u64, f64)>,
@@ -35,8 +35,8 @@ impl Transfer {
         let sum = |(count, mean): (u64, f64)| count as f64 * mean;
         let bytes = sum((messages, mean)) + statistics(&metadata).map_or(0.0, sum);
         let (timed_messages, seconds) = statistics(&delay).map_or((0, 0.0), |delay| (delay.0, sum(delay)));
-        // The size of every message is known, but the delay of some messages is not. The messages with a known delay are
-        // assumed to have the average size.
+        // The size of every message is known, but the delay of some messages is not. The messages with a known delay
+        // are assumed to have the average size.
         let timed_share = (timed_messages as f64 / messages.max(1) as f64).min(1.0);
         Some(Self { bytes, timed_bytes: bytes * timed_share, seconds })
     }

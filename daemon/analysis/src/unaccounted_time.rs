@@ -29,8 +29,8 @@ pub struct IterationDurations<'a> {
 /// time that belongs to no stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UnaccountedTime {
-    /// [`BOTH_DIRECTIONS`] or [`NETWORK_AND_REST`], with its duration. `None` if all delays are known. Also `None` if a delay is not known and
-    /// the iteration has no answer.
+    /// [`BOTH_DIRECTIONS`] or [`NETWORK_AND_REST`], with its duration. `None` if all delays are known. Also `None` if a
+    /// delay is not known and the iteration has no answer.
     pub network: Option<(&'static str, f64)>,
     /// Time that belongs to no stage; `None` unless it is known and above zero.
     pub unattributed: Option<f64>,
@@ -87,8 +87,8 @@ pub fn is_one_way(name: &str) -> bool {
 mod tests {
     use super::*;
 
-    /// Returns the parts of an iteration of 1.2 s whose download is not known. `measured` has the sum of upload and download,
-    /// and the unattributed time.
+    /// Returns the parts of an iteration of 1.2 s whose download is not known. `measured` has the sum of upload and
+    /// download, and the unattributed time.
     fn parts(measured: Option<(f64, f64)>, is_answered: bool) -> Vec<(String, f64)> {
         let stages = [(stage::SENSING, 0.002), (stage::UPLOAD, 0.010), (stage::INFERENCE, 0.0002)];
         let durations = IterationDurations {

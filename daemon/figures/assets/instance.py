@@ -1,5 +1,6 @@
-"""Makes inter.ttf from the dashboard's font (web/assets/inter.woff2), because figures are drawn without system fonts. The
-result has one weight, and kerning is its only layout feature. The result is committed, so the build does not need Python.
+"""Makes inter.ttf from the dashboard's font (web/assets/inter.woff2), because figures are drawn without system fonts.
+The result has one weight, and kerning is its only layout feature. The result is committed, so the build does not need
+Python.
 
     pip install fonttools brotli && python instance.py
 """
@@ -32,8 +33,8 @@ def main() -> None:
     subsetter.populate(unicodes=TEXT + SIGNS)
     font = TTFont(single_weight)
     subsetter.subset(font)
-    # SVG figures name the font by its family, so that a program draws them with Inter if Inter is installed. The font in
-    # inter.ttf gets the same name, so that PEERNet draws figures with inter.ttf.
+    # SVG figures name the font by its family, so that a program draws them with Inter if Inter is installed. The font
+    # in inter.ttf gets the same name, so that PEERNet draws figures with inter.ttf.
     # The name ids of OpenType: 1 is the family, 4 the full name, 6 the PostScript name, 16 the typographic family. The
     # last three arguments are the platform Windows, the encoding Unicode and the language English.
     for name_id in (1, 4, 16):

@@ -4,8 +4,8 @@
 //! iteration ── Row ── Rows ── RowRef
 //! ```
 //!
-//! A [`Row`] is made from an iteration. [`Rows`] stores the numbers of many rows by column. A [`RowRef`] refers to one of
-//! the stored rows.
+//! A [`Row`] is made from an iteration. [`Rows`] stores the numbers of many rows by column. A [`RowRef`] refers to one
+//! of the stored rows.
 
 mod chunks;
 mod columns;
@@ -175,8 +175,9 @@ impl Rows {
         &self.names
     }
 
-    /// Returns the columns that a name may stand for: the column with this name, or else the columns of all nodes with this name. The column of a
-    /// node begins with the names of the node's parents (`inference_output-chunks` for `output-chunks`).
+    /// Returns the columns that a name may stand for: the column with this name, or else the columns of all nodes with
+    /// this name. The column of a node begins with the names of the node's parents (`inference_output-chunks` for
+    /// `output-chunks`).
     pub fn columns_named(&self, name: &str) -> Vec<&str> {
         let names = || self.names.iter().map(|column| &**column);
         if let Some(exact) = names().find(|column| *column == name) {

@@ -92,7 +92,8 @@ impl Numbers {
     }
 
     /// Returns the narrowest form, other than [`Numbers::Linear`], that can represent these numbers.
-    // Every column begins as linear and is converted only if a number does not fit, so the linear form is not tried again.
+    // Every column begins as linear and is converted only if a number does not fit, so the linear form is not tried
+    // again.
     fn narrowest_form(numbers: impl Iterator<Item = Option<f64>> + Clone) -> Self {
         let fits = |divisor: &f64| numbers.clone().all(|number| dividend_of(number, *divisor).is_some());
         match DIVISORS.into_iter().find(fits) {
@@ -105,8 +106,8 @@ impl Numbers {
     }
 }
 
-/// Returns n for a number that is n / `divisor`, and [`MISSING`] for a missing number. `None` if n is not a whole number
-/// or is too large.
+/// Returns n for a number that is n / `divisor`, and [`MISSING`] for a missing number. `None` if n is not a whole
+/// number or is too large.
 fn dividend_of(number: Option<f64>, divisor: f64) -> Option<i32> {
     let Some(number) = number else { return Some(MISSING) };
     // The cast of a number that is too large saturates. The result then differs from the original, so that it is

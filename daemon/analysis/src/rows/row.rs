@@ -144,8 +144,8 @@ impl Row {
 }
 
 /// Returns the delay of the stage `upload` or `download`; `None` if no message was sent, or its delay was never judged.
-// The delay is returned even if the size of the message is not known: the messages of an observed ROS system have delays,
-// but their sizes on the network are not known.
+// The delay is returned even if the size of the message is not known: the messages of an observed ROS system have
+// delays, but their sizes on the network are not known.
 pub(crate) fn judged_delay(tree: &Tree, transit: &str) -> Option<OneWayDelay> {
     match &tree.find(&[transit])?.1.measure {
         Measure::Transit(transit) => transit.delay,

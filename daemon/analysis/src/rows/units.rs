@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{Row, columns};
 
-/// Units of the further columns of a run: `s`, `B`, `W`, or any other unit that the run declared. Columns of plain numbers are not included.
+/// Units of the further columns of a run: `s`, `B`, `W`, or any other unit that the run declared. Columns of plain
+/// numbers are not included.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Units(BTreeMap<String, String>);
@@ -28,7 +29,8 @@ impl Units {
         Row::from_values(iteration, tree_values.values())
     }
 
-    /// Returns the unit of a column. `None` for a column of plain numbers, and if the unit is not known or differs between iterations.
+    /// Returns the unit of a column. `None` for a column of plain numbers, and if the unit is not known or differs
+    /// between iterations.
     pub fn of(&self, column: &str) -> Option<&str> {
         self.0.get(column).map(String::as_str).filter(|unit| !unit.is_empty())
     }

@@ -10,8 +10,8 @@ use crate::rows::Rows;
 use crate::trust::{EndedEarly, Limits, Load, MissingEvents, Progress, StartTimes, Starts, TrustInput};
 
 impl TrustInput {
-    /// Collects the input from the rows of a run and from its record, which has the conditions of both hosts, the end of the run and the number
-    /// of missing measurements.
+    /// Collects the input from the rows of a run and from its record, which has the conditions of both hosts, the end
+    /// of the run and the number of missing measurements.
     pub fn from_run(record: &RunRecord, rows: &Rows) -> Self {
         let hosts = [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten();
         let conditions: Vec<Condition> = hosts.flat_map(|host| host.conditions.iter().cloned()).collect();
@@ -47,8 +47,8 @@ fn load(record: &RunRecord) -> Load {
     record.pipeline.get("load").and_then(|load| Load::deserialize(load).ok()).unwrap_or_default()
 }
 
-/// Returns the progress of the run at its end, if it ended before its limits; else `None`. The iterations of the run are
-/// its rows and the iterations without a row, whose number is in the record.
+/// Returns the progress of the run at its end, if it ended before its limits; else `None`. The iterations of the run
+/// are its rows and the iterations without a row, whose number is in the record.
 fn ended_early(record: &RunRecord, rows: &Rows, times: &StartTimes) -> Option<EndedEarly> {
     let counts = Counts::from_rows(rows, record.counts.unseen);
     let progress = Progress {

@@ -15,8 +15,8 @@ fn start_time(at: f64) -> WallTime {
 }
 
 impl Starts {
-    /// Adds the start of an iteration, unless the iteration is warm-up. `times` then has the earliest and the latest start,
-    /// whatever the numbers of their iterations.
+    /// Adds the start of an iteration, unless the iteration is warm-up. `times` then has the earliest and the latest
+    /// start, whatever the numbers of their iterations.
     pub fn add(&mut self, row: &Row) {
         let Some(at) = row.value("at").filter(|_| !row.warm_up).map(start_time) else { return };
         self.started += 1;
@@ -58,8 +58,8 @@ mod tests {
     use crate::rows::Outcome;
     use crate::testing::row_of_values;
 
-    /// Returns the record and the rows of a run. Each start is the number of an iteration and the seconds from a fixed time. The starts are in the
-    /// order in which their iterations ended.
+    /// Returns the record and the rows of a run. Each start is the number of an iteration and the seconds from a fixed
+    /// time. The starts are in the order in which their iterations ended.
     fn run(starts: &[(u64, f64)]) -> (RunRecord, Rows) {
         let row = |(iteration, at): &(u64, f64)| Row {
             iteration: *iteration,

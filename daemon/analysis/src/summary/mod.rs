@@ -27,7 +27,8 @@ pub struct Summary {
     pub quantities: Vec<Quantity>,
     /// Number of iterations by outcome.
     pub counts: Counts,
-    /// Number of warm-up iterations that failed. `counts` has these iterations in `warm_up`, not among the failed iterations.
+    /// Number of warm-up iterations that failed. `counts` has these iterations in `warm_up`, not among the failed
+    /// iterations.
     pub failed_in_warm_up: u64,
     /// Deadline of an iteration, seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
@@ -61,8 +62,8 @@ pub struct Quantity {
     pub mean: f64,
     /// Sample standard deviation; `None` below two values.
     pub std: Option<f64>,
-    /// Median. All quantiles are computed by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996,
-    /// numpy's default).
+    /// Median. All quantiles are computed by linear interpolation between neighbours (definition 7 of Hyndman and Fan
+    /// 1996, numpy's default).
     pub median: f64,
     /// 95th percentile; `None` below 60 values.
     pub p95: Option<f64>,
@@ -70,15 +71,16 @@ pub struct Quantity {
     pub p99: Option<f64>,
     /// Largest value.
     pub max: f64,
-    /// Bounds that contain the median of the true values; the upper bound may be infinite. `None` if the column has no bounds.
+    /// Bounds that contain the median of the true values; the upper bound may be infinite. `None` if the column has no
+    /// bounds.
     pub bounds: Option<(f64, f64)>,
 }
 
 impl Summary {
     /// Returns the summary of these rows, without the facts of their run.
     pub fn from_rows(rows: &Rows) -> Self {
-        // Bounds are not summarised. The bounds of delays are left out by their kind. The bounds of throughputs have the kind
-        // `Node` and are left out by their names.
+        // Bounds are not summarised. The bounds of delays are left out by their kind. The bounds of throughputs have
+        // the kind `Node` and are left out by their names.
         let summarised_columns = rows.names().iter().enumerate().filter(|(index, name)| {
             FIXED_COLUMNS.get(*index).is_none_or(|(_, kind)| *kind == ColumnKind::Node)
                 && !is_throughput_bound(name)
@@ -154,8 +156,8 @@ pub fn median_bounds_of(rows: &Rows, column: &str) -> Option<(f64, f64)> {
 }
 
 impl Quantity {
-    /// Returns the summary of these numbers; `None` if there are none. Numbers that are not finite, or too large for statistics, are left
-    /// out.
+    /// Returns the summary of these numbers; `None` if there are none. Numbers that are not finite, or too large for
+    /// statistics, are left out.
     pub fn from_values(column: Column, values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let values = values.into_iter().filter(|value| statistics::Summary::accepts(*value));
         let values: Vec<f64> = values.collect();

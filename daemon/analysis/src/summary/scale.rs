@@ -43,9 +43,9 @@ pub enum Scale {
 }
 
 impl Scale {
-    /// Returns the scale of a column. The scale of a standard column follows from its name, the scale of another column from the unit that
-    /// was logged with its values. A second node with the name of a standard column, such as `upload_2`, has the scale of that column if no
-    /// unit was logged.
+    /// Returns the scale of a column. The scale of a standard column follows from its name, the scale of another column
+    /// from the unit that was logged with its values. A second node with the name of a standard column, such as
+    /// `upload_2`, has the scale of that column if no unit was logged.
     pub fn for_column(column: &str, unit: Option<&str>) -> Self {
         let is_duration_of_iteration =
             ["lateness", "total", "stages-total", "unattributed"].contains(&column);

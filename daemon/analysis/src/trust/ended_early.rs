@@ -67,11 +67,11 @@ impl EndedEarly {
             let limit = limit.filter(|limit| *limit > 0.0)?;
             Some(Self { reached: reached?, limit, unit, interrupted })
         });
-        // A run ends as soon as it reaches one of its limits. The relevant limit is therefore the limit that the run came
-        // closest to.
+        // A run ends as soon as it reaches one of its limits. The relevant limit is therefore the limit that the run
+        // came closest to.
         let nearest = amounts.max_by(|a, b| a.reached_share().total_cmp(&b.reached_share()))?;
-        // With a limit of time, the last iteration starts shortly before the limit. With a limit of episodes, episodes may end early. The reason
-        // for the end therefore decides whether such a run is complete.
+        // With a limit of time, the last iteration starts shortly before the limit. With a limit of episodes, episodes
+        // may end early. The reason for the end therefore decides whether such a run is complete.
         let is_iteration_count_variable = limits.duration_s.is_some() || limits.episodes.is_some();
         let is_complete =
             nearest.reached_share() >= 1.0 || (*reason == EndReason::Finished && is_iteration_count_variable);

@@ -43,8 +43,8 @@ pub struct StartTimes {
 }
 
 impl Starts {
-    /// Returns the starts of these rows. The configured rate is `None`, because rows do not contain this rate. No measurements count as
-    /// missing. The times are unknown: [`StartTimes::from_run`] reads them.
+    /// Returns the starts of these rows. The configured rate is `None`, because rows do not contain this rate. No
+    /// measurements count as missing. The times are unknown: [`StartTimes::from_run`] reads them.
     pub fn from_rows(rows: &Rows) -> Self {
         let started = || rows.iter().filter(|row| !row.warm_up());
         let skipped = started().filter_map(|row| row.value(SKIPPED_STARTS)).filter(|value| *value > 0.0);

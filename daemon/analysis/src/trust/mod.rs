@@ -1,11 +1,13 @@
-//! Answer to "can I publish this run?", with findings about the time before, during and after the run, in plain sentences.
+//! Answer to "can I publish this run?", with findings about the time before, during and after the run, in plain
+//! sentences.
 //!
 //! ```text
 //! rows (crate::rows) ──┐
 //! roll-ups of a store ─┴─ TrustInput ── Report: a verdict, sentences ── text, JSON, page
 //! ```
 //!
-//! The module does no I/O. The comments on each judgement and `docs/trust.md` have the thresholds and methods with their sources.
+//! The module does no I/O. The comments on each judgement and `docs/trust.md` have the thresholds and methods with
+//! their sources.
 
 mod ended_early;
 mod judge;

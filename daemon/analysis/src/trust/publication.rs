@@ -37,8 +37,8 @@ impl<'a> JudgedRun<'a> {
         (worst > Publish::Yes || self.reports.iter().all(Option::is_some)).then_some(worst)
     }
 
-    /// Returns the subjects on which the worst finding has this grade, each once, in the order of the reports. A run may
-    /// have several findings on a subject, one for each host.
+    /// Returns the subjects on which the worst finding has this grade, each once, in the order of the reports. A run
+    /// may have several findings on a subject, one for each host.
     fn subjects(&self, grade: Grade) -> Vec<&'a str> {
         let findings = || self.reports.iter().copied().flatten().flat_map(|report| &report.findings);
         let has_worse =
@@ -85,8 +85,8 @@ pub fn publication_caveats<'a>(
     sentences.into_iter().flatten().collect()
 }
 
-/// Returns the number of runs for each verdict, and the number of runs for each subject of a bad or doubtful finding, the
-/// most frequent subject first. For `edges`, see [`publication_caveats`].
+/// Returns the number of runs for each verdict, and the number of runs for each subject of a bad or doubtful finding,
+/// the most frequent subject first. For `edges`, see [`publication_caveats`].
 pub fn publication_summary<'a>(edges: impl IntoIterator<Item = (String, Option<&'a Report>)>) -> String {
     let runs = JudgedRun::from_edges(edges);
     let count = |verdict| runs.iter().filter(|run| run.verdict() == Some(verdict)).count();

@@ -13,7 +13,8 @@ const SEED: &str = ", seed ";
 
 /// Name of the node with the latency that was drawn for an iteration, seconds.
 pub const DRAWN_LATENCY: &str = "drawn-latency";
-/// Name of the node with the overrun: the time by which `inference` took longer than the latency that was drawn for the iteration, seconds.
+/// Name of the node with the overrun: the time by which `inference` took longer than the latency that was drawn for the
+/// iteration, seconds.
 pub const OVERRUN: &str = "overrun";
 /// Column of [`DRAWN_LATENCY`] in `data.csv`.
 pub(crate) const DRAWN_LATENCY_COLUMN: &str = "inference_drawn-latency";
@@ -66,7 +67,8 @@ impl ReplayedLatencies {
         }
     }
 
-    /// Describes the latencies of runs of one configuration, which may have different seeds; `None` if all are measured.
+    /// Describes the latencies of runs of one configuration, which may have different seeds; `None` if all are
+    /// measured.
     pub fn describe_all(runs: impl IntoIterator<Item = Self>) -> Option<String> {
         let runs: Vec<Self> = runs.into_iter().collect();
         let first = runs.first()?;

@@ -19,11 +19,12 @@ const MAD_TO_STD: f64 = 1.4826;
 /// A value is an outlier if it exceeds the median by more than this number of standard deviations, where the standard
 /// deviation is computed from the MAD (Iglewicz and Hoaglin 1993).
 const OUTLIER_DEVIATIONS: f64 = 3.5;
-/// Minimum of the standard deviation that is computed from the MAD, as a share of the median: the resolution of the stored
-/// quantiles.
+/// Minimum of the standard deviation that is computed from the MAD, as a share of the median: the resolution of the
+/// stored quantiles.
 const MIN_RELATIVE_DEVIATION: f64 = 0.01;
 
-/// Statistics of a duration over the time of a run, in seconds. Only successful iterations that are not warm-up are included.
+/// Statistics of a duration over the time of a run, in seconds. Only successful iterations that are not warm-up are
+/// included.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TimeSeries {
     /// Number of values.
@@ -67,7 +68,8 @@ pub struct Outliers {
     pub count: u64,
     /// Largest value, seconds.
     pub max: f64,
-    /// Contribution of the outliers to the mean: the sum of their distances from the median, divided by the number of all values; seconds.
+    /// Contribution of the outliers to the mean: the sum of their distances from the median, divided by the number of
+    /// all values; seconds.
     pub influence: f64,
 }
 
@@ -92,7 +94,8 @@ impl TimeSeries {
     /// Returns the statistics of values in order of time. `None` without finite values.
     pub fn from_values(values: &[f64]) -> Option<Self> {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
-        // Values and deviations are sorted one after the other, so that a long run needs memory for only one sorted copy.
+        // Values and deviations are sorted one after the other, so that a long run needs memory for only one sorted
+        // copy.
         let median = finite().collect::<SortedValues>().median()?;
         let deviation = finite().map(|value| (value - median).abs()).collect::<SortedValues>().median()?;
         let limit = outlier_limit(median, deviation);
@@ -114,7 +117,8 @@ impl TimeSeries {
         Some(Self { count, median, mean, outliers, ..over_time })
     }
 
-    /// Returns the statistics from the summaries of buckets, which are in order of time. Quantiles are within 1 %. `None` without values.
+    /// Returns the statistics from the summaries of buckets, which are in order of time. Quantiles are within 1 %.
+    /// `None` without values.
     pub fn from_summaries(buckets: &[Summary]) -> Option<Self> {
         let whole_run = merged(buckets);
         let (median, max) = (whole_run.quantile(0.5)?, whole_run.moments.max);

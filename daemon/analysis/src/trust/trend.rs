@@ -5,13 +5,13 @@ use statrs::distribution::{ContinuousCDF, Normal};
 use crate::fit::{Point, theil_sen};
 use crate::order::SortedValues;
 
-/// Maximum autocorrelation that is used. Above this value, the number of equivalent independent values is too small to be
-/// meaningful.
+/// Maximum autocorrelation that is used. Above this value, the number of equivalent independent values is too small to
+/// be meaningful.
 const MAX_AUTOCORRELATION: f64 = 0.95;
 
-/// Returns the two-sided probability that a series without a trend rises or falls as clearly as this series. This is the test of Mann (1945)
-/// and Kendall (1975), with the variance corrected for autocorrelation (Yue and Wang 2004, Water Resources Management 18). `None` with fewer
-/// than ten values.
+/// Returns the two-sided probability that a series without a trend rises or falls as clearly as this series. This is
+/// the test of Mann (1945) and Kendall (1975), with the variance corrected for autocorrelation (Yue and Wang 2004,
+/// Water Resources Management 18). `None` with fewer than ten values.
 ///
 /// The test uses ranks only, so the shape of the distribution and outliers do not matter.
 pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
@@ -32,8 +32,8 @@ pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
     Some(2.0 * (1.0 - Normal::standard().cdf(z)))
 }
 
-/// Returns the factor by which autocorrelation of the first order increases the variance of the score, at least 1. It is the number of values
-/// divided by the number of equivalent independent values (Matalas and Langbein 1962).
+/// Returns the factor by which autocorrelation of the first order increases the variance of the score, at least 1. It
+/// is the number of values divided by the number of equivalent independent values (Matalas and Langbein 1962).
 ///
 /// A change of the series' level looks like autocorrelation, so the change is removed first. Four forms of the change
 /// are tried: a line, and a step after a quarter, after a half or after three quarters of the series. The form that

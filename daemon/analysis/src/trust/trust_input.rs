@@ -146,8 +146,8 @@ impl TrustInput {
     }
 }
 
-/// Returns the names of the distributions that may have two modes: the total, or `sensing` if the pipeline only senses, and the length of answers
-/// in tokens. `names` are the names of all quantities.
+/// Returns the names of the distributions that may have two modes: the total, or `sensing` if the pipeline only senses,
+/// and the length of answers in tokens. `names` are the names of all quantities.
 pub fn names_of_distributions<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Vec<&'a str> {
     let mut latency = TotalColumn::Measured.latency_names().into_iter();
     let latency = latency.find_map(|name| names.clone().find(|other| name == **other));

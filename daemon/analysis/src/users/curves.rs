@@ -13,8 +13,9 @@ pub struct Curve<'a> {
 }
 
 impl<'a> Curve<'a> {
-    /// Returns the curves of the lines. Lines that differ only in their number of edges form one curve. The axis whose labels
-    /// contain the number of edges is not part of a curve's name. All other axes with different labels distinguish the curves.
+    /// Returns the curves of the lines. Lines that differ only in their number of edges form one curve. The axis whose
+    /// labels contain the number of edges is not part of a curve's name. All other axes with different labels
+    /// distinguish the curves.
     pub fn from_users(users: &'a Users) -> Vec<Self> {
         let Users { axes: names, lines } = users;
         let axis_of_edges = axis_of_edges(users);
@@ -50,8 +51,8 @@ impl<'a> Curve<'a> {
     }
 }
 
-/// Returns the index of the axis whose labels are the numbers of edges, such as `4`, or contain them, such as `4 robots`. `None` if no axis
-/// has such labels, or if all lines have the same number of edges.
+/// Returns the index of the axis whose labels are the numbers of edges, such as `4`, or contain them, such as `4
+/// robots`. `None` if no axis has such labels, or if all lines have the same number of edges.
 fn axis_of_edges(users: &Users) -> Option<usize> {
     let all_labels_match = |axis: usize, matches: &dyn Fn(&str, usize) -> bool| {
         users.lines.iter().all(|line| line.labels.get(axis).is_some_and(|label| matches(label, line.edges)))

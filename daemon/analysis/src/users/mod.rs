@@ -48,7 +48,8 @@ pub struct UsersLine {
     pub labels: Vec<String>,
     /// Number of edges that measured at the same time.
     pub edges: usize,
-    /// Answers per second of all edges together, on average over the repeats; `None` if the edges never measured at the same time.
+    /// Answers per second of all edges together, on average over the repeats; `None` if the edges never measured at the
+    /// same time.
     pub rate: Option<f64>,
     /// [`jain_index`] of the edges' rates, on average over the repeats; `None` without rates.
     pub fairness: Option<f64>,

@@ -7,8 +7,8 @@ use super::{finding, iterations, percent, with_advice};
 use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::trust::{Finding, TrustInput};
 
-/// Returns a finding for each accuracy that does not cover all iterations. Accuracies in which the same number of iterations is missing share
-/// one finding. A separate finding reports unknown labels.
+/// Returns a finding for each accuracy that does not cover all iterations. Accuracies in which the same number of
+/// iterations is missing share one finding. A separate finding reports unknown labels.
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     // Iterations with an unknown label have their own finding.
     let unscored =

@@ -1,5 +1,5 @@
-//! Judgement of the conditions of the hosts before the run. Each host has one finding about all its good conditions, one finding about all its
-//! unknown conditions, and one finding about each doubtful or bad condition.
+//! Judgement of the conditions of the hosts before the run. Each host has one finding about all its good conditions,
+//! one finding about all its unknown conditions, and one finding about each doubtful or bad condition.
 
 use peernet_stream::{Condition, Grade};
 

@@ -1,4 +1,5 @@
-//! Judgement of missing measurements: failed iterations, skipped starts, superseded answers, missing events and an early end.
+//! Judgement of missing measurements: failed iterations, skipped starts, superseded answers, missing events and an
+//! early end.
 
 use peernet_statistics::MIN_VALUES_FOR_P95;
 use peernet_statistics::number::{count, counted, rate};
@@ -187,7 +188,8 @@ fn judge_missing_events(counts: &Counts, missing: &[MissingEvents]) -> Finding {
     }
     let expected = counts.measured() + counts.warm_up + missing_count.known;
     let share = missing_count.known as f64 / expected.max(1) as f64;
-    // The share would not include the events of gaps whose number of events is unknown, so it would understate the loss.
+    // The share would not include the events of gaps whose number of events is unknown, so it would understate the
+    // loss.
     let share_text =
         if missing_count.is_incomplete { String::new() } else { format!(" ({})", percent(share)) };
     let text = format!(

@@ -1,4 +1,5 @@
-//! Judgements of a run, one file for each subject. Each judgement returns findings and does not depend on other judgements.
+//! Judgements of a run, one file for each subject. Each judgement returns findings and does not depend on other
+//! judgements.
 
 mod accuracy;
 mod clocks;

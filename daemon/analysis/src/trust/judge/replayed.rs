@@ -7,8 +7,8 @@ use crate::trust::{Finding, TrustInput};
 
 /// A finding reports the mean overrun if it is at least this share of the mean total.
 const NOTABLE_OVERRUN_SHARE: f64 = 0.01;
-/// If the mean overrun is at least this share of the mean total, the finding is bad: the latencies are then those of the
-/// model's host rather than those of the distribution.
+/// If the mean overrun is at least this share of the mean total, the finding is bad: the latencies are then those of
+/// the model's host rather than those of the distribution.
 const BAD_OVERRUN_SHARE: f64 = 0.1;
 
 /// Returns the findings about drawn latencies; empty if the latencies of the model are measured.

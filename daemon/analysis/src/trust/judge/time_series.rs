@@ -26,8 +26,8 @@ const MAX_INFLUENCE: f64 = 0.05;
 const BAD_UNATTRIBUTED_SHARE: f64 = 0.25;
 /// Minimum number of iterations that can be judged over time.
 const MIN_ITERATIONS: u64 = 100;
-/// Minimum number of later blocks that the first block can be compared with. A run of [`MIN_ITERATIONS`] has five blocks
-/// of 20 iterations.
+/// Minimum number of later blocks that the first block can be compared with. A run of [`MIN_ITERATIONS`] has five
+/// blocks of 20 iterations.
 const MIN_LATER_BLOCKS: usize = 4;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
@@ -117,8 +117,8 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
         ms(beginning.median),
         ms(beginning.rest)
     );
-    // If nothing distinguishes the first block, each rank among all blocks is equally probable for it. `share_as_high` is
-    // then about the probability that the first block has such a high rank by chance.
+    // If nothing distinguishes the first block, each rank among all blocks is equally probable for it. `share_as_high`
+    // is then about the probability that the first block has such a high rank by chance.
     if excess > MAX_COLD_EXCESS && beginning.share_as_high < MAX_CHANCE {
         let text = format!(
             "{comparison}: {} more. Nearly all later groups of {} took less.",
@@ -205,8 +205,8 @@ fn judge_unattributed(split: &StageSplit) -> Option<Finding> {
     Some(with_advice(finding(about, grade, text), advice))
 }
 
-/// Returns the finding about lateness, the time for which iterations waited for earlier iterations. The finding is always
-/// good, because lateness is a measured part of the total and not a defect.
+/// Returns the finding about lateness, the time for which iterations waited for earlier iterations. The finding is
+/// always good, because lateness is a measured part of the total and not a defect.
 fn judge_lateness(seconds: f64, split: &StageSplit) -> Finding {
     let text = format!(
         "Iterations began {} after their intended start on average: this late start is {} of the total.",
