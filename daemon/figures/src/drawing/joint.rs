@@ -65,6 +65,7 @@ impl Joint<'_> {
             plot.items.extend(cells.map(|(shade, path)| Item::path(path, style.clone().opacity(shade))));
         } else if !points.is_empty() {
             let colour = self.stage.line_colour().tint(0.62);
+            // A dot is a line of length zero, so the width of this line is the diameter of the dot.
             let style = Style::line(format!("dots d-{}", self.stage.class), colour, POINT_DIAMETER);
             plot.items.push(Item::path(Path::dots(points), style));
         }
@@ -79,14 +80,14 @@ impl Joint<'_> {
             let needed_styles = styles.into_iter().skip(usize::from(!self.has_cells()));
             plot.items.extend(needed_styles.map(|style| Item::path(line.clone(), style)));
         }
-        let bars = Style::total().bin();
+        let bar_style = Style::total().bin();
         // Each strip has a line along the side that is next to the plot.
         let strip = |mut items: Vec<Item>, line_end: At| {
             items.push(Item::line(At::new(0.0, 1.0), line_end, Style::rail()));
             Some(Strip { items, size: SIDE_WIDTH })
         };
-        plot.top_strip = strip(x.upright_bars(self.x.1, &bars), At::new(1.0, 1.0));
-        plot.right_strip = strip(y.horizontal_bars(self.y.1, &bars), At::new(0.0, 0.0));
+        plot.top_strip = strip(x.upright_bars(self.x.1, &bar_style), At::new(1.0, 1.0));
+        plot.right_strip = strip(y.horizontal_bars(self.y.1, &bar_style), At::new(0.0, 0.0));
         plot
     }
 }

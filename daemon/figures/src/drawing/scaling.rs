@@ -28,9 +28,9 @@ const AXIS_MARGIN: f64 = 0.06;
 const MIN_ROOM: f64 = 1.15;
 /// Room beyond the sizes at each end of the horizontal axis, as a factor.
 const SIDE_FACTOR: f64 = 1.4;
-/// Maximum factor between a level line and the values. A line that is farther away would squeeze the values, so a note
-/// replaces the line.
-const MAX_LEVEL_RATIO: f64 = 20.0;
+/// Maximum factor between a horizontal line and the values. A line that is farther away would squeeze the values, so a
+/// note replaces the line.
+const MAX_LINE_RATIO: f64 = 20.0;
 
 /// Statistics of the messages of one size, in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,22 +110,23 @@ impl Scaling {
             // Bounds that are far from the value, such as a lower bound near zero, would squeeze everything else.
             let top = whisker.and_then(|bounds| bounds.1).map_or(hi, |bound| bound.min(value.value * 10.0));
             let bottom = whisker.map_or(lo, |bounds| bounds.0.max(value.value / 4.0));
+            // So would a 5th percentile near zero. A logarithmic axis cannot show zero or less.
             (bottom.min(lo).max(value.value / 100.0), top.max(hi))
         };
         self.values().map(extent).reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
     }
 
-    /// Returns the height of the level line of a series, and whether the line is near enough to the values to be drawn.
-    /// `None` if the series has no line, or if its line is not level.
-    fn level_line(&self, series: &Series) -> Option<(f64, bool)> {
+    /// Returns the height of the horizontal line of a series, and whether the line is near enough to the values to be
+    /// drawn. `None` if the series has no line, or if its line is not horizontal and above zero.
+    fn horizontal_line(&self, series: &Series) -> Option<(f64, bool)> {
         let (height, _) = series.line.filter(|(height, slope)| *slope == 0.0 && *height > 0.0)?;
         let (low, high) = self.heights()?;
-        Some((height, height <= high * MAX_LEVEL_RATIO && height >= low / MAX_LEVEL_RATIO))
+        Some((height, height <= high * MAX_LINE_RATIO && height >= low / MAX_LINE_RATIO))
     }
 
-    /// Returns whether the line of a series is level and too far from the values to be drawn.
+    /// Returns whether the line of a series is horizontal and too far from the values to be drawn.
     fn is_line_too_far(&self, series: &Series) -> bool {
-        self.level_line(series).is_some_and(|(_, is_near)| !is_near)
+        self.horizontal_line(series).is_some_and(|(_, is_near)| !is_near)
     }
 
     /// Returns notes on how to read the figure: the explanations of what is drawn, the names of lines that are not
@@ -142,6 +143,7 @@ impl Scaling {
             explanations.push(format!("line: {}", self.explanations.line));
         }
         let mut notes = vec![explanations.join(" · ")];
+        // The name of a series begins with its direction: `upload: 12 MB/s`.
         let far_lines: Vec<&str> = self
             .series
             .iter()
@@ -156,18 +158,25 @@ impl Scaling {
         notes
     }
 
-    /// Returns an empty plot whose axes contain all values and level lines; `None` if no value is above zero.
+    /// Returns an empty plot whose axes contain all values and horizontal lines; `None` if no value is above zero.
     fn empty_plot(&self) -> Option<Plot> {
         let sizes = self.values().map(|value| (value.bytes, value.bytes));
         let (small, large) = sizes.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))?;
-        let levels =
-            self.series.iter().filter_map(|series| self.level_line(series)).filter(|(_, is_near)| *is_near);
-        let (low, high) = levels.fold(self.heights()?, |(lo, hi), (level, _)| (lo.min(level), hi.max(level)));
+        let heights = self
+            .series
+            .iter()
+            .filter_map(|series| self.horizontal_line(series))
+            .filter(|(_, is_near)| *is_near);
+        let (low, high) =
+            heights.fold(self.heights()?, |(lo, hi), (height, _)| (lo.min(height), hi.max(height)));
         let room = (high / low).powf(AXIS_MARGIN).max(MIN_ROOM);
         let y_scale = Scale::logarithmic((low * self.unit.per_si / room, high * self.unit.per_si * room));
-        let sizes = Scale::logarithmic((small / SIDE_FACTOR, large * SIDE_FACTOR));
-        let sizes = crate::plot::Axis::new(sizes, "Size on the wire", "");
-        Some(Plot::new(sizes.labelled(|tick| bytes(tick.value).plain()), self.unit.axis(y_scale).with_grid()))
+        let x_scale = Scale::logarithmic((small / SIDE_FACTOR, large * SIDE_FACTOR));
+        let x_axis = crate::plot::Axis::new(x_scale, "Size on the wire", "");
+        Some(Plot::new(
+            x_axis.labelled(|tick| bytes(tick.value).plain()),
+            self.unit.axis(y_scale).with_grid(),
+        ))
     }
 
     /// Lays the figure out.
@@ -202,8 +211,8 @@ impl Scaling {
         let mut items = Vec::new();
         if let Some((intercept, slope)) = series.line.filter(|_| !self.is_line_too_far(series)) {
             let line = plot.curve(plot.x.scale.ends(), |bytes| in_shown_unit(intercept + slope * bytes));
-            // A line that is not level is moved by the same distance as the points, so that points that fit the line
-            // lie on the line.
+            // A line that is not horizontal is moved by the same distance as the points, so that points that fit the
+            // line lie on the line.
             let dx = if slope == 0.0 { 0.0 } else { dx };
             items.push(Item::path(line.within(dx / PLOT_WIDTH).offset_by(dx), line_style));
         }

@@ -25,14 +25,14 @@ const MAX_UPRIGHT_BARS: usize = 6;
 const SIDE_MARGIN: f64 = 39.0;
 /// Space at the sides of the names of horizontal bars, points.
 const NAME_DISTANCE: f64 = 16.0;
-/// Space at the sides of the sum after a horizontal bar, points.
-const SUM_DISTANCE: f64 = 4.5;
+/// Space at the sides of the text of the total after a horizontal bar, points.
+const TOTAL_DISTANCE: f64 = 4.5;
 /// Width of a bar as a share of the distance between two bars.
 const BAR_SHARE: f64 = 0.6;
 /// Maximum width of a bar as a share of the plot.
 const MAX_BAR_SHARE: f64 = 0.19;
-/// Height of the room for the sum above the tallest bar, as a share of the range of values.
-const SUM_HEIGHT: f64 = 0.12;
+/// Height of the room for the text of the total above the tallest bar, as a share of the range of values.
+const TOTAL_HEIGHT: f64 = 0.12;
 /// Half the width of an error bar's cap, points.
 const CAP_HALF_WIDTH: f64 = 1.8;
 
@@ -81,7 +81,7 @@ impl Bar {
     }
 
     /// Returns the total with its standard deviation: `22.4 ± 2.1`.
-    fn sum_text(&self, unit: &Unit) -> String {
+    fn total_text(&self, unit: &Unit) -> String {
         let decimals = peernet_statistics::number::decimals(self.total * unit.per_si, 3).min(3);
         let total = fixed(self.total * unit.per_si, decimals);
         match self.std {
@@ -140,7 +140,7 @@ impl Stacked {
         let fits = |text: &str, size: f64| width(text, size) <= room;
         self.bars.len() <= MAX_UPRIGHT_BARS
             && self.bars.iter().all(|bar| {
-                bar.label.split(", ").all(|line| fits(line, TEXT)) && fits(&bar.sum_text(&self.unit), SMALL)
+                bar.label.split(", ").all(|line| fits(line, TEXT)) && fits(&bar.total_text(&self.unit), SMALL)
             })
     }
 
@@ -165,7 +165,7 @@ impl Stacked {
 
     fn upright_plot(&self) -> Plot {
         let (low, high) = self.range();
-        let values = Scale::from_zero((low, high + (high - low) * SUM_HEIGHT));
+        let values = Scale::from_zero((low, high + (high - low) * TOTAL_HEIGHT));
         let count = self.bars.len() as f64;
         let middle = |index: usize| (index as f64 + 0.5) / count;
         let names = self.bars.iter().enumerate().map(|(index, bar)| Tick {
@@ -182,7 +182,7 @@ impl Stacked {
             plot.items.extend(items);
             let label = Label::new(
                 Orientation::Vertical.at(values.at(end), middle(index)),
-                bar.sum_text(&self.unit),
+                bar.total_text(&self.unit),
                 TextStyle::MARK,
             );
             plot.items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, -0.35)));
@@ -213,22 +213,22 @@ impl Stacked {
             plot.items.extend(items);
             let at = Orientation::Horizontal.at(values.at(end), middle(index));
             plot.items.push(Item::Text(
-                Label::new(at, bar.sum_text(&self.unit), TextStyle::MARK).shifted(0.4, 0.36),
+                Label::new(at, bar.total_text(&self.unit), TextStyle::MARK).shifted(0.4, 0.36),
             ));
         }
         plot
     }
 
-    /// Returns the width that must stay free at the right of the plot for the sums that follow horizontal bars, points.
-    /// The sum of a short bar needs less of this width, because the sum begins at the end of the bar.
+    /// Returns the width that must stay free at the right of the plot for the totals that follow horizontal bars,
+    /// points. The total of a short bar needs less of this width, because its text begins at the end of the bar.
     fn free_space(&self, values: Scale) -> f64 {
         let names_width = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
         let available_width = WIDTH - NAME_DISTANCE - names_width.min(MAX_NAME_WIDTH);
-        // Maximum width of the plot at which a bar and the sum after it fit into the available width.
+        // Maximum width of the plot at which a bar and the text of its total fit into the available width.
         let max_plot_width = |bar: &Bar| {
-            let sum_width = width(&bar.sum_text(&self.unit), SMALL) + SUM_DISTANCE;
+            let total_width = width(&bar.total_text(&self.unit), SMALL) + TOTAL_DISTANCE;
             // The minimum avoids a division by zero for a bar without length.
-            (available_width - sum_width) / values.at(bar.range().1 * self.unit.per_si).max(0.1)
+            (available_width - total_width) / values.at(bar.range().1 * self.unit.per_si).max(0.1)
         };
         available_width - self.bars.iter().map(max_plot_width).fold(available_width, f64::min)
     }

@@ -63,7 +63,8 @@ pub struct StageBar<'a> {
     pub mean_and_std: Option<(f64, f64)>,
     /// 95th and 99th percentile of the total, seconds.
     pub quantiles: [Option<f64>; 2],
-    /// Place of the bar. Values, clock bounds and percentiles are drawn only in a bar that is alone in its picture.
+    /// Place of the bar. A bar with values, clock bounds or percentiles must be alone in its picture and horizontal,
+    /// because their positions do not depend on this place.
     pub place: BarPlace,
 }
 

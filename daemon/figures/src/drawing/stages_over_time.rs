@@ -106,6 +106,7 @@ impl StagesOverTime {
                 let point = |bucket: &StageBucket, share: f64| {
                     Some((within_run(bucket.begin + self.width * share), value(bucket)?))
                 };
+                // The line through a single bucket is horizontal, so it needs no point in the middle.
                 points.extend(piece.first().map(|first| point(first, 0.0)));
                 points.extend(piece.iter().filter(|_| piece.len() > 1).map(|bucket| point(bucket, 0.5)));
                 points.extend(piece.last().map(|last| point(last, 1.0)));
@@ -172,7 +173,8 @@ impl StagesOverTime {
         failed.dedup_by(|later, earlier| *later - *earlier < MIN_MARK_DISTANCE);
         if !failed.is_empty() {
             let rail = Item::line(At::new(0.0, 1.0), At::new(1.0, 1.0), Style::rail());
-            let items = vec![rail, Item::path(ticks(failed), Style::lost())];
+            // Files do not draw this plot, so the strip needs no size.
+            let items = vec![rail, Item::path(ticks(failed), Style::failed_iteration())];
             plot.top_strip = Some(Strip { items, size: 0.0 });
         }
         plot.items = items;
@@ -206,6 +208,7 @@ impl OverTimeAxes {
         let line = |class| Swatch::Line(Style::of_page(class));
         let keys = [
             (true, line("median"), "median of the total"),
+            // With fewer than `MIN_VALUES_FOR_P95` iterations, a bucket has no 95th percentile.
             (any(StagesOverTime::has_p95), line("p95"), "p95 (points of at least 60 iterations)"),
             (any(|run| !run.borders.is_empty()), line("border"), "new episode"),
             (any(|run| !run.warm_up.is_empty()), Swatch::Area(Style::shade()), "warm-up"),

@@ -145,7 +145,7 @@ impl Style {
         Self::line("cut", WHITE, 0.45)
     }
 
-    /// Returns the style of points and lines that do not belong to a stage.
+    /// Returns the style of points that do not belong to a stage.
     pub fn ink() -> Self {
         Self::area("f-ink", Fill::of(INK.light))
     }
@@ -161,7 +161,7 @@ impl Style {
     }
 
     /// Returns the style of the mark of a failed iteration.
-    pub fn lost() -> Self {
+    pub fn failed_iteration() -> Self {
         Self::line("lost", BAD.light, 0.9)
     }
 

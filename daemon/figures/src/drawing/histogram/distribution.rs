@@ -10,7 +10,7 @@ use crate::text::width;
 const SINGLE_BAR_WIDTH: f64 = 0.1;
 /// Minimum width and height of a bar in a file, points, so that even one iteration in ten thousand is visible.
 const MIN_BAR_SIZE: (f64, f64) = (0.4, 0.45);
-/// Distance from the line of a quantile to its label and between labels, as a multiple of the type size.
+/// Distance from the line of a quantile to its label, as a multiple of the type size.
 const LABEL_GAP: f64 = 0.3;
 /// Distance between two rows of labels, as a multiple of the type size.
 const ROW_DISTANCE: f64 = 1.3;
@@ -150,6 +150,7 @@ impl Distribution {
         for (name, value) in self.quantiles.iter().filter(|(_, value)| (from..=to).contains(value)) {
             let x = plot.x.scale.at(value * self.unit.per_si);
             let text = format!("{name} {}", self.unit.format_value(*value, spread));
+            // One gap separates a label from its line. At least two gaps separate neighbouring labels.
             let label_width = (width(&text, 1.0) + 3.0 * LABEL_GAP) / self.min_width_em;
             // The label of the median is at the left of its line if there is room. The other labels are at the right of
             // their lines if there is room.

@@ -28,6 +28,10 @@ const MAX_HALF_WIDTH: f64 = 0.09;
 const MARGIN_ABOVE: f64 = 0.12;
 /// Distance from the plot to the baseline of the counts, points.
 const COUNT_DISTANCE: f64 = 9.5;
+/// Share of the width of a group that its placements take. The rest stays free on both sides of the group.
+const PLACEMENTS_SHARE: f64 = 0.9;
+/// Minimum distance between two counts or between two names side by side, points.
+const TEXT_DISTANCE: f64 = 1.8;
 /// Maximum number of values that are drawn as points. A larger number of values is drawn as a shape.
 const MAX_POINTS: usize = 60;
 /// Points above the shown range are drawn up to this multiple of the end of the range, because there is room for them
@@ -94,7 +98,7 @@ impl Paired {
             notes.push(format!("above a pair: median {} ÷ {}", self.placements[0], self.placements[1]));
         }
         if self.groups.iter().flat_map(|group| &group.values).any(|values| self.count_above(values) > 0) {
-            notes.push("+ and a number: number of values above the axis".to_owned());
+            notes.push("+ and a number: number of higher values that are not drawn".to_owned());
         }
         let below = self
             .groups
@@ -103,7 +107,7 @@ impl Paired {
             .map(|values| self.count_below(values))
             .sum::<usize>();
         if below > 0 {
-            notes.push(format!("below the axis: {}", counted(below as u64, "value")));
+            notes.push(format!("not drawn: {}", counted(below as u64, "lower value")));
         }
         notes
     }
@@ -111,7 +115,8 @@ impl Paired {
     /// Returns whether there is room for the count below each distribution.
     fn has_room_for_counts(&self) -> bool {
         let placements = self.groups.iter().map(|group| group.values.len()).max().unwrap_or(1);
-        let max_width = PLOT_WIDTH * 0.9 / (self.groups.len() * placements).max(1) as f64 - 1.8;
+        let max_width =
+            PLOT_WIDTH * PLACEMENTS_SHARE / (self.groups.len() * placements).max(1) as f64 - TEXT_DISTANCE;
         let mut distributions = self.groups.iter().flat_map(|group| &group.values);
         distributions.all(|values| width(&count_text(values), SMALL) <= max_width)
     }
@@ -233,7 +238,7 @@ impl Paired {
         }
         let above = self.count_above(values);
         if let Some(largest) = largest_drawn.filter(|_| above > 0) {
-            // The label must not touch the highest point.
+            // The label must not touch the highest point. With the shift 0, its baseline lies at its place.
             let at = At::new(middle, y(largest)).offset_by(0.0, -3.0);
             let label = Label::new(at, format!("+{}", fixed(above as f64, 0)), TextStyle::BEYOND);
             items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, 0.0)));
@@ -289,7 +294,7 @@ impl Paired {
         let step = 1.0 / self.groups.len().max(1) as f64;
         let middle_of_group = |index: usize| step * (index as f64 + 0.5);
         let names: Vec<&str> = self.groups.iter().map(|group| group.name.as_str()).collect();
-        let names = shorten_distinctly(&names, TEXT, PLOT_WIDTH * step - 1.8);
+        let names = shorten_distinctly(&names, TEXT, PLOT_WIDTH * step - TEXT_DISTANCE);
         // The empty line above each name is room for the counts, which are separate labels.
         let count_line = if self.has_room_for_counts() { "\u{a0}\n" } else { "" };
         let ticks = names.into_iter().enumerate();
@@ -302,7 +307,7 @@ impl Paired {
         let mut plot = Plot::new(x, self.unit.axis(self.scale(shown)).with_grid());
         for (index, group) in self.groups.iter().enumerate() {
             // A twentieth of the width of a group stays free on each side.
-            let placement_width = step * 0.9 / group.values.len().max(1) as f64;
+            let placement_width = step * PLACEMENTS_SHARE / group.values.len().max(1) as f64;
             for (placement, values) in group.values.iter().enumerate() {
                 let middle = step * (index as f64 + 0.05) + placement_width * (placement as f64 + 0.5);
                 let items = self.distribution_items(
@@ -315,6 +320,7 @@ impl Paired {
                 if !count_line.is_empty() && !values.is_empty() {
                     let at = At::new(middle, 1.0).offset_by(0.0, COUNT_DISTANCE);
                     let label = Label::new(at, count_text(values), TextStyle::AXIS).anchored(Anchor::Middle);
+                    // With the shift 0, the baseline of the label lies at its place.
                     plot.items.push(Item::Text(label.shifted(0.0, 0.0)));
                 }
             }

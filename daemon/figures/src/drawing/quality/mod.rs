@@ -159,9 +159,9 @@ impl QualityAgainstLatency {
                        ((from_b, to_b), quality_b): &((f64, f64), f64)| {
             (quality_a - quality_b).abs() < min_distance && from_a <= to_b && from_b <= to_a
         };
-        let overlaps_no_later =
+        let overlaps_no_later_whisker =
             |(index, whisker)| whiskers[index + 1..].iter().all(|other| !overlap(whisker, other));
-        whiskers.iter().enumerate().all(overlaps_no_later)
+        whiskers.iter().enumerate().all(overlaps_no_later_whisker)
             && self.shown_points().any(|(point, _)| point.drawable_p95().is_some())
     }
 
@@ -201,7 +201,8 @@ impl QualityAgainstLatency {
         } else {
             Scale::from_zero((0.0, slowest * 1.04))
         };
-        let y_axis = Axis::new(y_scale, presentation.axis_title, self.quality.title().1);
+        let (_, quality_unit) = self.quality.title();
+        let y_axis = Axis::new(y_scale, presentation.axis_title, quality_unit);
         Some(Plot::new(self.latency_unit.axis(x_scale).with_grid(), y_axis.with_grid()))
     }
 
@@ -246,7 +247,8 @@ impl QualityAgainstLatency {
             table: self.table(),
             ..Figure::default()
         };
-        // The numbers of the points are placed with the area of the plot in a file. Pages show them at the same shares.
+        // The places of the numbers are computed for the area that the plot has in a file. Pages show the numbers at
+        // the same shares.
         let areas = file::areas(&figure);
         if let (Some(plot), Some(area)) = (figure.plots.first_mut(), areas.first()) {
             let spots = self.spots(plot);

@@ -54,7 +54,7 @@ pub(super) fn items(area: &Area, spots: &[Spot], title: &str) -> Vec<Item> {
     for (index, spot) in file_spots.iter().enumerate() {
         let number = (index + 1).to_string();
         let places = spot.places(width(&number, SMALL), spot.free_side(&file_spots));
-        let is_ambiguous = |place: &Rect| spot.is_nearer_to_other(place, &file_spots);
+        let is_ambiguous = |place: &Rect| spot.is_place_ambiguous(place, &file_spots);
         let Some(place) = best_place(places, (limits, &occupied), is_ambiguous) else { continue };
         let middle = (f64::midpoint(place[0], place[2]), f64::midpoint(place[1], place[3]));
         // Point of the number's rectangle that is nearest to the point of the figure.
@@ -98,10 +98,11 @@ impl FileSpot {
 
     /// Returns whether a place for this point's number is at least as near to another point as to this point. A reader
     /// would then take the number for the number of the other point.
-    fn is_nearer_to_other(&self, place: &Rect, spots: &[Self]) -> bool {
+    fn is_place_ambiguous(&self, place: &Rect, spots: &[Self]) -> bool {
         let distance_to =
             |spot: &Self| spot.areas().iter().map(|area| distance(place, area)).fold(f64::INFINITY, f64::min);
         let own_distance = distance_to(self);
+        // No place distinguishes points at the same position, so these points are not compared.
         spots.iter().any(|other| {
             !std::ptr::eq(other, self) && other.at != self.at && distance_to(other) <= own_distance
         })
@@ -123,7 +124,8 @@ impl FileSpot {
 
     /// Returns the possible places of a point's number, the best first. `width` is the width of the number; `side` is 1
     /// for the right, −1 for the left. The places are in rings around the point, nearer rings first. Within a ring,
-    /// places on the given side come first.
+    /// the places above the point come first, then those beside it, then those below it. Of two places at the same
+    /// height, the place on the given side comes first.
     fn places(&self, width: f64, side: f64) -> impl Iterator<Item = Rect> {
         let ((x, y), half_width) = (self.at, width / 2.0);
         let around = [(0, -1), (1, -1), (-1, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (0, 1)];
@@ -177,11 +179,12 @@ mod tests {
             p95: None,
         };
         let own = spot(75.0, 0.0);
+        // The caps of the neighbour's whisker begin 1.8 points to the right of the point.
         let neighbour = spot(75.0 + 1.8 + CAP_HALF_WIDTH, 30.0);
         let spots = [own, neighbour];
         let occupied: Vec<Rect> = spots.iter().flat_map(FileSpot::areas).collect();
         let places = || spots[0].places(3.0, spots[0].free_side(&spots));
-        let is_ambiguous = |place: &Rect| spots[0].is_nearer_to_other(place, &spots);
+        let is_ambiguous = |place: &Rect| spots[0].is_place_ambiguous(place, &spots);
         let limits_and_occupied = ([0.0, 0.0, 150.0, 150.0], occupied.as_slice());
         let place = best_place(places(), limits_and_occupied, is_ambiguous).expect("there is room");
         assert!(!is_ambiguous(&place) && place[2] < 75.0 + 1.8, "{place:?}");

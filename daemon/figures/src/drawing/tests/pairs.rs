@@ -116,7 +116,7 @@ fn values_above_the_shape_are_counted() {
     let figure = paired(vec![vec![hill(50.0, 400), with_late_value]]);
     assert!(has_text(&figure.svg(), "+1"), "{:?}", texts(&figure.svg()));
     assert!(
-        figure.caption_text().contains("+ and a number: number of values above the axis"),
+        figure.caption_text().contains("+ and a number: number of higher values that are not drawn"),
         "{}",
         figure.caption_text()
     );

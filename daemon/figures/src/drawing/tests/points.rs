@@ -42,7 +42,7 @@ fn line_ys(svg: &str) -> Vec<f64> {
 }
 
 #[test]
-fn level_line_is_drawn_unless_too_far_from_values() {
+fn horizontal_line_is_drawn_unless_too_far_from_values() {
     let figure = scaling(Some((1e9, 0.0)), None);
     let svg = figure.svg();
     let discs = Elements::of(&svg, "circle").numbers("cy");

@@ -60,7 +60,7 @@ pub struct TimeSeries {
 pub struct Line {
     /// Name of the stage or of the total's column.
     pub name: String,
-    /// Values, each with its time before it.
+    /// Pairs of a time and a value.
     pub values: Vec<(f64, f64)>,
 }
 
@@ -105,7 +105,7 @@ impl TimeSeries {
         let mut keys = vec![Key::new(total, format!("{} (band: range)", self.total.name))];
         let stages = self.stages.iter().enumerate().map(|(index, line)| {
             let look = stage(&line.name);
-            Key::new(Swatch::Curve(look.line(0.9), mark(index), look.mark()), line.name.clone())
+            Key::new(Swatch::Curve(look.line(0.9), mark_shape(index), look.mark()), line.name.clone())
         });
         keys.extend(stages);
         if !self.warm_up.is_empty() {
@@ -113,7 +113,7 @@ impl TimeSeries {
         }
         if !self.failure_times.is_empty() {
             let text = format!("failed ({})", fixed(self.failure_times.len() as f64, 0));
-            keys.push(Key::new(Swatch::Mark(Mark::Cross, Style::lost()), text));
+            keys.push(Key::new(Swatch::Mark(Mark::Cross, Style::failed_iteration()), text));
         }
         if self.has_borders() {
             keys.push(Key::new(Swatch::Line(Style::border()), "new episode"));
@@ -199,7 +199,7 @@ impl TimeSeries {
             if let Some(bin) = group.get(group.len() * (stage_index + 1) / (MARK_POSITIONS + 1)) {
                 items.push(Item::mark(
                     At::new(x(bin), y(bin.median)),
-                    mark(stage_index),
+                    mark_shape(stage_index),
                     RADIUS,
                     look.mark(),
                 ));
@@ -224,7 +224,7 @@ impl TimeSeries {
                 At::new(bin as f64 / BIN_COUNT as f64, 0.5),
                 Mark::Cross,
                 CROSS_HALF_WIDTH,
-                Style::lost(),
+                Style::failed_iteration(),
             )
         };
         items.extend(bins.into_iter().map(cross));
@@ -241,7 +241,7 @@ impl TimeSeries {
     }
 }
 
-/// Returns the mark of the stage with this index.
-fn mark(stage_index: usize) -> Mark {
+/// Returns the shape of the marks of the stage with this index.
+fn mark_shape(stage_index: usize) -> Mark {
     Mark::OF_SERIES[stage_index % Mark::OF_SERIES.len()]
 }
