@@ -5,7 +5,7 @@
 //! Study ────────────── of_calibration ─┴─ drawing ── SVG, PNG, PDF, text
 //! ```
 //!
-//! `of_results` decides which figures a run or an experiment has. `of_calibration` decides which figures the
+//! `of_results` decides which figures a run (`Loaded`) or an experiment has. `of_calibration` decides which figures the
 //! calibration of a link (`Study`) has. Both use `of_messages` for the figures of delay against the size of messages.
 //! `drawing` defines the layout of all figures.
 

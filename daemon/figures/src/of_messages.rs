@@ -83,7 +83,7 @@ impl MessageSeries {
         })
     }
 
-    /// Returns the series of throughputs in the figure of throughput. Its level line shows the rate.
+    /// Returns the series of throughputs in the figure of throughput. Its horizontal line shows the rate.
     fn throughput(&self) -> Series {
         let name = self.rate().map_or_else(
             || self.name.to_owned(),
@@ -121,8 +121,8 @@ impl MessageFigures {
         )
     }
 
-    /// Returns the figure of throughput against size, with a level line at the rate that follows from the slope of the
-    /// delays.
+    /// Returns the figure of throughput against size, with a horizontal line at the rate that follows from the slope
+    /// of the delays.
     pub(crate) fn throughput(&self) -> Scaling {
         let explanations = Explanations {
             point: "size ÷ median delay",

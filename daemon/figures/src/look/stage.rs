@@ -93,6 +93,7 @@ pub const STAGES: [Stage; 14] = [
 /// Looks of quantities that are not stages: parts of stages, both directions together, totals. Each look has the name
 /// that events use for the quantity.
 const NON_STAGES: [Stage; 7] = [
+    // In `STAGES`, 0 is the index of `sensing`, 3 of `upload` and 13 of the unattributed time.
     Stage { name: "capture", class: "capture", ..STAGES[0] },
     Stage { name: "transform", class: "transform", ..STAGES[0] },
     Stage { name: "upload + download", class: NETWORK, ..STAGES[3] },

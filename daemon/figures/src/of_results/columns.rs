@@ -27,7 +27,7 @@ pub(super) fn values(rows: &Rows, column: &str) -> SortedValues {
 /// logged has the unit that was logged with the quantity.
 pub(super) fn unit(units: &Units, column: &str, quantity: &str) -> Unit {
     let unscaled = |title: String, symbol: String| Unit { title, symbol: symbol.into(), per_si: 1.0 };
-    // These columns contain numbers of order, not measured quantities.
+    // These columns number the iterations, episodes and steps. They contain no measured quantities.
     if ["iteration", "episode", "step"].contains(&column) {
         return unscaled(quantity.to_owned(), String::new());
     }
@@ -66,12 +66,14 @@ pub(super) fn undrawn_rows_note<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown_count: usize,
 ) -> Option<String> {
+    // The note does not mention iterations without a row, so their number is given as 0.
     left_out_note(&Counts::from_rows(rows.clone(), 0), shown_count as u64)
 }
 
 /// Returns the note on the numbers of rows that are not in the statistics: `left out: 5 warm-up, 3 failed`; `None` if
 /// all rows are in the statistics.
 pub(super) fn excluded_note<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> Option<String> {
+    // The note does not mention iterations without a row, so their number is given as 0.
     let counts = Counts::from_rows(rows.clone(), 0);
     left_out_note(&counts, counts.ok)
 }

@@ -22,7 +22,8 @@ pub(super) fn original_histograms(record: &RunRecord, rows: &Rows) -> Vec<Drawin
     let is_remote = !has_placement(PlacementKind::Local) && !has_placement(PlacementKind::None);
     let drawings = HISTOGRAMS.iter().filter_map(|(stem, column, title)| {
         let histogram = histogram(record, rows, column, title);
-        // Every run senses. A run of a sensor only has no model, and only a cloud is reached over a network.
+        // Every run senses. A run without a placement has only a sensor and no model. Only a cloud is reached over a
+        // network.
         let is_expected = match *column {
             "sensing" => true,
             "inference" => !has_placement(PlacementKind::None),
@@ -73,6 +74,7 @@ fn negative_delays_note(column: &str, values: &SortedValues) -> Option<String> {
 /// two medians are equal because one clock stamped both departure and arrival of all messages.
 fn clock_bounds_note(rows: &Rows, column: &str) -> Option<String> {
     let (lo, hi) = median_bounds_of(rows, column)?;
+    // The scale of a column with clock bounds follows from its name, so no logged unit is needed.
     let interval = match Scale::for_column(column, None) {
         Scale::MegabytesPerSecond => {
             format!("{} MB/s", throughput_between((lo, Some(hi))))

@@ -32,12 +32,13 @@ pub(super) fn drawings(
         .map(|name| &**name)
         .filter(|name| rows.values_in_statistics(name).next().is_some())
         .collect::<Vec<&str>>();
+    // `answer_length` returns the name of a column. Without a column of tokens, this is `download-bytes`.
     let x =
         columns.x.clone().unwrap_or_else(|| answer_length(columns_with_values.iter().copied()).to_owned());
     // If a column of lengths was named, it does not matter that the server reports no numbers of tokens.
     let lacks_usage = columns.x.is_none() && lacks_usage(columns_with_values.iter().copied());
-    // If the model runs on the robot, no answer is sent over a network. The column of bytes then has no positive value
-    // and is no substitute for a length.
+    // If the model runs on the robot, no answer is sent over a network. The column `download-bytes` then has no
+    // positive value and is no substitute for a length.
     let has_lengths = rows.values_in_statistics(&x).any(|value| value > 0.0);
     let substitute = has_lengths.then(|| x.clone());
     // Without numbers of tokens, their absence is the reason that helps most.

@@ -18,9 +18,10 @@ const PAYLOAD_COLUMNS: [&str; 6] =
 /// Returns two figures for each link: the figure of latency and the figure of throughput.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let configurations = Configurations::from_runs(runs);
-    let position = |index: usize| runs[index].record.experiment.as_ref();
-    let links =
-        group_by_link((0..runs.len()).map(|index| (Link::from(&runs[index].record), position(index), index)));
+    let experiment_position = |index: usize| runs[index].record.experiment.as_ref();
+    let links = group_by_link(
+        (0..runs.len()).map(|index| (Link::from(&runs[index].record), experiment_position(index), index)),
+    );
     let studies = links.into_iter().map(|(link, indexes): (Link, Vec<usize>)| {
         let rows = indexes.iter().flat_map(|index| &runs[*index].rows);
         let labels: Vec<&[String]> =

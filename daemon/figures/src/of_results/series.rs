@@ -57,10 +57,10 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
 }
 
-/// Returns the note on the shown iterations: the number of those in the statistics, and the number of those of the
-/// warm-up: `n = 54 and 5 warm-up · lines: medians`. Each line joins the medians of
-/// short intervals of time.
+/// Returns the note on the iterations that are shown: how many are in the statistics, and how many are warm-up:
+/// `n = 54 and 5 warm-up · lines: medians`. Each line joins the medians of short intervals of time.
 fn count_and_warm_up_note<'a>(shown: impl Iterator<Item = RowRef<'a>>) -> String {
+    // The note does not mention iterations without a row, so their number is given as 0.
     let Counts { ok, warm_up, .. } = Counts::from_rows(shown, 0);
     let warm_up = if warm_up > 0 { format!(" and {} warm-up", count(warm_up)) } else { String::new() };
     format!("n = {}{warm_up} · lines: medians", count(ok))

@@ -10,7 +10,7 @@ use crate::drawing::{MAX_CURVES, Sharing, SharingCurve, Unit};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::users::{COUNTED_TIME, Curve, Users, UsersLine};
 
-/// Maximum number of configurations that a note names. If there are more configurations, the note gives their number.
+/// Maximum number of missing points that a note names. If more points are missing, the note gives their number.
 const MAX_NAMED: usize = 3;
 
 /// Returns whether some configuration was measured with different numbers of edges.
@@ -24,7 +24,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     if !users.lines.iter().any(has_total) {
         return Err(MissingData::CommonTotal);
     }
-    // A total counts only if all edges of its repeat measured at that time, which a reader must know.
+    // A reader must know that a total counts only if all edges of the repeat were measuring at the time of the total.
     let mut notes = vec![COUNTED_TIME.to_owned()];
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     let curves = Curve::from_users(&users);
@@ -61,11 +61,8 @@ fn missing_points_note(curves: &[Curve<'_>]) -> Option<String> {
             .collect()
     };
     let names: Vec<String> = curves.iter().flat_map(missing_points).collect();
-    let names_or_count = if names.len() <= MAX_NAMED {
-        names.join("; ")
-    } else {
-        counted(names.len() as u64, "configuration")
-    };
+    let names_or_count =
+        if names.len() <= MAX_NAMED { names.join("; ") } else { counted(names.len() as u64, "point") };
     (!names.is_empty())
         .then(|| format!("left out, because the edges measured at different times: {names_or_count}"))
 }

@@ -11,7 +11,7 @@ pub enum Swatch {
     Line(Style),
     /// Mark alone.
     Mark(Mark, Style),
-    /// Line with a mark: the style of the line, the mark, and the style of the mark.
+    /// Line or area with a mark: the style of the line or area, the mark, and the style of the mark.
     Curve(Style, Mark, Style),
 }
 
