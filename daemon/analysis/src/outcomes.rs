@@ -64,7 +64,12 @@ impl Counts {
 /// Returns the number of warm-up iterations whose outcome is not `ok`. [`Counts`] has these iterations in `warm_up`
 /// only.
 pub fn failed_in_warm_up(rows: &Rows) -> u64 {
-    rows.iter().filter(|row| row.warm_up() && row.outcome() != Outcome::Ok).count() as u64
+    rows.iter().filter(|row| is_failed_warm_up(row.outcome(), row.warm_up())).count() as u64
+}
+
+/// Returns whether an iteration is a warm-up iteration whose outcome is not `ok`.
+pub fn is_failed_warm_up(outcome: Outcome, warm_up: bool) -> bool {
+    warm_up && outcome != Outcome::Ok
 }
 
 /// Returns the share of the iterations whose outcome is not `ok`, 0 to 1; `None` without iterations.

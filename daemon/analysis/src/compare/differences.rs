@@ -11,6 +11,7 @@ use serde::Serialize;
 use super::median_bootstrap::{PooledValues, median_difference};
 use super::{Comparison, Difference, MeanEstimate, accepted_values};
 use crate::loaded::Loaded;
+use crate::order::mean;
 use crate::rows::RowRef;
 
 /// Stages in their order. They are in a static, so that [`STAGES`] can borrow their names.
@@ -130,6 +131,5 @@ fn mean_clock_half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
     let width =
         |row: RowRef<'_>| Some(row.value(&format!("{stage}-hi"))? - row.value(&format!("{stage}-lo"))?);
     let rows = runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_in_statistics());
-    let (sum, count) = rows.filter_map(width).fold((0.0, 0_u64), |(sum, n), width| (sum + width, n + 1));
-    (count > 0).then(|| sum / count as f64 / 2.0)
+    mean(rows.filter_map(width)).map(|width| width / 2.0)
 }

@@ -5,58 +5,43 @@ use peernet_clock::WallTime;
 use peernet_logger::stage;
 
 use crate::record::RunRecord;
-use crate::rows::{Row, RowRef, Rows};
+use crate::rows::{RowRef, Rows};
 use crate::standstill::{RunExtent, standstill};
-use crate::trust::{StartTimes, Starts};
-
-/// Returns the time of a start from the column `at`.
-fn start_time(at: f64) -> WallTime {
-    WallTime::from_unix_nanos((at * 1e9) as i64)
-}
-
-impl Starts {
-    /// Adds the start of an iteration, unless the iteration is warm-up. `times` then has the earliest and the latest
-    /// start, whatever the numbers of their iterations.
-    pub fn add(&mut self, row: &Row) {
-        let Some(at) = row.value("at").filter(|_| !row.warm_up).map(start_time) else { return };
-        self.started += 1;
-        self.times.first = Some(self.times.first.unwrap_or(at).min(at));
-        self.times.last = self.times.last.max(Some(at));
-    }
-}
+use crate::trust::{StartTimes, StartsSoFar, start_time};
 
 impl StartTimes {
     /// Returns the start times of a run from its record and rows.
     pub fn from_run(record: &RunRecord, rows: &Rows) -> Self {
         let start = |row: RowRef<'_>| start_time(row.at());
         let rows_with_start = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0);
-        // Rows are in the order in which their iterations ended, so an earlier start can follow a later one.
-        let first = rows_with_start().min_by_key(|row| row.iteration()).map(start);
-        let last = rows_with_start().max_by_key(|row| row.iteration()).map(start);
+        let mut starts = StartsSoFar::default();
+        rows_with_start().for_each(|row| starts.add(row.iteration(), row.at()));
+        let times = starts.times();
         let wall = |time: Option<DateTime<Utc>>| {
             time.and_then(|time| time.timestamp_nanos_opt()).map(WallTime::from_unix_nanos)
         };
         let slowest_s = rows.values_in_statistics(&stage::TOTAL).fold(0.0, f64::max);
-        let extent = wall(record.started).or(first).zip(wall(record.ended).or(last));
+        let extent = wall(record.started).or(times.first).zip(wall(record.ended).or(times.last));
         let extent = extent.map(|(started_at, end)| RunExtent {
             started: started_at,
             end,
-            iterations: rows_with_start().count() as u64,
+            iterations: starts.started(),
             slowest_s,
         });
         // Missing iterations may have started during a pause between rows, which is then no standstill.
         let extent = extent.filter(|_| record.counts.unseen == 0);
         // A row has the time of one start, which is a range of length zero.
         let start_ranges = rows_with_start().map(start).map(|at| (at, at));
-        Self { first, last, standstill_s: extent.and_then(|extent| standstill(&extent, start_ranges)) }
+        Self { standstill_s: extent.and_then(|extent| standstill(&extent, start_ranges)), ..times }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rows::Outcome;
+    use crate::rows::{Outcome, Row};
     use crate::testing::row_of_values;
+    use crate::trust::Starts;
 
     /// Returns the record and the rows of a run. Each start is the number of an iteration and the seconds from a fixed
     /// time. The starts are in the order in which their iterations ended.

@@ -42,6 +42,42 @@ pub struct StartTimes {
     pub standstill_s: Option<f64>,
 }
 
+/// Starts of the iterations that have ended so far, without the warm-up.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StartsSoFar {
+    started: u64,
+    /// Number and start of the iteration with the smallest number.
+    first: Option<(u64, WallTime)>,
+    /// Number and start of the iteration with the largest number.
+    last: Option<(u64, WallTime)>,
+}
+
+impl StartsSoFar {
+    /// Adds the start of an iteration, seconds of Unix time. Iterations may be added in any order.
+    pub fn add(&mut self, iteration: u64, at: f64) {
+        let start = (iteration, start_time(at));
+        self.started += 1;
+        self.first = Some(self.first.unwrap_or(start).min(start));
+        self.last = self.last.max(Some(start));
+    }
+
+    /// Returns the starts of a run that misses no iteration.
+    pub fn starts(&self) -> Starts {
+        Starts { started: self.started, missing: Some(0), times: self.times(), ..Starts::default() }
+    }
+
+    /// Returns the number of starts.
+    pub fn started(&self) -> u64 {
+        self.started
+    }
+
+    /// Returns the times of the first and the last start. A standstill is not looked for.
+    pub fn times(&self) -> StartTimes {
+        let [first, last] = [self.first, self.last].map(|start| start.map(|(_, at)| at));
+        StartTimes { first, last, standstill_s: None }
+    }
+}
+
 impl Starts {
     /// Returns the starts of these rows. The configured rate is `None`, because rows do not contain this rate. No
     /// measurements count as missing. The times are unknown: [`StartTimes::from_run`] reads them.
@@ -106,5 +142,28 @@ impl StartTimes {
     pub fn seconds(&self) -> Option<f64> {
         let seconds = (self.last? - self.first?).seconds();
         (self.standstill_s.is_none() && seconds >= 0.0).then_some(seconds)
+    }
+}
+
+/// Returns the time of a start from the column `at`.
+pub(crate) fn start_time(at: f64) -> WallTime {
+    WallTime::from_unix_nanos((at * 1e9) as i64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_start_is_that_of_smallest_number() {
+        let mut starts = StartsSoFar::default();
+        // The clock was set back by 60 s after the second start.
+        for (iteration, at) in [(2, 110.0), (1, 100.0), (4, 70.0), (3, 60.0)] {
+            starts.add(iteration, at);
+        }
+        let wall = |seconds| Some(WallTime::from_unix_nanos(seconds * 1_000_000_000));
+        let times = starts.starts().times;
+        assert_eq!([times.first, times.last], [wall(100), wall(70)]);
+        assert_eq!(starts.starts().actual_hz(), None);
     }
 }

@@ -26,7 +26,8 @@ mod trust_input;
 
 pub use ended_early::{EndedEarly, LimitUnit, Limits, Progress};
 pub use judge::NOTABLE_SHARE;
-pub use load::{Load, StartTimes, Starts};
+pub(crate) use load::start_time;
+pub use load::{Load, StartTimes, Starts, StartsSoFar};
 pub use missing_count::MissingCount;
 pub use publication::{publication_caveats, publication_summary};
 pub use replayed::{DRAWN_LATENCY, OVERRUN, ReplayedLatencies};

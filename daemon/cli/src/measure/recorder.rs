@@ -4,10 +4,10 @@ use std::convert::Infallible;
 
 use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
 use peernet_agent::{Cloud, RunningAgent};
-use peernet_analysis::outcomes::Counts;
+use peernet_analysis::outcomes::{Counts, is_failed_warm_up};
 use peernet_analysis::rows::{Outcome, Row, Rows, Units};
 use peernet_analysis::total_column::TotalColumn;
-use peernet_analysis::trust::Starts;
+use peernet_analysis::trust::StartsSoFar;
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
 use peernet_networks::OpenError;
@@ -44,7 +44,7 @@ struct RunProgress {
     /// Numbers of finished iterations.
     counts: Counts,
     /// Starts of the iterations after the warm-up.
-    starts: Starts,
+    starts: StartsSoFar,
     /// Number of failed iterations of the warm-up.
     failed_in_warm_up: u64,
     /// Description of the first failed iteration.
@@ -60,7 +60,7 @@ impl RunProgress {
             warm_up,
             started_at: None,
             counts: Counts::default(),
-            starts: Starts { missing: Some(0), ..Starts::default() },
+            starts: StartsSoFar::default(),
             failed_in_warm_up: 0,
             first_failure: None,
             totals: Summary::default(),
@@ -69,9 +69,11 @@ impl RunProgress {
 
     fn add(&mut self, row: &Row) {
         self.counts.add(row.outcome, row.warm_up);
-        self.starts.add(row);
+        if !row.warm_up && row.at > 0.0 {
+            self.starts.add(row.iteration, row.at);
+        }
+        self.failed_in_warm_up += u64::from(is_failed_warm_up(row.outcome, row.warm_up));
         if row.outcome != Outcome::Ok {
-            self.failed_in_warm_up += u64::from(row.warm_up);
             self.first_failure
                 .get_or_insert_with(|| describe_failure(row.iteration, row.outcome, row.reason.as_deref()));
         }
@@ -116,7 +118,7 @@ impl RunProgress {
             failed_in_warm_up: self.failed_in_warm_up,
             first_failure: self.first_failure.clone(),
             iterations,
-            rate: self.starts.actual_hz(),
+            rate: self.starts.starts().actual_hz(),
             totals: self.totals.clone(),
             left_s: left_by_count_s.into_iter().chain(left_by_time_s).reduce(f64::min),
             trouble,

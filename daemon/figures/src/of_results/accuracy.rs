@@ -3,14 +3,13 @@
 
 use peernet_statistics::number;
 
-use super::columns::{excluded_note, is_drawable, too_large_note};
+use super::columns::{excluded_note, too_large_note, values};
 use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{MAX_QUALITY_POINTS, QualityAgainstLatency, QualityPoint, Unit};
 use peernet_analysis::accuracy::UnknownLabels;
 use peernet_analysis::loaded::{Loaded, unknown_labels};
-use peernet_analysis::order::SortedValues;
 use peernet_analysis::quality::Quality;
 use peernet_analysis::total_column::TotalColumn;
 
@@ -42,8 +41,7 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     let total = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));
     let point = |(label, runs): &(String, Vec<&Loaded>)| {
         let estimate = quality.from_rows(|| runs.iter().flat_map(|run| &run.rows))?;
-        let times = rows_in_statistics(runs).filter_map(|row| row.value(total.name()));
-        let times: SortedValues = times.filter(|time| is_drawable(*time)).collect();
+        let times = values(runs.iter().flat_map(|run| &run.rows), total.name());
         let point =
             QualityPoint { label: label.clone(), estimate, median: times.median()?, p95: times.p95() };
         Some((point, unscored_count(runs, estimate.count)))

@@ -6,7 +6,7 @@ use crate::drawing::Unit;
 pub(super) use crate::drawing::is_drawable;
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::outcomes::Counts;
-use peernet_analysis::rows::{RowRef, Rows, Units};
+use peernet_analysis::rows::{RowRef, Units};
 use peernet_analysis::summary::Scale;
 
 /// Returns a note on the count of numbers in these columns that are too large to be drawn; `None` if all can be drawn.
@@ -19,8 +19,10 @@ pub(super) fn too_large_note<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns
 }
 
 /// Returns the numbers of a column that can be drawn, from the rows in the statistics.
-pub(super) fn values(rows: &Rows, column: &str) -> SortedValues {
-    rows.values_in_statistics(column).filter(|value| is_drawable(*value)).collect()
+pub(super) fn values<'a>(rows: impl IntoIterator<Item = RowRef<'a>>, column: &str) -> SortedValues {
+    let rows_in_statistics = rows.into_iter().filter(|row| row.is_in_statistics());
+    let values = rows_in_statistics.filter_map(|row| row.value(column));
+    values.filter(|value| is_drawable(*value)).collect()
 }
 
 /// Returns the unit in which the numbers of a column are shown, such as ms for a time. A quantity that custom code

@@ -2,7 +2,7 @@
 
 use peernet_statistics::number;
 
-use super::columns::{excluded_note, is_drawable, too_large_note};
+use super::columns::{excluded_note, too_large_note, values};
 use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
@@ -10,7 +10,6 @@ use crate::drawing::{Cumulative, CumulativeCurve, MAX_CURVES, Unit};
 use crate::look::series;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::order::SortedValues;
-use peernet_analysis::rows::RowRef;
 use peernet_analysis::total_column::TotalColumn;
 
 /// Width of a curve, points.
@@ -22,13 +21,9 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
     let all_rows = || groups.iter().flat_map(|(_, runs)| rows_in_statistics(runs));
     let total = TotalColumn::from_rows(all_rows());
-    let values = |runs: &[&Loaded]| -> SortedValues {
-        let totals = rows_in_statistics(runs).filter_map(|row: RowRef<'_>| row.value(total.name()));
-        totals.filter(|value| is_drawable(*value)).collect()
-    };
     let groups_with_total: Vec<(&String, SortedValues)> = groups
         .iter()
-        .map(|(label, runs)| (label, values(runs)))
+        .map(|(label, runs)| (label, values(runs.iter().flat_map(|run| &run.rows), total.name())))
         .filter(|(_, values)| !values.is_empty())
         .collect();
     if groups_with_total.is_empty() {
