@@ -19,8 +19,8 @@ const REMARK_RISE: f64 = 0.4;
 /// Distance from the top of a plot down to the baseline of a remark inside the plot, as a multiple of the type size.
 /// The remark is inside if labels are above the plot.
 const REMARK_DROP: f64 = 0.9;
-/// A label that is nearer to an end of the axis than this share of the axis begins or ends at its tick, so that the
-/// label does not extend beyond the axis.
+/// Maximum distance of a tick from an end of the axis, as a share of the axis, at which [`axis_within`] begins or ends
+/// the tick's label at the tick. The label then does not extend beyond the axis.
 const MAX_END_DISTANCE: f64 = 0.04;
 
 /// Draws a plot with its axes. `class` is the class of the plot's grid in the style sheet. `description` describes the
@@ -34,7 +34,7 @@ pub fn plot(plot: &Plot, class: &str, description: &str) -> String {
         draw_items(&mut svg, &strip.items);
         svg.close();
     }
-    // The server does not know the height of the plot, so it does not limit the number of marks further.
+    // The server does not know the height of the plot, so only the axes limit the number of their marks.
     let (y_ticks, x_ticks) = (plot.y.ticks(usize::MAX), plot.x.ticks(usize::MAX));
     write_y_labels(&mut svg, "yaxis", &y_ticks);
     aria_hidden_element(&mut svg, Tag::Svg, "plot").open();
@@ -105,11 +105,12 @@ pub fn axis_within(class: &str, ticks: &[Tick]) -> String {
     svg.finish()
 }
 
-/// Draws a legend.
+/// Draws a legend. The sample of a curve is its mark, without its line.
 pub fn legend(keys: &[Key], class: &str) -> String {
     let mut svg = Writer::default();
     svg.element(Tag::Ul).set("class", class).open();
     for key in keys {
+        // `extra` is the style sheet's class for entries that are not buttons.
         svg.element(Tag::Li).set("class", "extra").open();
         let sample_width = if matches!(key.swatch, Swatch::Line(_)) { 18.0 } else { 10.0 };
         svg.element(Tag::Svg)

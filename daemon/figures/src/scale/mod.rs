@@ -190,6 +190,7 @@ impl Scale {
         let step =
             self.step.unwrap_or_else(|| round_step(self.hi - self.lo, max_ticks)).max(self.min_tick_distance);
         let decimals = usize::try_from(-(step.log10() + 1e-9).floor() as i32).unwrap_or_default();
+        // The tolerance keeps a tick at an end of the scale, because the division rounds.
         let (first, last) = ((self.lo / step - 1e-6).ceil() as i64, (self.hi / step + 1e-6).floor() as i64);
         let tick = |number: i64| {
             let value = number as f64 * step;

@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 use peernet_sample::printable_line;
 use ttf_parser::Face;
 
-/// Family of the font. Files name substitutes after it, for programs that do not have the font.
+/// Family of the font. An SVG file lists substitutes after this family, for programs that do not have the font.
 pub const FAMILY: &str = "Inter";
 /// Font of the dashboard in one weight, with the glyphs that figures use. `assets/instance.py` makes it.
 pub const FONT: &[u8] = include_bytes!("../../assets/inter.ttf");

@@ -11,7 +11,7 @@ pub const WIDTH_STEPS: [u16; 14] = [8, 10, 12, 15, 18, 21, 25, 30, 36, 43, 52, 6
 /// Type size of axes and of text in pictures, rem.
 const SIZE: f64 = 0.6875;
 /// Factor by which text in bars is wider than [`width`] says, because the text has a greater weight than the embedded
-/// font.
+/// font. [`width_rem`] applies the factor to all text.
 const WEIGHT_FACTOR: f64 = 1.03;
 /// Space around a text, rem.
 const SPACE: f64 = 0.3;

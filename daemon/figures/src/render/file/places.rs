@@ -9,6 +9,8 @@ use crate::text::width;
 const TITLE_HEIGHT: f64 = 13.5;
 /// Room below a plot in addition to the room for labels and title, points.
 const MARGIN_BELOW: f64 = 3.0;
+/// Room at the right of a plot and its strip in addition to the distance from the edge of the picture, points.
+const MARGIN_RIGHT: f64 = 3.0;
 /// Distance between two plots, points.
 const PLOT_DISTANCE: f64 = 5.0;
 /// Minimum distance of the marks of a vertical axis, so that their labels do not overlap, points.
@@ -17,7 +19,7 @@ const MIN_MARK_DISTANCE: f64 = 12.0;
 pub const MAX_NAME_WIDTH: f64 = WIDTH * 0.47;
 /// Names at a vertical axis have small type if their distance is less than this, points.
 const MIN_NAME_DISTANCE: f64 = 12.0;
-/// Minimum height of a plot, points.
+/// Minimum height of a plot of flexible height, points.
 const MIN_HEIGHT: f64 = 30.0;
 
 /// Area of a plot, points from the left and from the top of the picture.
@@ -101,7 +103,7 @@ impl Places {
             };
             let strip_width = plot.right_strip.as_ref().map_or(0.0, |strip| strip.size + STRIP_GAP);
             let left = EDGE + y_labels_width;
-            let width = WIDTH - EDGE - 3.0 - left - strip_width - plot.free_right;
+            let width = WIDTH - EDGE - MARGIN_RIGHT - left - strip_width - plot.free_right;
             plots.push(Area { left, top: y, width, height });
             y += height + height_below(plot) + PLOT_DISTANCE;
         }
@@ -120,6 +122,7 @@ fn height_with_surroundings(plot: &Plot) -> f64 {
 
 /// Returns the height of the title, the strip and the lines of text above a plot.
 fn height_above(plot: &Plot) -> f64 {
+    // The remark stands in the same line as the title.
     let title = if plot.y.title.is_empty() && plot.remark.is_none() { 0.0 } else { TITLE_HEIGHT };
     let strip = plot.top_strip.as_ref().map_or(0.0, |strip| strip.size + STRIP_GAP);
     title + strip + plot.lines_above as f64 * (SMALL + 1.5)
@@ -149,7 +152,8 @@ pub(super) fn x_label_lines(plot: &Plot) -> usize {
     }
 }
 
-/// Returns the marks of the vertical axis of a plot with this height in points. A lower plot has fewer round marks.
+/// Returns the marks of the vertical axis of a plot with this height in points. A plot of less height has fewer round
+/// marks.
 pub(super) fn y_ticks(plot: &Plot, height: f64) -> Vec<Tick> {
     plot.y.ticks(((height / MIN_MARK_DISTANCE) as usize).clamp(1, 5))
 }

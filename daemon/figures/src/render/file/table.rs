@@ -9,8 +9,10 @@ use crate::text::{shorten_distinctly, width};
 
 /// Distance between two lines, points.
 const LINE: f64 = 9.0;
-/// Width of the column of numbers, points.
+/// Width of the column of numbers, including the distance from the names, points.
 const NUMBER_WIDTH: f64 = 11.0;
+/// Distance between a number and the name at its right, points.
+const NUMBER_DISTANCE: f64 = 3.5;
 /// Distance between two columns, points.
 const GAP: f64 = 6.5;
 
@@ -46,7 +48,7 @@ pub(super) fn draw(svg: &mut Writer, table: &Table, top: f64) {
         text(
             svg,
             &number.to_string(),
-            (EDGE + NUMBER_WIDTH - 3.5, baseline),
+            (EDGE + NUMBER_WIDTH - NUMBER_DISTANCE, baseline),
             (SMALL, INK.light, Anchor::End),
         );
         text(svg, name, (EDGE + NUMBER_WIDTH, baseline), (SMALL, INK.light, Anchor::Start));

@@ -155,8 +155,8 @@ pub(super) fn draw_label(svg: &mut Writer, label: &Label) {
     }
 }
 
-/// Adds the class of a style and, unless it is 1, the opacity of the style's fill. The opacity represents a number, so
-/// no class can set the opacity.
+/// Adds the class of a style, and the opacity of the style's fill if the opacity is less than 1. The opacity represents
+/// a number, so no class can set the opacity.
 fn styled<'a>(element: Attributes<'a>, style: &Style) -> Attributes<'a> {
     let opacity = style.fill.map(|fill| fill.opacity).filter(|opacity| *opacity < 1.0);
     element.set("class", &*style.class).set_optional("fill-opacity", opacity)
