@@ -28,8 +28,8 @@ pub(crate) fn address(text: &str, port: u16, network: NetworkKind) -> Result<Add
     let has_named_listener =
         |kind: &NetworkKind| kind.schemes().contains(&scheme) && kind.has_named_listeners();
     if NetworkKind::ALL.iter().any(has_named_listener) {
-        // Such an address names a listener, which another program finds, such as a ROS master. A port in the address is
-        // the port of that program and has another default, so `port` is not added.
+        // Such an address names a listener. Another program, such as a ROS master, knows where the listener is. A port
+        // in the address is the port of that program and has another default, so `port` is not added.
         return format!("{scheme}://{rest}").parse().map_err(AddressError::Invalid);
     }
     let has_zone =
@@ -41,6 +41,7 @@ pub(crate) fn address(text: &str, port: u16, network: NetworkKind) -> Result<Add
         Ok(IpAddr::V6(ip)) => format!("[{ip}]"),
         _ => rest.to_owned(),
     };
+    // A last colon inside the brackets of an IPv6 address does not precede a port.
     let has_port = rest.rsplit_once(':').is_some_and(|(_, port)| !port.contains(']'));
     let port = if has_port { String::new() } else { format!(":{port}") };
     format!("{scheme}://{rest}{port}").parse().map_err(AddressError::Invalid)

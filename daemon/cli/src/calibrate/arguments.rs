@@ -10,6 +10,9 @@ use crate::address::{AddressError, DEFAULT_PORT, address};
 use crate::network::network;
 use crate::seconds::{SecondsError, seconds};
 
+/// Minimum of the maximum duration, seconds.
+const MIN_SECONDS: f64 = 1.0;
+
 /// Arguments of `peernet calibrate`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
@@ -116,7 +119,7 @@ fn size(text: &str) -> Result<u64, SizeError> {
 }
 
 fn duration(text: &str) -> Result<f64, SecondsError> {
-    seconds(text, 1.0)
+    seconds(text, MIN_SECONDS)
 }
 
 #[cfg(test)]

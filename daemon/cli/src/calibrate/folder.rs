@@ -43,7 +43,7 @@ impl Folder {
         &self.path
     }
 
-    /// Removes the folder if it was created for this calibration, because nothing was measured.
+    /// Removes the folder if it was created for this calibration, because there is no study to write.
     pub(super) fn discard(self) {
         if self.is_created {
             // A folder that is not empty is not removed. It does no harm.

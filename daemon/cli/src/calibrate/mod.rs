@@ -62,6 +62,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             Some(unavailable(anyhow!("{reason}")))
         }
     };
+    // A size that cannot be measured ends the sweep while each size is sent for the first time. The samples are then
+    // too few for a study.
     if measurements.samples.is_empty() || matches!(end, AgentEnd::OwnReason(_)) {
         folder.discard();
         return match failure {
@@ -81,6 +83,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         version: VERSION.to_owned(),
         sizes_bytes: plan.sizes().to_vec(),
         repeats: arguments.repeats.get(),
+        // `interrupted` is true for every early end. `ended` is the reason, unless the user ended the sweep.
         interrupted: end != AgentEnd::Finished,
         end_reason: match &end {
             AgentEnd::Failed(reason) => Some(reason.clone()),
@@ -113,6 +116,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn rfc3339(at: WallTime) -> String {
+    // `true` writes the time zone as `Z`.
     chrono::DateTime::from_timestamp_nanos(at.unix_nanos()).to_rfc3339_opts(chrono::SecondsFormat::Secs, true)
 }
 

@@ -73,15 +73,15 @@ impl<'a> SweepObserver<'a> {
     fn handle_reconnect(&mut self, clock: Option<HostClock>) -> Option<AgentEnd<UnmeasurableSize>> {
         self.peer_wait.record_answer(self.clock.mono());
         let previous_clock = std::mem::replace(&mut self.cloud_clock, clock);
-        let change = match (&previous_clock, &self.cloud_clock) {
+        let new_clock = match (&previous_clock, &self.cloud_clock) {
             // If the same program is back, its clock fault is unchanged, and its count of steps is unchanged or
             // larger. After a restart of the program, both begin again.
             (Some(before), Some(now)) if before.faults == now.faults && before.epoch <= now.epoch => {
                 self.measurements.reconnections += 1;
                 return None;
             }
-            (_, Some(HostClock { faults: Some(change), .. })) => {
-                format!("another clock, which is made wrong on purpose ({change})")
+            (_, Some(HostClock { faults: Some(faults), .. })) => {
+                format!("another clock, which is made wrong on purpose ({faults})")
             }
             (_, Some(_)) => "another clock".to_owned(),
             // The peer left again before its clock could be read.
@@ -90,7 +90,7 @@ impl<'a> SweepObserver<'a> {
         self.has_other_clock = true;
         let name = self.measurements.cloud.as_deref().unwrap_or("the peer");
         let text = format!(
-            "{name} disconnected and returned with {change}: the study ends with the measurements until then"
+            "{name} disconnected and returned with {new_clock}: the study ends with the measurements until then"
         );
         Some(AgentEnd::Failed(text))
     }
@@ -119,6 +119,7 @@ impl RunObserver for SweepObserver<'_> {
             }
             Event::Iteration(iteration) => {
                 let sample = Sample::new(&iteration, self.plan.payload(iteration.number));
+                // A warm-up sample counts as an answer even if it failed.
                 if sample.is_in_statistics() || sample.warm_up {
                     self.peer_wait.record_answer(self.clock.mono());
                 }

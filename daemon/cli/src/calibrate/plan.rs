@@ -15,8 +15,8 @@ use serde_json::json;
 use super::Arguments;
 use crate::foreground::read_agent_tables;
 
-/// Maximum number of rounds that are shuffled. After these rounds the order repeats. The number is large enough that
-/// size and time are not correlated.
+/// Maximum number of rounds that are shuffled. A round contains each size once. After these rounds the order repeats.
+/// The number is large enough that size and time are not correlated.
 const ROUNDS: u64 = 64;
 /// Seed of the order. It is fixed, so that calibrations with equal sizes send them in the same order.
 const SEED: u64 = 1;

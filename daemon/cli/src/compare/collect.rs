@@ -31,7 +31,7 @@ pub(crate) struct CollectedResults {
 /// Reads all results at the named paths, except for excluded results. Only columns that `is_wanted` accepts are read.
 ///
 /// Results keep the order of the paths, and runs of an experiment have the order of its file. A baseline comes first,
-/// unless all its runs are at the named paths.
+/// unless all its results are selected at the named paths already.
 ///
 /// # Errors
 /// When a path has no results or all results are excluded (exit code 66), or the baseline or all results cannot be read
@@ -50,8 +50,8 @@ pub(crate) fn collect(
     let experiments = Experiments::find(all);
     let mut selected = SelectedResults::new(&results, &experiments);
     if let Some(baseline) =
-        // A baseline that is not at the named paths is added in front. A baseline that is at one of these paths keeps
-        // its place.
+        // If all results of a baseline are selected at the named paths already, they keep their places. Otherwise the
+        // baseline is added in front.
         baseline
             .filter(|_| baseline_paths.iter().any(|path| !contains_same_path(&selected.paths, path)))
     {
@@ -78,8 +78,8 @@ pub(crate) fn collect(
     let command_line_paths: Vec<&Path> = named_paths.iter().map(PathBuf::as_path).chain(baseline).collect();
     // Copies of one run can be recognised only by their run ids, which are in the files.
     let exclusions = ExclusionReasons::new(&runs, &baseline_indexes, &command_line_paths, &experiments);
-    let unreadable_records = experiments.notes_on_unreadable_records(paths.iter().map(PathBuf::as_path));
-    for note in unreadable_records.into_iter().chain(exclusions.notes(&runs)) {
+    let record_notes = experiments.notes_on_unreadable_records(paths.iter().map(PathBuf::as_path));
+    for note in record_notes.into_iter().chain(exclusions.notes(&runs)) {
         print_to_stderr(&note);
         notes.push(to_sentence(&note));
     }
@@ -88,9 +88,10 @@ pub(crate) fn collect(
     compared_runs.filter_map(|(_, run)| incompleteness_note(run, &experiments)).for_each(print_to_stderr);
     let order: Vec<usize> =
         declared_order(&runs, &experiments).into_iter().filter(|index| is_compared(*index)).collect();
-    let baseline_runs =
+    // Positions in the order of display, unlike `baseline_indexes`.
+    let baseline_positions =
         (0..order.len()).filter(|index| baseline_indexes.contains(&order[*index])).collect::<Vec<_>>();
-    if let Some(baseline) = baseline.filter(|_| baseline_runs.is_empty()) {
+    if let Some(baseline) = baseline.filter(|_| baseline_positions.is_empty()) {
         let text = format!(
             "no run of the baseline {} is finished; give the folder of a run to include it",
             baseline.display()
@@ -99,7 +100,7 @@ pub(crate) fn collect(
     }
     let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
     let runs = order.into_iter().filter_map(|run| runs[run].take()).collect();
-    Ok(CollectedResults { runs, baseline: baseline_runs, notes, unreadable })
+    Ok(CollectedResults { runs, baseline: baseline_positions, notes, unreadable })
 }
 
 /// Results that can be read.
@@ -132,6 +133,7 @@ fn read(
             Err(failure) => readable.failures.push(failure),
         }
     }
+    // If no results can be read, the last failure is taken out here. The error gets the exit code of this failure.
     match readable.failures.pop_if(|_| readable.runs.is_empty()) {
         // Each result may have another reason, so the error names all reasons.
         Some(last) => {
@@ -203,7 +205,7 @@ pub(crate) fn distinct_paths(paths: &[PathBuf]) -> Vec<PathBuf> {
 /// Returns the results at or below a path.
 fn find(path: &Path) -> Result<Vec<PathBuf>, Failure> {
     if path.is_file() {
-        return Ok(vec![folder_of(path).to_owned()]);
+        return Ok(vec![path_to_open(path).to_owned()]);
     }
     let results = ResultFolder::find(path);
     if results.is_empty() {
@@ -219,7 +221,7 @@ fn find(path: &Path) -> Result<Vec<PathBuf>, Failure> {
 }
 
 /// Returns the path to open for a file of rows: its folder for `FOLDER/data.csv`, else the file itself.
-fn folder_of(file: &Path) -> &Path {
+fn path_to_open(file: &Path) -> &Path {
     let folder = file.parent().filter(|folder| file.ends_with("data.csv") && *folder != Path::new(""));
     folder.unwrap_or(file)
 }

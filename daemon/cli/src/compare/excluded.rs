@@ -69,11 +69,11 @@ impl ExclusionReasons {
                 Exclusion::CopyOf(original) => Some(format!("of {}", folder(*original))),
                 _ => None,
             });
-        let repetitions = note("repeated runs", &|exclusion| match exclusion {
+        let measured_again = note("runs that were measured again", &|exclusion| match exclusion {
             Exclusion::MeasuredAgain(later) => Some(format!("as {}", folder(*later))),
             _ => None,
         });
-        [unfinished, copied_results, repetitions].into_iter().flatten().collect()
+        [unfinished, copied_results, measured_again].into_iter().flatten().collect()
     }
 }
 

@@ -12,7 +12,7 @@ use super::experiment::Experiments;
 /// file](compare_positions), as on the dashboard. Runs of an earlier version do not have the index of their
 /// configuration. The index is then taken from the record of the experiment, if the record can be read.
 ///
-/// The runs of one experiment exchange positions among each other. All other results keep their positions.
+/// The runs of one experiment exchange their indexes among each other. All other results keep their indexes.
 pub(super) fn declared_order(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     let mut positions_by_experiment: HashMap<&str, Vec<(usize, ExperimentPosition)>> = HashMap::new();

@@ -29,12 +29,13 @@ impl SelectedResults {
     /// always selected.
     pub(super) fn new(found: &[(PathBuf, Vec<PathBuf>)], experiments: &Experiments) -> Self {
         let mut paths: Vec<PathBuf> = Vec::new();
-        let mut searched_experiments: BTreeMap<&Path, (&Path, &Experiment)> = BTreeMap::new();
+        // Experiments with a run that was found below a named path and is not itself named.
+        let mut experiments_of_found_runs: BTreeMap<&Path, (&Path, &Experiment)> = BTreeMap::new();
         for (named_path, path) in
             found.iter().flat_map(|(named_path, paths)| paths.iter().map(move |path| (named_path, path)))
         {
             if let Some(run) = experiments.run(path).filter(|_| !is_named(named_path, path, experiments)) {
-                searched_experiments.entry(run.experiment_dir).or_insert((named_path, run.experiment));
+                experiments_of_found_runs.entry(run.experiment_dir).or_insert((named_path, run.experiment));
                 if !run.state().is_finished() {
                     continue;
                 }
@@ -46,7 +47,7 @@ impl SelectedResults {
         let selected_folders: Vec<PathBuf> =
             paths.iter().filter_map(|path| Some(experiments.run(path)?.folder())).collect();
         let unselected =
-            searched_experiments.into_iter().filter_map(|(experiment_dir, (named_path, experiment))| {
+            experiments_of_found_runs.into_iter().filter_map(|(experiment_dir, (named_path, experiment))| {
                 let is_selected =
                     |name: &str| selected_folders.contains(&experiment_dir.join(RUNS).join(name));
                 let other_runs = experiment.runs().filter(|(name, _)| !is_selected(name));
@@ -192,7 +193,7 @@ mod tests {
         let text = std::fs::read_to_string(&record).expect("written");
         let two_users = r#""configurations":[{"labels":[],"users":2}]"#;
         std::fs::write(&record, text.replace(r#""configurations":[]"#, two_users)).expect("written");
-        assert!(!is_compared(), "both users have no results");
+        assert!(!is_compared(), "neither user has results");
     }
 
     #[test]
