@@ -6,7 +6,7 @@ use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 
 /// Environment variable that sets the level of the log.
-pub const VARIABLE: &str = "PEERNET_LOG";
+pub const LEVEL_VARIABLE: &str = "PEERNET_LOG";
 
 /// Formatter of lines such as `12:00:00 INFO agent: text key=value`, with a priority instead of the time under
 /// journald.

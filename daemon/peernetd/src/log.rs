@@ -2,7 +2,7 @@
 
 use std::io::IsTerminal;
 
-use peernet_cli::log::{LineFormat, VARIABLE};
+use peernet_cli::log::{LEVEL_VARIABLE, LineFormat};
 use serde::{Deserialize, Serialize};
 use tracing::Subscriber;
 use tracing_subscriber::filter::{EnvFilter, ParseError};
@@ -35,13 +35,13 @@ pub(crate) struct LevelError {
 }
 
 fn origin(from_environment: bool) -> String {
-    if from_environment { format!(" (from {VARIABLE})") } else { String::new() }
+    if from_environment { format!(" (from {LEVEL_VARIABLE})") } else { String::new() }
 }
 
 /// Installs a log for this thread, until the guard is dropped. The log is used until the configuration has been read.
 pub(crate) fn install_temporary() -> tracing::subscriber::DefaultGuard {
     // An invalid level is reported later: `check` examines the same variable.
-    let filter = EnvFilter::try_from_env(VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
+    let filter = EnvFilter::try_from_env(LEVEL_VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
     subscriber(filter).set_default()
 }
 
@@ -55,7 +55,7 @@ impl LogConfig {
     }
 
     fn filter(&self) -> Result<EnvFilter, LevelError> {
-        let (level, from_environment) = match std::env::var(VARIABLE) {
+        let (level, from_environment) = match std::env::var(LEVEL_VARIABLE) {
             Ok(level) => (level, true),
             Err(_) => (self.level.clone(), false),
         };

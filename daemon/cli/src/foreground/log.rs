@@ -7,7 +7,7 @@ use std::fmt::{self, Write as _};
 use std::io::{self, Write};
 
 use crate::exit::{Exit, Failure};
-use crate::log::{LineFormat, VARIABLE};
+use crate::log::{LEVEL_VARIABLE, LineFormat};
 use crate::output::print_to_stdout;
 use peernet_agent::REMARK_LOG_TARGET;
 use peernet_inference::bank::LOAD_LOG_TARGET;
@@ -29,7 +29,7 @@ const CUSTOM_CODE_TARGETS: [&str; 2] = ["peernet_external::python", "peernet_ext
 pub(crate) enum LogDestination {
     /// This process, on standard error.
     StandardError,
-    /// The process that started it and reads its standard output.
+    /// The parent process, which reads the standard output of this process.
     Parent,
 }
 
@@ -43,10 +43,10 @@ const WARNING_TARGETS: [&str; 2] = [REMARK_LOG_TARGET, LOAD_LOG_TARGET];
 /// When the variable does not contain a valid level (exit code 78).
 pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
     let configuration_failure = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
-    let level = std::env::var(VARIABLE).unwrap_or_else(|_| default_level());
+    let level = std::env::var(LEVEL_VARIABLE).unwrap_or_else(|_| default_level());
     let filter = EnvFilter::try_new(&level).map_err(|error| {
         configuration_failure(anyhow::anyhow!(
-            "{level:?} (from {VARIABLE}) is not a log level: {error}; use error, warn, info, debug or trace"
+            "{level:?} (from {LEVEL_VARIABLE}) is not a log level: {error}; use error, warn, info, debug or trace"
         ))
     })?;
     let log = tracing_subscriber::fmt()
@@ -91,10 +91,10 @@ impl Write for LogWriter {
     }
 }
 
-/// Formatter: `model my_model-Net: the line` for custom code, `warning: the text` for warnings, the log's form for the
-/// rest.
+/// Formatter: `model my_model-Net: the line` for custom code, `warning: the text` for warnings, the log's form for all
+/// other lines.
 struct LogFormat {
-    /// Format of the rest.
+    /// Format of all other lines.
     line_format: LineFormat,
 }
 
