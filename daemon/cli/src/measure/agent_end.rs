@@ -59,6 +59,7 @@ impl AgentEnd {
 /// not acted on. Failed warm-up iterations, which statistics exclude, count only if no other iteration failed. `None`
 /// if none failed.
 fn describe_failed_iterations(rows: &Rows) -> Option<String> {
+    // The number of iterations without a row is not needed here.
     let counts = Counts::from_rows(rows, 0);
     let in_warm_up = counts.all_failed() == 0;
     let failed = || rows.iter().filter(|row| row.warm_up() == in_warm_up && row.outcome() != Outcome::Ok);

@@ -18,8 +18,8 @@ pub(crate) const MEASUREMENT_ENDED: &str = r#"{"measurement-ended":true}"#;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// File with the description of the measurement, as JSON; `-` is standard input, with the description in one line.
-    #[arg(long)]
-    order: PathBuf,
+    #[arg(long = "order", value_name = "ORDER")]
+    request: PathBuf,
 }
 
 /// Measures the requested run. Prints its progress as lines of JSON objects, and output of custom code as JSON texts.
@@ -30,8 +30,8 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     exit_with_parent();
     start_log(LogDestination::Parent)?;
-    let is_from_parent = arguments.order == Path::new("-");
-    let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
+    let is_from_parent = arguments.request == Path::new("-");
+    let text = read(&arguments.request).map_err(|error| Failure::new(Exit::NoInput, error))?;
     let request: RunRequest = serde_json::from_str(&text).map_err(|error| {
         Failure::new(Exit::Configuration, anyhow!("cannot parse the description of the measurement: {error}"))
     })?;

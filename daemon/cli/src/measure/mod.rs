@@ -85,6 +85,8 @@ pub(crate) fn measure(
     let mut config = request.agent.clone();
     state_dir.configure(&mut config)?;
     let mut ready = ReadyAgent::new(config)?;
+    // A trial runs without the actuator of the later runs. The actuator is only created here, so that an error of the
+    // actuator ends the trial.
     if let Some(actuator) = &request.tried_actuator {
         actuator.try_build(&ready.clock).map_err(|error| {
             Failure::new(Exit::Unavailable, anyhow!("the actuator cannot be created: {error}"))

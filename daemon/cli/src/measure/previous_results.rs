@@ -27,7 +27,7 @@ const KILLED_ROWS: &str = "killed";
 /// Beginning of the name of a file with the rows of a run whose results did not fit on the disk.
 const UNFINISHED_ROWS: &str = "unfinished";
 
-/// Results that were moved away. Dropping it restores them.
+/// Results that were moved away. Dropping the guard restores the results.
 #[derive(Debug)]
 pub(super) struct PreviousResultsGuard {
     results_dir: PathBuf,
@@ -143,7 +143,7 @@ impl PreviousResultsGuard {
         }
     }
 
-    /// Removes the earlier results because the new results are complete, and the rows of runs without results.
+    /// Removes the earlier results, and the rows of runs without results, because the new results are complete.
     pub(super) fn remove(&mut self) {
         let removed_folder = self.moved_results.take().map_or(Ok(()), TempDir::close);
         let removed_rows = rows_without_results(&self.results_dir).into_iter().try_for_each(remove_file);
@@ -385,6 +385,7 @@ mod tests {
                 "after {name}, of {before:?}"
             );
             std::fs::create_dir(&kept).expect("made anew");
+            // In the next pass, the killed run has moved the record and one more file.
             rename_if_exists(&results_dir.path().join(RECORD), &kept.join(RECORD)).expect("moved");
         }
     }

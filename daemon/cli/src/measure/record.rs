@@ -58,6 +58,7 @@ pub(super) fn run_record(
         reason: end.reason(),
         version: VERSION.to_owned(),
         command: request.command.clone(),
+        // The working directory of the command, not the folder of the results.
         folder: std::env::current_dir().map(|folder| folder.display().to_string()).unwrap_or_default(),
         environment: environment(),
         network_config: request.network_config.clone(),

@@ -49,7 +49,7 @@ struct RunProgress {
     failed_in_warm_up: u64,
     /// Description of the first failed iteration.
     first_failure: Option<String>,
-    /// Totals of the iterations after the warm-up, seconds.
+    /// Totals of the successful iterations after the warm-up, seconds.
     totals: Summary,
 }
 
@@ -77,6 +77,7 @@ impl RunProgress {
             self.first_failure
                 .get_or_insert_with(|| describe_failure(row.iteration, row.outcome, row.reason.as_deref()));
         }
+        // A pipeline that only senses has the latency `sensing` instead of a total.
         let total = TotalColumn::Measured.latency_names().iter().find_map(|name| row.value(name));
         if let Some(total) = total.filter(|_| row.is_in_statistics()) {
             self.totals.record(total);
@@ -130,7 +131,7 @@ impl RunProgress {
 #[derive(Default)]
 pub(super) struct RecordedRun {
     pub(super) rows: Rows,
-    /// Units of the columns that the run logs itself.
+    /// Units of the columns beyond the fixed columns, such as columns of custom code.
     pub(super) units: Units,
     /// Description of the run from its start.
     pub(super) description: Option<RunDescription>,
@@ -196,12 +197,12 @@ impl<'a> RunRecorder<'a> {
         // An ended session has no cloud any more. The last known cloud stays in the record.
         self.recorded.cloud = cloud.or(self.recorded.cloud.take());
         let Some(live) = running.map(RunningAgent::live_update) else { return };
-        let words = |clock: HostClock| Some(clock.text).filter(|text| !text.is_empty());
+        let clock_text = |clock: HostClock| Some(clock.text).filter(|text| !text.is_empty());
         let peer = self.recorded.cloud.as_ref().map(|cloud| cloud.id);
         let link = live.links.into_iter().find(|link| Some(link.peer) == peer);
-        self.recorded.edge_clock = words(live.clock).or(self.recorded.edge_clock.take());
+        self.recorded.edge_clock = clock_text(live.clock).or(self.recorded.edge_clock.take());
         self.recorded.cloud_clock =
-            link.and_then(|link| link.cloud).and_then(words).or(self.recorded.cloud_clock.take());
+            link.and_then(|link| link.cloud).and_then(clock_text).or(self.recorded.cloud_clock.take());
     }
 
     fn record_row(&mut self, row: &Row) {
@@ -253,6 +254,7 @@ impl RunObserver for RunRecorder<'_> {
                 IncidentKind::Refused if self.recorded.description.is_none() => self.is_refused = true,
                 IncidentKind::Connected => {
                     self.record_hosts(running);
+                    // After the agent has ended, nothing waits for the peer.
                     if running.is_some() {
                         self.peer_wait.record_answer(self.clock.mono());
                     }

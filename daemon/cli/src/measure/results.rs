@@ -47,6 +47,7 @@ impl Results {
         let replaces = was_there && request.overwrite == Overwrite::Replace;
         let previous_results =
             replaces.then(|| PreviousResultsGuard::move_away(folder.path())).transpose()?;
+        // With `Overwrite::Subfolder`, the folder may be a new subfolder of the requested folder.
         let is_created = !was_there || folder.path() != request.folder;
         Ok(Self { folder, is_created, previous_results })
     }

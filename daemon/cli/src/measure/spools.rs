@@ -16,8 +16,10 @@ use peernet_statistics::number::counted;
 const OLD_SPOOL: &str = "spool.sqlite";
 /// Name of the file that an agent locks while it runs.
 pub(crate) const AGENT_LOCK: &str = "lock";
-/// Parts of a spool's file name before and after the aggregator's address.
-const SPOOL_PREFIX: (&str, &str) = ("spool-", ".sqlite");
+/// Part of a spool's file name before the aggregator's address.
+const SPOOL_PREFIX: &str = "spool-";
+/// Part of a spool's file name after the aggregator's address.
+const SPOOL_SUFFIX: &str = ".sqlite";
 
 /// Returns the spool of the host in this folder for an aggregator.
 ///
@@ -31,11 +33,11 @@ pub(super) fn prepare(folder: &Path, aggregator: &Address) -> io::Result<PathBuf
 
 /// Returns the path of the spool of the host in this folder for an aggregator.
 pub(crate) fn spool_file(folder: &Path, aggregator: &Address) -> PathBuf {
-    folder.join(format!("{}{}{}", SPOOL_PREFIX.0, spool_name(aggregator), SPOOL_PREFIX.1))
+    folder.join(format!("{SPOOL_PREFIX}{}{SPOOL_SUFFIX}", address_in_file_name(aggregator)))
 }
 
 /// Returns an aggregator's address as part of a spool's file name.
-fn spool_name(aggregator: &Address) -> String {
+fn address_in_file_name(aggregator: &Address) -> String {
     // People use these names of the local machine interchangeably.
     match aggregator.host().as_str() {
         "127.0.0.1" | "::1" => format!("localhost:{}", aggregator.port()),
@@ -89,7 +91,7 @@ pub(crate) struct UndeliveredEvents {
 impl UndeliveredEvents {
     /// Returns whether the events wait for this aggregator.
     pub(crate) fn is_for(&self, aggregator: &Address) -> bool {
-        self.aggregator == spool_name(aggregator)
+        self.aggregator == address_in_file_name(aggregator)
     }
 
     /// Returns the aggregator, as in the name of the spool.
@@ -144,7 +146,7 @@ pub(crate) async fn undelivered(folder: &Path) -> Vec<UndeliveredEvents> {
     names.sort();
     let mut waiting = Vec::new();
     for name in names {
-        let aggregator = name.strip_prefix(SPOOL_PREFIX.0).and_then(|name| name.strip_suffix(SPOOL_PREFIX.1));
+        let aggregator = name.strip_prefix(SPOOL_PREFIX).and_then(|name| name.strip_suffix(SPOOL_SUFFIX));
         let Some(aggregator) = aggregator else { continue };
         waiting.extend(UndeliveredEvents::read(aggregator.to_owned(), folder.join(&name)).await);
     }
@@ -153,7 +155,11 @@ pub(crate) async fn undelivered(folder: &Path) -> Vec<UndeliveredEvents> {
 
 /// Returns the waiting events for an aggregator in a given spool file. The agent of the spool must not be running.
 pub(crate) async fn undelivered_in_spool(file: &Path, aggregator: &Address) -> Option<UndeliveredEvents> {
-    if file.exists() { UndeliveredEvents::read(spool_name(aggregator), file.to_owned()).await } else { None }
+    if file.exists() {
+        UndeliveredEvents::read(address_in_file_name(aggregator), file.to_owned()).await
+    } else {
+        None
+    }
 }
 
 #[cfg(test)]
