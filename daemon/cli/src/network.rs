@@ -11,7 +11,7 @@ pub(crate) struct NetworkNameError;
 ///
 /// # Errors
 /// When no kind has this name.
-pub(crate) fn network(text: &str) -> Result<NetworkKind, NetworkNameError> {
+pub(crate) fn parse_network_kind(text: &str) -> Result<NetworkKind, NetworkNameError> {
     NetworkKind::ALL.iter().find(|kind| kind.name() == text).copied().ok_or(NetworkNameError)
 }
 

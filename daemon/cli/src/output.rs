@@ -108,7 +108,7 @@ mod tests {
 
     #[test]
     fn typed_value_is_quoted_in_one_short_line() {
-        let refused = |text: &str| Err::<String, _>(format!("{text:?} is none"));
+        let refused = |text: &str| Err::<String, _>(format!("{text:?} is refused"));
         let command = Command::new("peernet").arg(Arg::new("set").long("set").value_parser(refused));
         let message = |word: &str| {
             let error = command.clone().try_get_matches_from(["peernet", word]).expect_err(word);
@@ -123,7 +123,7 @@ mod tests {
         let argument = message(&format!("--{text}"));
         assert!(argument.starts_with("error: unexpected argument '--a.b"), "{argument}");
         assert!(argument.len() < 1200 && argument.lines().count() < 9, "{argument}");
-        assert!(message("--sett=1").contains("'--set'"), "a short value is quoted unchanged");
+        assert!(message("--sett=1").contains("'--set'"), "the suggestion stays if the value is short");
     }
 
     #[test]

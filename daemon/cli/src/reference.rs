@@ -10,7 +10,7 @@ use crate::Cli;
 /// Path of the document from the root of the checkout.
 const FILE: &str = "docs/cli.md";
 /// Line above the generated part.
-const MARK: &str = "<!-- From here on made from the program's own words: PEERNET_WRITE_DOCS=1 cargo test -p peernet-cli reference -->\n";
+const MARK: &str = "<!-- The rest of this file is generated from the program's help texts: PEERNET_WRITE_DOCS=1 cargo test -p peernet-cli reference -->\n";
 /// Options that every command has, which the document leaves out.
 const IMPLICIT_OPTIONS: [&str; 2] = ["help", "version"];
 

@@ -7,7 +7,7 @@ use anyhow::Context;
 use peernet_networks::{Address, NetworkKind};
 
 use crate::address::{AddressError, DEFAULT_PORT, address};
-use crate::network::network;
+use crate::network::parse_network_kind;
 use crate::seconds::{SecondsError, seconds};
 
 /// Minimum of the maximum duration, seconds.
@@ -48,7 +48,7 @@ pub(crate) struct Arguments {
     pub(super) config: Option<PathBuf>,
     /// Kind of network: zmq-tcp, zmq-udp or ros [default: the kind in the address; zmq-tcp if the address is only a
     /// host].
-    #[arg(long, value_parser = network)]
+    #[arg(long, value_parser = parse_network_kind)]
     pub(super) network: Option<NetworkKind>,
     /// Do not show the progress.
     #[arg(long, short)]

@@ -44,11 +44,12 @@ impl AgentStateDir {
     /// Configures an agent to keep its state here.
     ///
     /// # Errors
-    /// When the spool of an earlier version cannot be taken over, or the key for the arguments of programs cannot be
-    /// read or made (exit code 69).
+    /// When the spool of an earlier version cannot be taken over, or the key for fingerprints of program arguments
+    /// cannot be read or created (exit code 69).
     pub(crate) fn configure(&self, config: &mut AgentConfig) -> Result<(), Failure> {
         self.folder().clone_into(&mut config.agent.state_dir);
-        // All runs of this user share one key, so that equal programs of different runs get equal fingerprints.
+        // All runs of this user share the key for fingerprints, so that equal programs of different runs get equal
+        // fingerprints.
         if let Some(root) = state_root().filter(|_| has_programs(config)) {
             share_argument_key(&root, self.folder())
                 .map_err(|error| Failure::new(Exit::Unavailable, error))?;

@@ -64,7 +64,7 @@ struct BenchResults {
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let model = arguments.model.find()?;
-    // Read before the model is loaded, so that the difference to the later value is the model's.
+    // Read before the model is loaded: the difference to the later value is the memory of the model and of its input.
     let memory_before = ProcessMemory::read();
     let loaded_model = LoadedModel::load(&model, &arguments.options)?;
     let input = Input::pictures(&model, arguments.pictures.as_deref(), loaded_model.clock())?;
@@ -115,7 +115,8 @@ fn measure(
             durations[3].push(total);
         }
         let state = || (format!("{} of {all}", done + 1), (done + 1) as f64 / all as f64);
-        progress.show(loaded_model.clock().mono(), None, state);
+        let no_trouble = None;
+        progress.show(loaded_model.clock().mono(), no_trouble, state);
     }
     progress.end();
     let names = STAGES.into_iter().chain(["all"]);

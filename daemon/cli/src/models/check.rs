@@ -69,8 +69,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             }
         }
     }
-    let answered_count = if failed > 0 { format!("{} of ", all - failed) } else { String::new() };
-    print_to_stdout(format_args!("answered {answered_count}{}{}", input.description, tally.text()));
+    let answered_prefix = if failed > 0 { format!("{} of ", all - failed) } else { String::new() };
+    print_to_stdout(format_args!("answered {answered_prefix}{}{}", input.description, tally.text()));
     if failed > 0 {
         let verb = if failed == 1 { "was" } else { "were" };
         let error = anyhow!("{} {verb} not answered; the lines above say why", counted(failed, "picture"));

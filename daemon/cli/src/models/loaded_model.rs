@@ -42,7 +42,8 @@ impl LoadedModel {
         if let Some((_, error)) = bank.check().into_iter().next() {
             return Err(failure(error));
         }
-        let pool = bank.load(&model.name, None).map_err(failure)?;
+        let configured_device = None;
+        let pool = bank.load(&model.name, configured_device).map_err(failure)?;
         Ok(Self { pool, clock, host: HostId::random() })
     }
 

@@ -35,9 +35,9 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// Compares an answer with the label of its picture. `measurements` are those of the answer; in them the model marks
-    /// a label that is not one of its classes. An answer that is no classification, detection or segmentation is not
-    /// counted.
+    /// Compares an answer with the label of its picture. `measurements` are those of the answer; in them the model
+    /// marks a label that is not one of its classes. An answer that is no classification, detection or segmentation is
+    /// not counted.
     ///
     /// # Errors
     /// If the label names a mask that cannot be read.
@@ -191,7 +191,7 @@ mod tests {
             image::GrayImage::from_raw(1, 1, vec![mask]).expect("fits").save(&file).expect("written");
             tally.add(&label(name), &segmentation(answered), &measurements(false)).expect("is read");
         }
-        // Road: 1 of 2 pixels; lane: none of 1.
+        // IoU of road: 1 pixel of 2 in the union; of lane: 0 pixels of 1 in the union.
         assert_eq!(
             tally.text(),
             "; all pictures together: mean IoU 25.0 % over 2 classes; 1 label is not a class of the model"

@@ -9,7 +9,7 @@ use peernet_networks::{Address, NetworkKind, SessionSettings};
 
 use super::encoding::Encoding;
 use super::sensor::SensorType;
-use crate::network::network;
+use crate::network::parse_network_kind;
 use crate::seconds::{SecondsError, seconds};
 
 /// Possible values of `--max-message-bytes`.
@@ -31,7 +31,7 @@ pub(crate) struct Arguments {
     pub(super) name: Slug,
     /// Kind of network: zmq-tcp, zmq-udp or ros [default: the kind in the server's address; zmq-tcp if the address is
     /// only a host name].
-    #[arg(long, value_parser = network)]
+    #[arg(long, value_parser = parse_network_kind)]
     pub(super) network: Option<NetworkKind>,
     /// Network configuration, YAML: `devices:` name → host name or IP address, `server:` name of the device that
     /// serves, and optionally `start_port:` [default: 5551].

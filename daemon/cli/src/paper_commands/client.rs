@@ -65,7 +65,7 @@ fn run_request(arguments: &Arguments, devices: &Devices) -> Result<RunRequest, F
             "transforms": transforms,
             "placement": {
                 "kind": "remote",
-                "peer": devices.address,
+                "peer": devices.server_address,
                 "session": session,
             },
             "load": { "mode": "closed" },
@@ -74,6 +74,7 @@ fn run_request(arguments: &Arguments, devices: &Devices) -> Result<RunRequest, F
             "limit": { "total": arguments.iterations },
         })
     };
+    // Without `with_arguments`, the program of a sensor would lose its arguments.
     let pipeline: PipelineConfig = serde_json::from_value(with_arguments(pipeline))
         .context("cannot set up the pipeline")
         .map_err(|error| Failure::new(Exit::Software, error))?;
@@ -88,7 +89,7 @@ fn run_request(arguments: &Arguments, devices: &Devices) -> Result<RunRequest, F
     };
     Ok(RunRequest {
         agent,
-        title: format!("{} → {}, {}", arguments.name, devices.server, devices.address.network()),
+        title: format!("{} → {}, {}", arguments.name, devices.server, devices.server_address.network()),
         folder: folder.unwrap_or_else(|| PathBuf::from(DEFAULT_RESULTS_DIR)),
         overwrite,
         plots: arguments.generate_plots,
@@ -149,6 +150,7 @@ mod tests {
             "peernet --client --name edge --iterations 7 --network-config {} --sensor-object exec:cat",
             file.display()
         );
+        // The command has a space, so the command is completed after the line is split at spaces.
         let words = line.split(' ').map(|word| word.replace("exec:cat", "exec:cat -u"));
         let arguments = Cli::try_parse_from(words).expect("a command line of the paper").paper;
         let arguments = arguments.expect("its options are at the top level");

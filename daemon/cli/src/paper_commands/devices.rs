@@ -112,7 +112,7 @@ pub(super) struct Devices {
     /// Name of the device that serves.
     pub(super) server: String,
     /// Address of the server.
-    pub(super) address: Address,
+    pub(super) server_address: Address,
     /// Path and text of the file.
     pub(super) config: NetworkConfig,
     /// QoS and interfaces of the topics of ROS 2.
@@ -141,13 +141,13 @@ impl Devices {
         let address_text = parsed.devices.get(&server).ok_or_else(|| {
             anyhow!("{file}: the server {server} is not one of its devices: {}", list_devices(&device_names))
         })?;
-        let address = parsed.address(&server, address_text, network.unwrap_or_default());
-        let address = address.map_err(|problem| anyhow!("{file}: {problem}"))?;
-        let network_check = address.check_network(network);
+        let server_address = parsed.address(&server, address_text, network.unwrap_or_default());
+        let server_address = server_address.map_err(|problem| anyhow!("{file}: {problem}"))?;
+        let network_check = server_address.check_network(network);
         network_check.map_err(|problem| anyhow!("--network does not agree with {file}: {problem}"))?;
         // The whole text is recorded with the results, because the file may change before a run is repeated.
         let config = NetworkConfig { file: file.to_owned(), text: text.to_owned() };
-        Ok(Self { server, address, config, ros2: parsed.ros2, device_names })
+        Ok(Self { server, server_address, config, ros2: parsed.ros2, device_names })
     }
 
     /// Checks that this device may be started in this role.
@@ -165,7 +165,7 @@ impl Devices {
             ));
         }
         // Only the server's address is used, so the file may also have addresses of networks that this build lacks.
-        if let Err(problem) = self.address.check_usable_on_this_host() {
+        if let Err(problem) = self.server_address.check_usable_on_this_host() {
             return invalid(format!("{file}: the address of the server {server} cannot be used: {problem}"));
         }
         match (serves, server == name.as_str()) {
@@ -192,8 +192,9 @@ mod tests {
     fn network_missing_in_build_is_reported() {
         let text = "devices: { edge: 127.0.0.1, cluster: 'ros2://0/cluster' }\nserver: cluster\n";
         let devices = Devices::parse(text, "net.yaml", None).expect("reads");
-        let checked = devices.check(&"cluster".parse().expect("a name"), true);
-        match devices.address.check_usable_on_this_host() {
+        let serves = true;
+        let checked = devices.check(&"cluster".parse().expect("a name"), serves);
+        match devices.server_address.check_usable_on_this_host() {
             Ok(()) => assert!(checked.is_ok(), "this build has ROS 2"),
             Err(_) => {
                 let error = checked.expect_err("this build has no ROS 2").error.to_string();
@@ -220,10 +221,10 @@ server: cluster
     #[test]
     fn device_file_of_paper_is_parsed() {
         let devices = Devices::parse(PUBLISHED, "net.yaml", None).expect("reads");
-        assert_eq!(devices.address.to_string(), "tcp://cluster.lab.example:5551");
+        assert_eq!(devices.server_address.to_string(), "tcp://cluster.lab.example:5551");
         let text = format!("{PUBLISHED}start_port: 6000\nsomething: [1, 2]\n");
         let devices = Devices::parse(&text, "net.yaml", None).expect("reads");
-        assert_eq!(devices.address.to_string(), "tcp://cluster.lab.example:6000");
+        assert_eq!(devices.server_address.to_string(), "tcp://cluster.lab.example:6000");
     }
 
     #[test]
@@ -231,18 +232,18 @@ server: cluster
         let network = NetworkKind::ALL.iter().copied().find(|kind| kind.has_named_listeners());
         let text = format!("{PUBLISHED}ros_version: 1\n");
         let devices = Devices::parse(&text, "net.yaml", network).expect("reads");
-        assert_eq!(devices.address.listener_name(), Some("cluster"));
+        assert_eq!(devices.server_address.listener_name(), Some("cluster"));
         let text = text.replace("cluster.lab.example", "ros1://robot:7/gpu");
         let devices = Devices::parse(&text, "net.yaml", None).expect("reads");
-        assert_eq!(devices.address.to_string(), "ros1://robot:7/gpu");
+        assert_eq!(devices.server_address.to_string(), "ros1://robot:7/gpu");
         let text =
             format!("{PUBLISHED}ros_version: 2\nros2:\n  reliability: best-effort\n  interfaces: [lo]\n");
         let devices = Devices::parse(&text, "net.yaml", network).expect("reads");
-        assert!(devices.address.ros_domain().is_some());
+        assert!(devices.server_address.ros_domain().is_some());
         assert_eq!(devices.ros2.interfaces, ["lo"]);
         let text = text.replace("cluster.lab.example", "ros2://7/gpu");
         let devices = Devices::parse(&text, "net.yaml", None).expect("reads");
-        assert_eq!(devices.address.to_string(), "ros2://7/gpu");
+        assert_eq!(devices.server_address.to_string(), "ros2://7/gpu");
         let text = format!("{PUBLISHED}ros_version: 3\n");
         let error = Devices::parse(&text, "net.yaml", network).expect_err("no such version").to_string();
         assert!(error.contains("ros_version") && error.contains("cluster"), "{error}");
@@ -255,14 +256,16 @@ server: cluster
             let name = name.parse().expect("a name");
             devices.check(&name, serves).map_err(|failure| failure.to_string())
         };
-        assert_eq!((check("cluster", true), check("jetson-orin", false)), (Ok(()), Ok(())));
-        let unknown = check("jetson", false).expect_err("not there");
+        let check_server = |name| check(name, true);
+        let check_client = |name| check(name, false);
+        assert_eq!((check_server("cluster"), check_client("jetson-orin")), (Ok(()), Ok(())));
+        let unknown = check_client("jetson").expect_err("not there");
         assert!(
             unknown.contains("no device jetson") && unknown.contains("cluster, jetson-orin"),
             "{unknown}"
         );
-        assert!(check("jetson-orin", true).expect_err("a client").contains("cluster serves"));
-        assert!(check("cluster", false).expect_err("a server").contains("--server"));
+        assert!(check_server("jetson-orin").expect_err("a client").contains("cluster serves"));
+        assert!(check_client("cluster").expect_err("a server").contains("--server"));
     }
 
     #[test]

@@ -12,7 +12,7 @@ use peernet_logger::Slug;
 
 use super::Arguments;
 
-/// Device of a model of the bank without `--device`, as in the paper's program.
+/// Device of a model of the bank if `--device` is not given, as in the paper's program.
 const DEFAULT_DEVICE: &str = "cuda:0";
 
 /// Returns the model's configuration after checking its files and its device.
@@ -73,8 +73,8 @@ fn check(config: &ModelConfig, runtime: &OnnxRuntimeConfig, clock: SharedClock) 
     bank.check().into_iter().next().map(|(_, error)| error)
 }
 
-/// Makes the failure, with advice for the default device of the paper's program, `cuda:0`, which many hosts do not
-/// have.
+/// Makes the failure. If a device other than `cpu` cannot be used, the text names `--device cpu`, because many hosts do
+/// not have `cuda:0`, the default device of the paper's program.
 pub(super) fn failure(error: LoadError) -> Failure {
     let exit = match &error {
         error if error.is_missing() => Exit::NoInput,

@@ -85,7 +85,7 @@ fn check(config: SensorConfig) -> Result<SensorConfig, Failure> {
     Ok(config)
 }
 
-/// Makes the sensor of a custom object or program, which may be run because this command line names it.
+/// Makes the configuration of a sensor that is a Python object or a program.
 fn external_sensor(object: &str, pickle: bool) -> Result<SensorConfig, Failure> {
     Ok(match super::exec_command(object)? {
         Some(command) => SensorConfig::program(command),

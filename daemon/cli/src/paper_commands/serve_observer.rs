@@ -132,8 +132,10 @@ impl ServeObserver {
             .then(|| format!("{missing} of {} did not arrive here: {advice}", counted(target, "iteration")))
     }
 
-    /// Loads the model before the first request, so that errors show immediately and no client waits for it.
-    fn load(&mut self, running: &RunningAgent) -> Option<AgentEnd<LoadError>> {
+    /// Starts to load the model in the first call, and checks in later calls whether the model is loaded. Returns the
+    /// end of the agent if the model cannot be loaded. The model is loaded before the first request, so that errors
+    /// show immediately and no client waits for the model.
+    fn poll_loading(&mut self, running: &RunningAgent) -> Option<AgentEnd<LoadError>> {
         match &mut self.loading {
             Loading::NotStarted => {
                 self.loading = Loading::InProgress(running.load_model(&self.model));
@@ -200,8 +202,8 @@ impl RunObserver for ServeObserver {
     }
 
     fn poll_state(&mut self, running: &RunningAgent) -> Option<AgentEnd<LoadError>> {
-        // The observer polls the load, so that signals are handled while a large model is loaded.
-        if let Some(end) = self.load(running) {
+        // The observer does not wait for the model, so that signals are handled while a large model is loaded.
+        if let Some(end) = self.poll_loading(running) {
             return Some(end);
         }
         let served = running.served_counts().borrow().clone();
@@ -211,8 +213,8 @@ impl RunObserver for ServeObserver {
         self.sessions = served.sessions;
         let now = self.clock.mono();
         self.answers.update(served.answers, served.errors, served.missed, now);
-        let state = self.describe();
-        self.progress.show(now, None, || state);
+        let (state, no_trouble) = (self.describe(), None);
+        self.progress.show(now, no_trouble, || state);
         self.answers.are_complete().then_some(AgentEnd::Finished)
     }
 

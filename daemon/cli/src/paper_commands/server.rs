@@ -28,7 +28,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     let session =
         arguments.session(SessionSettings { ros2: devices.ros2.clone(), ..SessionSettings::default() });
     config.serve = Some(ServeConfig {
-        listen: all_interfaces(&devices.address).into(),
+        listen: all_interfaces(&devices.server_address).into(),
         session,
         ..ServeConfig::default()
     });
@@ -43,7 +43,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
         let file = arguments.network_config.display();
         Failure::new(
             exit,
-            error.context(format!("cannot serve at {}", describe_address(&devices.address, &file))),
+            error.context(format!("cannot serve at {}", describe_address(&devices.server_address, &file))),
         )
     })?;
     if observer.has_answers() || matches!(result.end, AgentEnd::Finished | AgentEnd::Interrupted) {
@@ -66,7 +66,7 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
 fn describe_address(address: &Address, file: &impl std::fmt::Display) -> String {
     match address.listener_name() {
         None => format!("port {}, the start_port of {file}", address.port()),
-        Some(_) => format!("{address}, as {file} and the environment say"),
+        Some(_) => format!("{address}, as {file} and the environment variables say"),
     }
 }
 
@@ -74,7 +74,8 @@ fn describe_address(address: &Address, file: &impl std::fmt::Display) -> String 
 /// name of this device may be known to other devices only.
 fn all_interfaces(address: &Address) -> Address {
     if address.listener_name().is_some() {
-        // Host and port belong to a program that resolves the name.
+        // Host and port are not those of this device. They belong to a program that resolves the listener's name, such
+        // as the ROS master.
         return address.clone();
     }
     let ip = match address.host().trim_matches(['[', ']']).parse() {

@@ -33,7 +33,8 @@ impl FigureFolders {
                 Self { runs: folders().collect(), all_runs: folder.clone() }
             }
             (None, _) => {
-                // Figures that show all runs of several named paths go to the current folder.
+                // All figures of a single run, such as one data.csv, go to the folder of the run. Figures that show
+                // several runs go to the current folder, because the command line has several paths.
                 let only_folder = if runs.len() == 1 { folders().next() } else { None };
                 Self {
                     runs: folders().collect(),

@@ -96,7 +96,8 @@ impl Kind {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
     let named_paths = distinct_paths(&arguments.runs);
-    let CollectedResults { runs, unreadable, .. } = collect(&named_paths, None, &|_| true)?;
+    let (no_baseline, is_wanted_column) = (None, |_: &str| true);
+    let CollectedResults { runs, unreadable, .. } = collect(&named_paths, no_baseline, &is_wanted_column)?;
     let folders = FigureFolders::choose(&named_paths, &runs, arguments.out.as_deref());
     let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
     let mut missing_data = Vec::new();

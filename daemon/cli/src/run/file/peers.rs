@@ -10,7 +10,7 @@ use toml::{Table, Value};
 
 use super::experiment::Network;
 use crate::exit::Failure;
-use crate::network::network as kind;
+use crate::network::parse_network_kind;
 use crate::paper_commands::{DeviceAddresses, addresses};
 use crate::run::relative_paths::base_hint;
 
@@ -22,7 +22,7 @@ pub(super) struct DeviceFiles(BTreeMap<(PathBuf, &'static str), Result<DeviceAdd
 #[derive(Clone, Debug, thiserror::Error)]
 pub(super) enum PeerError {
     #[error("network.config: {0}; {hint}", hint = base_hint())]
-    NoSuchFile(Arc<Failure>),
+    MissingRelativeFile(Arc<Failure>),
     #[error("network.config: {0}")]
     File(Arc<Failure>),
     #[error(
@@ -41,7 +41,7 @@ impl DeviceFiles {
         let key = (path.to_owned(), kind.name());
         let addresses = self.0.entry(key).or_insert_with(|| addresses(path, kind).map_err(Arc::new));
         addresses.as_ref().map_err(|failure| match path.is_relative() && !path.exists() {
-            true => PeerError::NoSuchFile(Arc::clone(failure)),
+            true => PeerError::MissingRelativeFile(Arc::clone(failure)),
             false => PeerError::File(Arc::clone(failure)),
         })
     }
@@ -61,7 +61,8 @@ pub(super) fn resolve(
         return Ok(None);
     };
     // An unknown network is reported when the whole pipeline is read.
-    let kind = placement.get("network").and_then(Value::as_str).and_then(|name| kind(name).ok());
+    let kind =
+        placement.get("network").and_then(Value::as_str).and_then(|name| parse_network_kind(name).ok());
     let Some(Value::String(peer)) = placement.get_mut("peer") else {
         return Ok(None);
     };
@@ -87,7 +88,8 @@ pub(super) fn resolve(
 
 /// Adds the settings of a file of devices to a placement. Keys of the placement take precedence.
 fn add_ros2(placement: &mut Table, file_settings: &Ros2SessionSettings) -> Result<(), toml::ser::Error> {
-    // An experiment can only be continued with an unchanged plan, so defaults are not written.
+    // Defaults are not written: plans of earlier releases do not contain them, and an experiment can only be continued
+    // with an unchanged plan.
     if *file_settings == Ros2SessionSettings::default() {
         return Ok(());
     }
