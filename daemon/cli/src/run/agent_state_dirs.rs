@@ -44,11 +44,11 @@ impl AgentStateDirs {
             let path = folder.join(LOCK);
             let lock = File::options().create(true).append(true).open(&path);
             let lock = lock.map_err(|error| cannot("write", &path, &error))?;
-            ensure_free(&lock, folder, &path)?;
+            take_lock(&lock, folder, &path)?;
             let path = folder.join(AGENT_LOCK);
             match File::options().append(true).open(&path) {
-                // This lock is checked and released at once, because the agents of the runs will hold it.
-                Ok(agents) => ensure_free(&agents, folder, &path)?,
+                // This lock is taken and released at once, because the agents of the runs will hold it.
+                Ok(agents) => take_lock(&agents, folder, &path)?,
                 Err(error) if error.kind() == ErrorKind::NotFound => {}
                 Err(error) => return Err(cannot("write", &path, &error)),
             }
@@ -83,6 +83,7 @@ pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<UndeliveredEve
     for folder in folders(plan, &plan.runs)? {
         events.extend(undelivered(&folder).await);
     }
+    // A configuration may name a spool file outside the state folders.
     let mut spool_files = BTreeSet::new();
     for agent in plan.configurations.iter().map(|configuration| &configuration.agent) {
         let (Some(file), Some(aggregator)) = (&agent.spool.file, &agent.agent.aggregator) else { continue };
@@ -93,7 +94,11 @@ pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<UndeliveredEve
     Ok(events)
 }
 
-fn ensure_free(lock: &File, folder: &Path, path: &Path) -> Result<(), Failure> {
+/// Locks the open file at `path`. The lock lasts until `lock` is closed.
+///
+/// # Errors
+/// When another process holds the lock, or the file cannot be locked (exit code 69).
+fn take_lock(lock: &File, folder: &Path, path: &Path) -> Result<(), Failure> {
     match lock.try_lock() {
         Ok(()) => Ok(()),
         Err(TryLockError::WouldBlock) => {

@@ -51,7 +51,7 @@ pub(crate) struct Arguments {
 /// Selection of runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum RunSelection {
-    /// Runs with this label on this axis.
+    /// Axis and label: the runs that have this label on this axis.
     Label(String, String),
     /// The run with this number.
     Number(usize),

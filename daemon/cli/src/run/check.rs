@@ -12,7 +12,7 @@ use peernet_clock::SharedClock;
 
 use super::file::Configuration;
 
-/// Keys that concern this machine and not the file: pictures, models, programs.
+/// Keys of pictures, models and programs. Whether their values can be used depends on this machine.
 const MACHINE_KEYS: [&str; 4] =
     ["pipeline[0].sensor", "pipeline[0].placement", "pipeline[0].actuator", "bank"];
 
@@ -56,6 +56,7 @@ pub(super) fn configurations(
     clock: &SharedClock,
 ) -> Result<Vec<String>, Failure> {
     let mut problems: Vec<Problem> = Vec::new();
+    // A run does not use the `state_dir` of the file. The check replaces it by a folder that every user can write to.
     let folder = std::env::temp_dir();
     for configuration in configurations {
         let mut agent: AgentConfig = configuration.agent.clone();
@@ -70,12 +71,13 @@ pub(super) fn configurations(
             if !seen_texts.insert(text.clone()) {
                 continue;
             }
+            let no_repeat = None;
             match problems.iter_mut().find(|other| other.text == text) {
                 Some(known) => known.configurations += 1,
                 None => problems.push(Problem {
                     text,
                     concerns_machine,
-                    first_labels: shorten_label(&describe_labels(&configuration.labels, None)),
+                    first_labels: shorten_label(&describe_labels(&configuration.labels, no_repeat)),
                     configurations: 1,
                 }),
             }

@@ -63,7 +63,7 @@ impl ProcessResult {
 pub(super) enum ChildEvent<'a> {
     /// Progress of each process, once it has reported.
     ProgressReport(&'a [Option<ProgressReport>]),
-    /// Output of custom code in the process of this index, or its log.
+    /// Output of custom code in the process of this index, or a line of the log of this process.
     Line(usize, &'a str),
     /// Announcement of how long the processes may still take to end, or that they are killed.
     EndAnnouncement(&'a str),
@@ -75,7 +75,7 @@ pub(super) enum ChildEvent<'a> {
 enum ChildOutput {
     ProgressReport(Box<ProgressReport>),
     Line(String),
-    /// [`MEASUREMENT_ENDED`]
+    /// The line [`MEASUREMENT_ENDED`]. `pass_on` compares the text of the line, so serde skips this variant.
     #[serde(skip)]
     MeasurementEnded,
 }
@@ -208,6 +208,7 @@ impl Child {
         request: &RunRequest,
         sender: mpsc::Sender<(usize, ChildOutput)>,
     ) -> anyhow::Result<Self> {
+        // Without `with_arguments`, programs in the request would lose their arguments.
         let mut request = with_arguments(|| serde_json::to_vec(request))
             .context("cannot write the description of the measurement")?;
         // The process reads one line. The end of its input later means that no process measures any more.

@@ -131,7 +131,7 @@ fn hosts(plan: &Plan) -> Result<Vec<StreamingHost>, Failure> {
 }
 
 /// Describes the waiting events with a sentence for each aggregator. An aggregator of the plan is named by its
-/// address as it is written in the plan's file.
+/// address as it is written in the experiment's file.
 pub(super) fn describe_undelivered(
     undelivered: &[UndeliveredEvents],
     aggregators: &[&Address],

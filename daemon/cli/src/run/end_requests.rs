@@ -24,7 +24,8 @@ impl EndRequests {
     /// Handles a request. Returns the signal for the processes and a text for the user.
     pub(super) fn request(&mut self, now: Instant) -> (Signal, String) {
         self.requests += 1;
-        let mut within = |time: Duration| {
+        // Sets the deadline, but never to a later time. Returns the time until the deadline as a text.
+        let mut set_deadline = |time: Duration| {
             let deadline = self.deadline.map_or(now + time, |deadline| deadline.min(now + time));
             self.deadline = Some(deadline);
             long_duration((deadline - now).as_secs_f64())
@@ -35,14 +36,14 @@ impl EndRequests {
                 Signal::INT,
                 format!(
                     "stopping; work in progress is killed after {}, press Ctrl-C again to shorten this time",
-                    within(FIRST_TIMEOUT)
+                    set_deadline(FIRST_TIMEOUT)
                 ),
             ),
             2 => (
                 Signal::TERM,
                 format!(
                     "processes that do not end within {} are killed, press Ctrl-C again to kill them now",
-                    within(SECOND_TIMEOUT)
+                    set_deadline(SECOND_TIMEOUT)
                 ),
             ),
             _ => (self.take_kill_signal(), "the processes were killed".to_owned()),
@@ -74,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_request_shortens_deadline() {
+    fn later_request_never_extends_deadline() {
         let (mut end_requests, began) = (EndRequests::default(), Instant::now());
         let at = |seconds: u64| began + Duration::from_secs(seconds);
         assert!(!end_requests.is_requested());

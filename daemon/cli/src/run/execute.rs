@@ -90,6 +90,7 @@ impl Execution<'_> {
             let left = left.map_or_else(String::new, |left| format!(", {left} left in total"));
             let trouble = report.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
             let state = || {
+                // `left` replaces the time left of this run alone.
                 (
                     format!("{name}: {}{left}", ProgressReport { left_s: None, ..report.clone() }),
                     share_before + report.fraction_done() * run_share,
@@ -160,8 +161,8 @@ pub(super) fn run_result(
         return RunResult { status: RunStatus::Finished, exit: Some(0), reason: None, seconds };
     };
     // The result files decide, not the exit codes: all iterations may have been tried although some failed, and all
-    // measurements may be written although a process was stopped before it had drawn all figures. The page Compare decides
-    // by the stored end of the run in the same way.
+    // measurements may be written although a process was stopped before it had drawn all figures. The page Compare
+    // decides by the stored end of the run in the same way.
     let status = if load_results(folder, record, run).is_ok() {
         RunStatus::Finished
     } else if process_results.interrupted {

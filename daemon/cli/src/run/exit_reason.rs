@@ -6,8 +6,9 @@ use std::process::ExitStatus;
 
 use crate::exit::Exit;
 
-/// Exit codes of failures. A process prints a failure in one line and indented lines after it. Libraries may have
-/// printed other lines before the failure.
+/// Exit codes after which the last output of a process is a failure: one line, and indented lines after it. Libraries
+/// may have printed other lines before the failure. [`Exit::Usage`] and [`Exit::Software`] are not listed, because the
+/// command line's parser and a panic print several lines.
 const FAILURE_EXITS: [Exit; 7] = [
     Exit::Data,
     Exit::NoInput,

@@ -5,11 +5,12 @@ use std::num::NonZeroU64;
 use peernet_agent::config::{AgentConfig, PipelineConfig, PlacementConfig};
 use peernet_analysis::pace::Pace;
 
-/// Number of samples that are computed at the same time, and of users (edges at the same time) that share the
-/// computation.
+/// Users that share the workers of a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct SharedComputation {
+    /// Number of users: edges that send samples to the model at the same time.
     users: u32,
+    /// Number of samples that the model computes at the same time.
     workers: usize,
 }
 
@@ -94,6 +95,7 @@ mod tests {
             (Some(22.0), Some(20.0))
         );
         let time = pipeline("limit = { total = 1000, duration_s = 3.0 }");
+        // The duration is 3 s and follows the five iterations of the default warm-up.
         assert_eq!(expected_duration(&time, pace), Some(5.5));
     }
 

@@ -4,7 +4,8 @@ use peernet_analysis::record::{NetworkConfig, RunRecord};
 
 use super::plan::Run;
 
-/// Settings of an experiment's file that the plan does not contain.
+/// Settings of an experiment's file that the plan does not contain: whether figures are drawn, and the external files
+/// of devices, which the experiment's file only names.
 pub(super) struct ExternalFiles {
     /// `true` if each run draws its figures.
     pub(super) plots: bool,

@@ -102,6 +102,8 @@ impl Folder {
             // Written next to the record, synced and then renamed: the record is complete even after a crash or power
             // failure.
             let mut file = tempfile::Builder::new().prefix(DRAFT_PREFIX).tempfile_in(&self.path)?;
+            // Without `with_arguments`, programs in the plan would lose their arguments, and the plan of a continued
+            // experiment would differ.
             with_arguments(|| serde_json::to_writer_pretty(&mut file, record))?;
             writeln!(file)?;
             file.as_file().sync_all()?;
@@ -117,7 +119,7 @@ impl Folder {
     ///
     /// # Errors
     /// When something cannot be removed (exit code 73).
-    pub(super) fn clear_results(&self) -> Result<(), Failure> {
+    pub(super) fn remove_tables_and_figures(&self) -> Result<(), Failure> {
         let tables = TABLES.iter().flat_map(|table| FORMATS.map(|format| format!("{table}.{format}")));
         for path in tables.chain(figure_files(&self.path)).map(|name| self.path.join(name)) {
             match fs::remove_file(&path) {
@@ -214,6 +216,7 @@ pub(super) fn ensure_unchanged(record: &Record, plan: &Plan) -> Result<(), Failu
     if record.plan == *plan {
         return Ok(());
     }
+    // Without `with_arguments`, a changed argument of a program would be no difference.
     let json = |plan: &Plan| with_arguments(|| serde_json::to_value(plan)).unwrap_or_default();
     let text = format!(
         "the experiment has changed since it was started:\n  {}\ncontinue with the old file and options, start again with --restart, which removes the runs, or choose another folder with --result-loc",

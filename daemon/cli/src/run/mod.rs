@@ -78,7 +78,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let external_files = ExternalFiles { plots: file.experiment.plots, networks };
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let remarks = check::configurations(&arguments.file, &configurations, &clock)?;
+    // Only `--check` prints these problems. Without `--check`, the trials report them.
+    let machine_problems = check::configurations(&arguments.file, &configurations, &clock)?;
     let path = arguments.result_loc.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(DEFAULT_PARENT).join(file.experiment.name.as_str()));
     // `--restart` replaces the record, and `--check` checks the file only, so a broken record must not stop them.
@@ -93,10 +94,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.check {
         let runs = counted(plan.runs.len() as u64, "run");
         let configurations = counted(plan.configurations.len() as u64, "configuration");
-        remarks
+        machine_problems
             .iter()
-            .for_each(|remark| print_to_stderr(format_args!("a problem of this machine only: {remark}")));
-        hint_at_relative_paths(remarks.iter().map(String::as_str)).iter().for_each(print_to_stderr);
+            .for_each(|problem| print_to_stderr(format_args!("a problem of this machine only: {problem}")));
+        hint_at_relative_paths(machine_problems.iter().map(String::as_str)).iter().for_each(print_to_stderr);
         print_to_stdout(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
         return Ok(());
     }
@@ -143,7 +144,8 @@ async fn execute_experiment(
             }
         };
     let tried_configurations: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
-    // Only configurations that have runs to do are tried: a continued experiment does not need the other peers.
+    // Only configurations that have runs to do are tried: a continued experiment does not need the peers of
+    // the other configurations.
     let trial_results = match trial::configurations(
         &record.plan,
         &tried_configurations,
@@ -230,7 +232,7 @@ async fn execute_experiment(
 
 /// Removes the tables, the figures, the runs and the record of an experiment that is restarted.
 fn clear(folder: &Folder) -> Result<(), Failure> {
-    folder.clear_results()?;
+    folder.remove_tables_and_figures()?;
     match folder.load() {
         Ok(Some(old)) => return folder.clear(&old),
         Ok(None) => {}
@@ -262,11 +264,12 @@ fn estimates(record: &Record, trial_results: &TrialResults) -> DurationEstimates
 /// Returns a failure with the reasons of all failed trials and their configurations; `None` if no trial failed.
 fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Option<Failure> {
     let (_, first) = trial_results.unavailable.first()?;
-    let is_wrong = |result: &ProcessResult| result.code == Some(i32::from(Exit::Configuration as u8));
-    let exit = if is_wrong(first) { Exit::Configuration } else { Exit::Unavailable };
+    let is_invalid_configuration =
+        |result: &ProcessResult| result.code == Some(i32::from(Exit::Configuration as u8));
+    let exit = if is_invalid_configuration(first) { Exit::Configuration } else { Exit::Unavailable };
     let mut reasons: Vec<&str> = Vec::new();
     let reason = |result: &ProcessResult| match &result.reason {
-        Some(reason) if is_wrong(result) => {
+        Some(reason) if is_invalid_configuration(result) => {
             format!("{}: {}", file.display(), check::with_experiment_keys(reason))
         }
         Some(reason) => reason.clone(),

@@ -204,6 +204,7 @@ fn derive_seed(numbers: &[u64]) -> u64 {
 
 /// Sets the seed of a configuration. A configuration of a kind that has no seed stays unchanged.
 fn with_seed<T: Clone + Serialize + serde::de::DeserializeOwned>(config: &T, seed: u64) -> T {
+    // Without `with_arguments`, a program would lose its arguments.
     let seeded = with_arguments(|| serde_json::to_value(config)).ok().and_then(|mut value| {
         value.as_object_mut()?.insert("seed".to_owned(), Value::from(seed));
         serde_json::from_value(value).ok()

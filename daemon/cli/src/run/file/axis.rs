@@ -154,7 +154,8 @@ impl Axis {
 
 /// Reads `field` and `values`: one field, with the values as labels.
 fn read_short_form(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, AxisError> {
-    // The arguments of a program may be secret, and labels are sent to aggregators.
+    // The arguments of a program may be secret, and labels are sent to aggregators. The label of a command is therefore
+    // only its program.
     let is_command = field.ends_with(".command");
     let field = variable_field(field)?;
     let value = |value: Value| {

@@ -1,4 +1,4 @@
-//! Conversion of one combination to an agent's configuration.
+//! Conversion of one combination of the axes' values to an agent's configuration.
 
 use std::num::NonZeroU32;
 use std::path::PathBuf;
@@ -96,7 +96,7 @@ impl File {
     pub(super) fn configuration(
         &self,
         combination: &Combination<'_>,
-        models: &[PathBuf],
+        model_folders: &[PathBuf],
         files: &mut peers::DeviceFiles,
     ) -> Result<(Configuration, Option<NetworkConfig>), ConfigurationError> {
         let mut document = self.document.clone();
@@ -111,7 +111,7 @@ impl File {
                 })?;
             }
         }
-        read(document, models, files)
+        read(document, model_folders, files)
             .map(|(configuration, network)| {
                 let labels = combination.iter().map(|(axis, value)| (axis.name.clone(), value.label.clone()));
                 (Configuration { labels: labels.collect(), ..configuration }, network)
@@ -122,7 +122,7 @@ impl File {
 
 fn read(
     mut document: Table,
-    models: &[PathBuf],
+    model_folders: &[PathBuf],
     files: &mut peers::DeviceFiles,
 ) -> Result<(Configuration, Option<NetworkConfig>), ConfigurationError> {
     let experiment = document.remove("experiment").unwrap_or_else(|| Value::Table(Table::new()));
@@ -146,11 +146,11 @@ fn read(
     document.insert("pipeline".to_owned(), Value::Array(vec![Value::Table(pipeline)]));
     let mut agent: AgentConfig = convert(document).map_err(ConfigurationError::Agent)?;
     if has_bank {
-        // A folder on the command line precedes those of the file, as it precedes all others.
-        let folders = models.iter().chain(&agent.bank.folders).cloned();
+        // A folder on the command line precedes the folders of the file, as it precedes the default folders below.
+        let folders = model_folders.iter().chain(&agent.bank.folders).cloned();
         agent.bank.folders = ModelFolders::new(folders).paths().to_vec();
     } else {
-        agent.bank.folders = ModelFolders::search(models).paths().to_vec();
+        agent.bank.folders = ModelFolders::search(model_folders).paths().to_vec();
     }
     agent.agent.aggregator = experiment.aggregator.clone().or(agent.agent.aggregator);
     // Two agents cannot write to one spool.
@@ -160,8 +160,8 @@ fn read(
     let (limit, warm_up) = (experiment.limit()?, experiment.warm_up());
     for pipeline in &mut agent.pipelines {
         pipeline.limit = limit;
-        // Without feedback every episode has all of its steps, which the total contains. The plan of such an
-        // experiment stays as earlier releases wrote it.
+        // Without feedback no episode ends early, so `limit.total` (episodes × steps) ends the run after the last
+        // episode. Then `limit.episodes` stays unset, as in the plans of earlier releases.
         pipeline.limit.episodes = experiment.episodes().filter(|_| pipeline.actuator.ends_episodes());
         pipeline.warm_up = warm_up;
         pipeline.episode_steps = experiment.episode_steps;

@@ -51,7 +51,7 @@ pub(in crate::run) struct Experiment {
     /// Iterations that are left out of statistics.
     #[serde(default)]
     warm_up: Option<WarmUp>,
-    /// Number of iterations that count.
+    /// Number of iterations of each run after its warm-up.
     #[serde(default)]
     iterations: Option<NonZeroU64>,
     /// Duration of each run after its warm-up, seconds.
@@ -130,17 +130,13 @@ impl Experiment {
     /// # Errors
     /// When the table has no limit.
     pub(super) fn limit(&self) -> Result<Limit, LimitError> {
-        let episodes = match (self.episodes, self.episode_steps) {
+        let total = match (self.episodes, self.episode_steps) {
             (Some(episodes), Some(steps)) => Some(NonZeroU64::from(episodes).saturating_mul(steps.into())),
             (Some(_), None) => return Err(LimitError::EpisodeSteps),
             (None, _) => None,
         };
-        let limit = Limit {
-            iterations: self.iterations,
-            total: episodes,
-            duration_s: self.duration_s,
-            ..Limit::default()
-        };
+        let limit =
+            Limit { iterations: self.iterations, total, duration_s: self.duration_s, ..Limit::default() };
         if limit.is_none() {
             return Err(LimitError::Endless);
         }
@@ -200,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn warm_up_episodes_are_excluded() {
+    fn default_warm_up_depends_on_episodes() {
         let paper = read("episodes = 30\nepisode_steps = 30");
         assert_eq!(paper.limit().expect("there is one").total.map(NonZeroU64::get), Some(900));
         assert_eq!(

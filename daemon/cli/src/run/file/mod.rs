@@ -105,14 +105,14 @@ impl File {
     }
 
     /// Returns the configurations of the experiment with the files that name their peers: every combination of the
-    /// axes' values that is not excluded, the last axis changing fastest. `models` are the folders that are searched
-    /// unless `[bank]` names others.
+    /// axes' values that is not excluded, the last axis changing fastest. `model_folders` are the folders of models on
+    /// the command line.
     ///
     /// # Errors
     /// When something is wrong, with the key of each error (exit code 78).
     pub(super) fn configurations(
         &self,
-        models: &[PathBuf],
+        model_folders: &[PathBuf],
     ) -> Result<(Vec<Configuration>, Vec<Option<NetworkConfig>>), Failure> {
         let invalid = |text: String| Failure::new(Exit::Configuration, anyhow!("{text}"));
         let with_path = |error| invalid(format!("{}: {error}", self.path.display()));
@@ -121,7 +121,7 @@ impl File {
         let (mut configurations, mut networks) = (Vec::new(), Vec::new());
         let (mut problems, mut files) = (Vec::<String>::new(), peers::DeviceFiles::default());
         for combination in combinations {
-            match self.configuration(&combination, models, &mut files) {
+            match self.configuration(&combination, model_folders, &mut files) {
                 Ok((configuration, network)) => {
                     configurations.push(configuration);
                     networks.push(network);
