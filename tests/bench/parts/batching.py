@@ -58,8 +58,8 @@ def measure(quick: bool) -> Section:
 def _section(runs: list[Run], alone: dict[int, float], repeats: int, seconds: int) -> Section:
     section = Section("Batches")
     section.say(
-        f"An agent offers `quality-control` twice, with and without `{BATCH}`; the first dimension of its graph, the batch, is open. One "
-        "worker, one thread, all processes on one machine. Each user is a process of `peernet run`, which sends JPEG "
+        f"An agent offers `quality-control` twice, with and without `{BATCH}`; the first dimension of its graph, the batch, is open. "
+        "One worker, one thread, all processes on one machine. Each user is a process of `peernet run`, which sends JPEG "
         f"files of {SIZE[0]} × {SIZE[1]} pixels in a closed loop. {repeats} repeats of {seconds} s of each "
         "configuration, in random order within each repeat; only the time in which all users measured counts. Medians "
         "over the repeats, ratios taken repeat by repeat."
