@@ -161,11 +161,13 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
         window.and_then(|window| window.values.iter().find(|statistics| statistics.name == name))
     };
     let total = statistics_of("total");
-    let duration_format =
-        DurationFormat::for_total(total.map(|figures| figures.mean), total.and_then(|figures| figures.std));
+    let duration_format = DurationFormat::for_total(
+        total.map(|statistics| statistics.mean),
+        total.and_then(|statistics| statistics.std),
+    );
     let milliseconds =
         |seconds: Option<f64>| or_dash(seconds.map(|seconds| duration_format.duration(seconds)));
-    let mean = |name: &str| milliseconds(statistics_of(name).map(|figures| figures.mean));
+    let mean = |name: &str| milliseconds(statistics_of(name).map(|statistics| statistics.mean));
     let Placement { kind, peer, address, model } = &pipeline.placement;
     // A peer has no name before the first session; until then its address identifies it.
     let placement_text = match peer.as_ref().or(address.as_ref()) {

@@ -144,9 +144,8 @@ async fn execute_experiment(
             }
         };
     let tried_configurations: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
-    // Only configurations that have runs to do are tried: a continued experiment does not need the peers of
-    // the other configurations.
-    let trial_results = match trial::configurations(
+    // Only configurations that have runs to do are tried: a continued experiment does not need the other peers.
+    let trial_results = match trial::try_configurations(
         &record.plan,
         &tried_configurations,
         clock,

@@ -5,7 +5,8 @@ use serde_json::Value;
 /// Maximum number of reported differences.
 const MAX_DIFFERENCES: usize = 8;
 
-/// Returns one line for each difference: path, earlier value and present value.
+/// Returns a line for each difference: path, earlier value and present value. If there are more than
+/// [`MAX_DIFFERENCES`], a last line gives the number of the others.
 pub(super) fn differences(before: &Value, now: &Value) -> Vec<String> {
     let mut differences = Vec::new();
     compare("", before, now, &mut differences);
@@ -75,6 +76,7 @@ mod tests {
         assert!(differences(&now, &now).is_empty());
         let long_list =
             |value: usize| json!((0..20).map(|index| json!({ "a": index * value })).collect::<Vec<_>>());
+        // The entries with index 0 are equal, so 19 of the 20 entries differ, and 8 of these are reported.
         assert_eq!(differences(&long_list(1), &long_list(2)).last().map(String::as_str), Some("and 11 more"));
     }
 }

@@ -66,7 +66,8 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
     ];
     save(folder.path(), "compare", &files)?;
     // If figures cannot be drawn, the tables are printed nevertheless.
-    let figure_error = plots.then(|| figures(&all, comparison.lines.len(), folder.path()).err()).flatten();
+    let configurations = comparison.lines.len();
+    let figure_error = plots.then(|| figures(&all, configurations, folder.path()).err()).flatten();
     let mut parts = vec![comparison.text()];
     if let Some(users) = users {
         let files =
@@ -89,11 +90,13 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
     Ok(Report { text, figure_error })
 }
 
-/// Draws the figures over all configurations. Bar charts need more than one.
-fn figures(all: &[Loaded], lines: usize, folder: &Path) -> Result<(), WriteError> {
-    if lines > 1 {
+/// Draws the figures over all configurations. With a single configuration, only the figure of the payload is drawn: bar
+/// charts need several configurations.
+fn figures(all: &[Loaded], configurations: usize, folder: &Path) -> Result<(), WriteError> {
+    if configurations > 1 {
         return figures::of_experiment(all, folder).map(drop);
     }
+    // Runs without the data of the figure have no figure.
     match figures::draw(Kind::Payload, all, &Columns::default(), folder) {
         Err(PlotError::Write(error)) => Err(error),
         Ok(_) | Err(PlotError::MissingData(..)) => Ok(()),

@@ -15,7 +15,7 @@ const UNNUMBERED: &str = " A sensor that does not number its samples cannot tell
 pub(super) struct SensorsTable {
     table: Table,
     note: String,
-    /// `true` if all runs measure only a sensor.
+    /// `true` if the table has a row for each edge of each run.
     pub(super) covers_all_runs: bool,
 }
 
@@ -36,8 +36,8 @@ impl SensorsTable {
         header.extend(has_repeats.then(|| "repeat".to_owned()));
         header.extend(has_several_edges.then(|| "edge".to_owned()));
         let label_columns = header.len();
-        let figures = ["samples", "rate /s", "period", "jitter p50", "jitter p99", "longest gap", "sensing"];
-        header.extend(figures.into_iter().chain(["dropped", "failed"]).map(str::to_owned));
+        let metrics = ["samples", "rate /s", "period", "jitter p50", "jitter p99", "longest gap", "sensing"];
+        header.extend(metrics.into_iter().chain(["dropped", "failed"]).map(str::to_owned));
         let row = |(run, edge, study): &(&Run, &Loaded, SensorStudy)| {
             let mut cells: Vec<String> =
                 plan.configuration(run).labels.iter().map(|(_, label)| label.clone()).collect();

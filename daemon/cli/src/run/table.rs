@@ -19,7 +19,7 @@ pub(super) fn runs(record: &Record, estimates: &DurationEstimates) -> String {
     let axes = plan.configurations.first().map(|configuration| &configuration.labels);
     let mut header = vec!["run".to_owned()];
     header.extend(axes.into_iter().flatten().map(|(axis, _)| shorten_label(axis)));
-    // An axis with the number of users makes the column superfluous.
+    // If an axis shows the number of users, the table has no column `users`.
     let axis_shows_users = (0..header.len() - 1).any(|axis| {
         plan.configurations.iter().all(|configuration| {
             configuration.labels.get(axis).is_some_and(|(_, label)| *label == configuration.users.to_string())
@@ -40,6 +40,7 @@ pub(super) fn runs(record: &Record, estimates: &DurationEstimates) -> String {
         cells.extend(has_repeats.then(|| (run.repeat + 1).to_string()));
         cells.extend(has_users_column.then(|| configuration.users.to_string()));
         cells.push(state.status.name().to_owned());
+        // A run that is not finished has its estimated duration.
         let measured_s = state.seconds.filter(|_| state.status == RunStatus::Finished);
         let time_s = measured_s.or_else(|| estimates.duration_s(run.configuration));
         cells.push(time_s.map_or_else(|| UNKNOWN.to_owned(), long_duration));

@@ -54,7 +54,7 @@ struct Trial {
 ///
 /// # Errors
 /// When no temporary folder can be created (exit code 69) or the user ended the trial (exit code 130).
-pub(super) async fn configurations(
+pub(super) async fn try_configurations(
     plan: &Plan,
     indexes: &BTreeSet<usize>,
     clock: &SharedClock,
@@ -112,7 +112,7 @@ pub(super) async fn configurations(
             Some(result) if result.is_successful() || has_answer(&result, loaded.as_ref()) => {
                 if let Some(reason) = result.reason.filter(|_| !quiet) {
                     progress.print_line(format_args!(
-                        "{state}: {reason}; runs count failed iterations and go on"
+                        "{state}: {reason}; a run counts failed iterations and continues"
                     ));
                 }
                 let pace = loaded.as_ref().and_then(|loaded| Pace::from_trial(&loaded.rows, duration_s));
@@ -120,13 +120,14 @@ pub(super) async fn configurations(
             }
             Some(result) => {
                 let result = describe_failure(request, result);
-                // A trial that took as long as the timeout failed because it waited for the peer; a shorter one
-                // failed for another reason, which says nothing about the peer.
+                // If a trial took as long as the timeout, it waited for the peer in vain. A shorter trial failed for
+                // another reason, which says nothing about the peer.
                 if duration_s >= request.peer_timeout_s.unwrap_or(PEER_TIMEOUT_S) {
                     unreachable.extend(peer.map(|peer| (peer, result.clone())));
                 }
                 results.unavailable.extend(descriptions().map(|description| (description, result.clone())));
             }
+            // There is always a result, because there is one request.
             None => {}
         }
         // A failed trial may have found conditions of the hosts, too.
@@ -159,10 +160,11 @@ fn trials(plan: &Plan, indexes: &BTreeSet<usize>) -> Vec<Trial> {
 
 /// Describes a configuration by its labels, or without axes by the experiment's name.
 fn describe_configuration(plan: &Plan, index: usize) -> String {
+    let no_repeat = None;
     let description = plan
         .configurations
         .get(index)
-        .map(|configuration| shorten_label(&describe_labels(&configuration.labels, None)));
+        .map(|configuration| shorten_label(&describe_labels(&configuration.labels, no_repeat)));
     description.filter(|text| !text.is_empty()).unwrap_or_else(|| plan.name.to_string())
 }
 
@@ -199,8 +201,9 @@ fn describe_failure(request: &RunRequest, result: ProcessResult) -> ProcessResul
 
 /// Makes the request for a trial: the configuration with few iterations, without an actuator and without an aggregator.
 fn trial_request(plan: &Plan, configuration: &Configuration) -> RunRequest {
-    // Custom code may need the variables of the runs.
-    let mut agent = plan.seeded_agent(configuration, 0, 0);
+    // Custom code may need the variables of the runs: the trial has those of the first repeat and the first user.
+    let (repeat, user) = (0, 0);
+    let mut agent = plan.seeded_agent(configuration, repeat, user);
     // Dashboards show no trials.
     agent.agent.aggregator = None;
     let mut tried_actuator = None;
@@ -210,12 +213,14 @@ fn trial_request(plan: &Plan, configuration: &Configuration) -> RunRequest {
         pipeline.episode_steps = None;
         // A slow rate would only prolong the trial.
         pipeline.load = LoadConfig::Closed {};
-        // No robot moves before the user has confirmed the runs.
+        // No robot moves before the user has confirmed the runs: the process of the trial creates the actuator, drops
+        // it, and measures without an actuator.
         tried_actuator = Some(std::mem::take(&mut pipeline.actuator)).filter(ActuatorKind::acts);
     }
+    let no_repeat = None;
     RunRequest {
         agent,
-        title: describe_labels(&configuration.labels, None),
+        title: describe_labels(&configuration.labels, no_repeat),
         folder: std::path::PathBuf::new(),
         overwrite: Overwrite::Refuse,
         plots: false,
