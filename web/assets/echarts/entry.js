@@ -1,4 +1,4 @@
-// The parts of ECharts that move: everything that stands still is SVG from the server.
+// The parts of ECharts for charts that change in the browser. All other charts are SVG from the server.
 export * from "echarts/core";
 import { use } from "echarts/core";
 import { BarChart, CustomChart, LineChart, ScatterChart } from "echarts/charts";

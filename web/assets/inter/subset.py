@@ -24,6 +24,7 @@ def main(source: str) -> None:
     options.notdef_outline = True
     subsetter = subset.Subsetter(options)
     subsetter.populate(unicodes=LATIN + SPACES + SIGNS)
+    # The font is saved and read again before each step, so that each step gets a complete, uncompressed font.
     font = TTFont(source)
     font.flavor = None
     plain = io.BytesIO()

@@ -79,11 +79,11 @@ const PEER = (() => {
     return Math.ceil(Math.max(0, ...labels.map((label) => ruler.measureText(label).width)));
   }
   // Margins of a plot: on the left for the labels of its values, on the right for half a label of the time axis.
-  const sides = (values, seconds) => ({ left: Math.max(px(2.25), px(0.375) + maxLabelWidth(values)), right: maxLabelWidth([timeOfDay(0, seconds)]) / 2 });
+  const sides = (values, timePrecision) => ({ left: Math.max(px(2.25), px(0.375) + maxLabelWidth(values)), right: maxLabelWidth([timeOfDay(0, timePrecision)]) / 2 });
   function timeAxis(more) {
     return {
       type: "time", axisLine: { lineStyle: { color: css("--line") } }, axisTick: { show: false }, splitLine: { show: false },
-      axisLabel: { ...text(), hideOverlap: true, showMinLabel: false, showMaxLabel: false, formatter: (time) => timeOfDay(time, more?.seconds), ...more?.ends },
+      axisLabel: { ...text(), hideOverlap: true, showMinLabel: false, showMaxLabel: false, formatter: (time) => timeOfDay(time, more?.timePrecision), ...more?.ends },
       axisPointer: { lineStyle: { color: css("--ink-3"), width: 1, type: "solid" }, label: { show: false } },
       ...more,
     };
@@ -136,6 +136,7 @@ const PEER = (() => {
   }
 
   // --- marks on the time axis: a dashed line across the plot with a sign above it; a gap is a hatched span
+  // The path of a sign lies in a square of 12 × 12 units.
   const SIGNS = {
     model: "M6 1.2 10.4 3.6v4.8L6 10.8 1.6 8.4V3.6zM1.6 3.6 6 6l4.4-2.4M6 6v4.8",
     reconnect: "M10.3 5A4.5 4.5 0 1 0 10 8M10.5 1.8V5H7.3",
@@ -145,7 +146,7 @@ const PEER = (() => {
     unsynchronised: "M6 1.4a4.6 4.6 0 1 0 0 9.2 4.6 4.6 0 0 0 0-9.2M2.8 9.2 9.2 2.8",
     run: "M3 1.8v8.4L10 6z",
   };
-  // Marks and gaps that are closer than this, px, are drawn as one.
+  // Gaps that are closer than this, px, are drawn as one, and so are crosses of failed iterations.
   const TOUCHING = 6;
   // Returns the visible gaps in pixels. Neighbours closer than TOUCHING px are merged. If `commonText` is given, it is
   // the text of the widest gap, and the other gaps have no text.
@@ -159,7 +160,7 @@ const PEER = (() => {
       else found.push({ index, from, to, text: gap.text });
     });
     const widest = found.reduce((best, span) => (best && best.to - best.from >= span.to - span.from ? best : span), null);
-    // The text of a short gap could overlap a sign, so short gaps have no text.
+    // The text of a short gap could overlap a sign, so short gaps have no text. A single gap always has its text.
     for (const span of found) span.shownText = commonText ? (span === widest ? commonText : "") : span.to - span.from >= px(0.75) || gaps.length === 1 ? span.text : "";
     return new Map(found.map((span) => [span.index, span]));
   }
@@ -230,47 +231,47 @@ const PEER = (() => {
   document.addEventListener("pointerover", (event) => { hovered = event.target.closest?.(".chart") || null; });
   const sight = new IntersectionObserver((entries) => {
     for (const entry of entries) {
-      const one = entry.target.peer;
-      if (!one) continue;
-      one.seen = entry.isIntersecting;
-      if (one.seen && one.stale) redraw(one);
+      const drawing = entry.target.drawing;
+      if (!drawing) continue;
+      drawing.seen = entry.isIntersecting;
+      if (drawing.seen && drawing.stale) redraw(drawing);
     }
   });
   // Draws a chart again. A chart outside the visible part of the page is drawn when it becomes visible, or at once if
   // `unseen`: a printed page contains all charts.
-  function redraw(one, unseen = false) {
-    one.stale = !unseen && (!one.seen || document.hidden);
-    if (one.stale || !one.node.clientWidth) { one.stale = true; return; }
-    const option = { animation: false, ...one.make(one.chart) };
+  function redraw(drawing, unseen = false) {
+    drawing.stale = !unseen && (!drawing.seen || document.hidden);
+    if (drawing.stale || !drawing.node.clientWidth) { drawing.stale = true; return; }
+    const option = { animation: false, ...drawing.make(drawing.chart) };
     // By default ECharts narrows a plot when one of its labels comes near the edge, but not the plots above it. One time would then
     // have two positions.
     option.grid = option.grid.map((place) => ({ outerBoundsMode: "none", ...place }));
     // Options are merged if only figures changed, so that an open tooltip stays and is updated.
     const shape = option.series.map((series) => `${series.type} ${series.name}`).join() + option.grid.length;
-    one.chart.setOption(option, { notMerge: shape !== one.shape });
-    one.shape = shape;
+    drawing.chart.setOption(option, { notMerge: shape !== drawing.shape });
+    drawing.shape = shape;
   }
   function draw(node, make) {
-    const one = { node, make, chart: echarts.init(node, null, { renderer: "canvas" }), seen: true, stale: false };
+    const drawing = { node, make, chart: echarts.init(node, null, { renderer: "canvas" }), seen: true, stale: false };
     // By default the renderer requests ten more animation frames after each drawing, which cost processor time.
-    one.chart.getZr().setSleepAfterStill(1);
-    node.peer = one;
-    drawn.add(one);
-    redraw(one);
+    drawing.chart.getZr().setSleepAfterStill(1);
+    node.drawing = drawing;
+    drawn.add(drawing);
+    redraw(drawing);
     sight.observe(node);
     new ResizeObserver(() => {
       if (!node.clientWidth) return;
-      one.chart.resize();
-      redraw(one);
+      drawing.chart.resize();
+      redraw(drawing);
     }).observe(node);
-    return one;
+    return drawing;
   }
   // Releases the charts whose elements were removed from the page.
   function forget() {
-    for (const one of drawn) if (!one.node.isConnected) { one.chart.dispose(); drawn.delete(one); }
+    for (const drawing of drawn) if (!drawing.node.isConnected) { drawing.chart.dispose(); drawn.delete(drawing); }
   }
-  document.addEventListener("peernet-theme", ({ detail }) => drawn.forEach((one) => redraw(one, detail === "print")));
-  document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((one) => { if (one.stale) redraw(one); }); });
+  document.addEventListener("peernet-theme", ({ detail }) => drawn.forEach((drawing) => redraw(drawing, detail === "print")));
+  document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((drawing) => { if (drawing.stale) redraw(drawing); }); });
 
   return { PARTS, look, css, px, fill, lineColour, timeOfDay, text, sides, timeAxis, valueAxis, tooltip, tip, marks, runMarks, bucket, steps, ticks, draw, redraw, forget, isHovered: (node) => hovered === node };
 })();

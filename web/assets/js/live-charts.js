@@ -16,13 +16,14 @@
     if (!block || !document.querySelector(".live-chart")) return;
     const data = JSON.parse(block.textContent);
     marks = data.marks;
+    // `n` has the number of successful iterations of each second since `from`, and `null` for a second without a report.
     cards = data.charts.map((card) => ({ ...card, last: card.from + card.n.length - 1 }));
     scale = { max: 0, since: 0 };
     for (const card of cards) {
       const node = document.querySelector(`.live-chart[data-key="${CSS.escape(card.key)}"]`);
-      if (!node || node.peer) continue;
-      card.one = PEER.draw(node, () => options(card, node));
-      card.one.chart.group = "live";
+      if (!node || node.drawing) continue;
+      card.drawing = PEER.draw(node, () => options(card, node));
+      card.drawing.chart.group = "live";
     }
     echarts.connect("live");
   }
@@ -130,8 +131,8 @@
     return found;
   }
 
-  // Returns one scale for all charts, so that they can be compared. It grows at once, and shrinks only half a minute
-  // after its last change.
+  // Returns one scale for all charts, so that they can be compared. It grows at once. It shrinks after half a minute in
+  // which a smaller scale was enough.
   function sharedScale() {
     let highest = 0;
     for (const card of cards) {
@@ -174,7 +175,7 @@
   }
 
   // Returns the points of the area of a stage. The area of a single bucket between empty buckets is as wide as the
-  // bucket. Otherwise it would have no width.
+  // bucket, and ends just before the next bucket. Otherwise it would have no width.
   function areas(rows, stage, size) {
     const points = [];
     rows.forEach((row, index) => {
@@ -185,6 +186,8 @@
     return points;
   }
 
+  // Returns the low plots below the main plot: the throughputs of a pipeline that sends messages, otherwise the load of
+  // CPU and GPU. An obstacle is the reason why a direction has no throughput.
   function strips(card, rows) {
     const points = (key) => rows.map((row) => [row.at, row[key] ?? null]);
     if (card.remote) {
@@ -197,9 +200,9 @@
 
   function options(card, node) {
     const { rows, size, p95, stages, start, end } = bucketed(card);
-    const seconds = range <= 60, ends = sharedScale(), below = strips(card, rows);
+    const timePrecision = range <= 60, valueScale = sharedScale(), below = strips(card, rows);
     for (const strip of below) strip.max ??= PEER.steps(strip.points.reduce((most, point) => Math.max(most, point[1] || 0), 0)).max;
-    const { left, right } = PEER.sides(PEER.ticks(ends).concat(below.map((strip) => NUMBERS.tick(strip.max))), seconds);
+    const { left, right } = PEER.sides(PEER.ticks(valueScale).concat(below.map((strip) => NUMBERS.tick(strip.max))), timePrecision);
     const main = { left, right, top: PEER.px(2.25), height: PEER.px(below.length > 1 ? 9.25 : 11.5) };
     const tops = below.map((_, index) => main.top + main.height + PEER.px(1.1 + index * 2.25)), low = PEER.px(1.1);
     const plots = [[main.top, main.top + main.height], ...tops.map((top) => [top, top + low])];
@@ -210,6 +213,7 @@
       lineStyle: { width: 0 }, areaStyle: { color: PEER.fill(stage), opacity: 1 }, emphasis: { disabled: true }, z: 2,
     }));
     if (!isolatedStage) series.push({ name: "p95", type: "line", symbol: "none", data: percentileLines(p95), lineStyle: { width: 1.25, color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 5 });
+    // The name contains `known`, so that `redraw` replaces all options when `known` changes.
     below.forEach((strip, index) => series.push({ name: `strip ${index} ${strip.known}`, type: "line", symbol: "none", xAxisIndex: index + 1, yAxisIndex: index + 1, data: withDots(strip.points), lineStyle: { width: 1.25, color: PEER.css(strip.color) }, itemStyle: { color: PEER.css(strip.color) }, emphasis: { disabled: true }, z: 3 }));
     const cardMarks = marks.filter((mark) => mark.host === card.host && (!mark.pipeline || mark.pipeline === card.pipeline) && mark.at >= start);
     series.push(PEER.marks(cardMarks, gaps(card), plots));
@@ -225,9 +229,9 @@
         if (card.remote) lines.push({ name: "up while sending, MB/s", value: NUMBERS.throughput(row.up), sum: true }, { name: "down while sending, MB/s", value: NUMBERS.throughput(row.down) });
         return PEER.tip(PEER.timeOfDay(row.at - size * 500, true), size === 1 ? "ms, mean of 1 s" : `ms, mean of ${size} s`, lines);
       }),
-      xAxis: [0, ...below.map((_, index) => index + 1)].map((grid) => PEER.timeAxis({ ...axes, gridIndex: grid, ...(grid < below.length ? { axisLabel: { show: false } } : {}), seconds, splitNumber: 4 })),
+      xAxis: [0, ...below.map((_, index) => index + 1)].map((grid) => PEER.timeAxis({ ...axes, gridIndex: grid, ...(grid < below.length ? { axisLabel: { show: false } } : {}), timePrecision, splitNumber: 4 })),
       yAxis: [
-        PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: NUMBERS.tick } }),
+        PEER.valueAxis("ms", { ...valueScale, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: NUMBERS.tick } }),
         ...below.map(({ name, max, known }, index) => PEER.valueAxis(name, {
           gridIndex: index + 1, max, interval: max, splitLine: { show: false }, nameGap: PEER.px(0.2), nameTextStyle: { ...PEER.text(), align: "left" },
           axisLabel: { ...PEER.text(), margin: PEER.px(0.375), show: known, formatter: (value) => (value === 0 ? "" : NUMBERS.tick(value)) },
@@ -243,7 +247,7 @@
     queued = 0;
     if (paused || document.hidden) return;
     drawnAt = performance.now();
-    requestAnimationFrame(() => cards.forEach((card) => card.one && PEER.redraw(card.one)));
+    requestAnimationFrame(() => cards.forEach((card) => card.drawing && PEER.redraw(card.drawing)));
   }
   function scheduleRefresh() {
     if (queued || paused || document.hidden) return;

@@ -30,8 +30,8 @@
     const [from, to] = range || [begin, end];
     const top = plotTop(), height = plotBottom() - top;
     const highest = Math.max(...data.points.map((point) => Math.max(point[1] || 0, point[2] || 0)), ...data.slow.map((point) => point[1] || 0));
-    const ends = PEER.steps(highest), short = to - from < 5000, seconds = short ? "ms" : to - from < 600000;
-    const { left, right } = PEER.sides(PEER.ticks(ends), seconds);
+    const valueScale = PEER.steps(highest), short = to - from < 5000, timePrecision = short ? "ms" : to - from < 600000;
+    const { left, right } = PEER.sides(PEER.ticks(valueScale), timePrecision);
     const gaps = data.gaps.map(([start, stop]) => ({ from: start, to: stop })).sort((one, other) => one.from - other.from);
     return {
       grid: [{ left, right, top, height }],
@@ -52,8 +52,8 @@
         return lines.length ? PEER.tip(PEER.timeOfDay(bucket ? bucket[0] : at, true), `ms, ${data.bucket} s`, lines) : "";
       }),
       // An axis of a few seconds may have no round time between its ends.
-      xAxis: PEER.timeAxis({ min: begin, max: end, seconds, ends: { showMinLabel: short, showMaxLabel: short } }),
-      yAxis: PEER.valueAxis("ms", { ...ends, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: NUMBERS.tick } }),
+      xAxis: PEER.timeAxis({ min: begin, max: end, timePrecision, ends: { showMinLabel: short, showMaxLabel: short } }),
+      yAxis: PEER.valueAxis("ms", { ...valueScale, axisLabel: { ...PEER.text(), margin: PEER.px(0.375), formatter: NUMBERS.tick } }),
       series: [
         { type: "line", symbol: data.points.length === 1 ? "circle" : "none", data: line(1), lineStyle: { width: 2, color: PEER.css("--ink") }, itemStyle: { color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 4 },
         { type: "line", symbol: "none", data: line(2), lineStyle: { width: 1, color: PEER.css("--ink-3") }, itemStyle: { color: PEER.css("--ink-3") }, emphasis: { disabled: true }, z: 3 },
