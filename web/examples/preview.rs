@@ -46,7 +46,10 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         time_zone: "+01:00".parse::<Zone>()?,
         ..WebConfig::default()
     };
-    let server = peernet_web::serve(web, aggregator.handle.clone(), clock.clone(), stop.clone(), 64).await?;
+    let max_connections = 64;
+    let server =
+        peernet_web::serve(web, aggregator.handle.clone(), clock.clone(), stop.clone(), max_connections)
+            .await?;
     #[expect(clippy::print_stdout, reason = "an example prints where to look")]
     {
         println!("http://{}", server.address());
@@ -106,7 +109,8 @@ async fn produce(
     site.report(clock.wall() - Span::from_seconds(590), clock.wall()).await;
     site.store_incidents().await;
     site.store_clocks(if many { 120 } else { 3_600 }).await;
-    site.store_run_of_each_pipeline(if many { 200 } else { 6_000 }, true).await;
+    let has_ended = true;
+    site.store_run_of_each_pipeline(if many { 200 } else { 6_000 }, has_ended).await;
     if backlog {
         site.store_gaps(2, 42).await;
     }
@@ -120,7 +124,8 @@ async fn produce(
         site.store_attempts(200, &["stopped", "finished"]).await;
         site.store_users(200, &[1, 2, 3]).await;
     }
-    site.store_run_of_each_pipeline(300, false).await;
+    let has_ended = false;
+    site.store_run_of_each_pipeline(300, has_ended).await;
     site.backlog = backlog.then(|| clock.wall());
     let mut ticks = tokio::time::interval(Duration::from_millis(250));
     loop {

@@ -135,7 +135,8 @@ impl Agent {
             events.push(Event::Iteration(iteration));
             if number.is_multiple_of(HZ) {
                 self.time_s += 1;
-                let sample = clocks::sample(self.hosts.1, self.time_s, 30);
+                let half_width_us = 30;
+                let sample = clocks::sample(self.hosts.1, self.time_s, half_width_us);
                 events.push(Event::Clock(Box::new(sample)));
             }
             if number.is_multiple_of(ITERATIONS_PER_BATCH) {
@@ -186,7 +187,8 @@ impl Agent {
             events_before,
         };
         self.events = head.events_through();
-        let frame = Bytes::from(codec::encode_batch(&head, &body, false));
+        let compress = false;
+        let frame = Bytes::from(codec::encode_batch(&head, &body, compress));
         self.socket.send(Message::single(frame)).await.expect("sends");
     }
 
