@@ -69,9 +69,9 @@ pub(crate) fn add_common_responses(document: &mut utoipa::openapi::OpenApi) {
         let changes = [&mut item.put, &mut item.post, &mut item.delete, &mut item.patch];
         let reads = reads.into_iter().flatten().map(|operation| (operation, false));
         let changes = changes.into_iter().flatten().map(|operation| (operation, true));
-        for (operation, changes) in reads.chain(changes) {
+        for (operation, changes_data) in reads.chain(changes) {
             ERRORS.into_iter().chain([TOO_LARGE]).for_each(|error| add_response(operation, error));
-            if changes {
+            if changes_data {
                 add_response(operation, FORBIDDEN);
             }
             if path.contains('{') {
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn every_numeric_parameter_documents_its_limits() {
+    fn every_count_parameter_documents_its_limits() {
         let document = serde_json::to_value(super::super::document()).expect("JSON");
         let paths = document["paths"].as_object().expect("paths");
         for (path, item) in paths {

@@ -220,7 +220,7 @@ pub(crate) struct Stored {
 }
 
 impl Stored {
-    fn new(stored: peernet_store::StoredCounts, arrivals: RejectedBatches) -> Self {
+    fn new(stored: peernet_store::StoredCounts, rejected: RejectedBatches) -> Self {
         let peernet_store::StoredCounts {
             events,
             nodes,
@@ -232,7 +232,7 @@ impl Stored {
             duplicates,
             quarantined,
         } = stored;
-        let RejectedBatches { deferred, damaged } = arrivals;
+        let RejectedBatches { deferred, damaged } = rejected;
         Self { events, nodes, gaps, missing, in_other_database, duplicates, quarantined, deferred, damaged }
     }
 }
@@ -333,6 +333,7 @@ mod tests {
             (host.stored.missing, host.stored.in_other_database) = (missing, missing_before);
             Host::from(&host).missing_events
         };
+        // Both counts include the gaps that the agent reported, so the counts are not added.
         assert_eq!([missing_events(0, 849, 0), missing_events(1_050, 50, 0)], [849, 1_050]);
         assert_eq!(missing_events(0, 849, 849), 0, "another database has them");
         let is_incomplete = |unknown_gaps: u64| {

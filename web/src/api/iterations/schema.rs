@@ -85,7 +85,8 @@ impl StageDelay {
         let delay = delays_of_stage.next().filter(|_| delays_of_stage.next().is_none())?;
         Some(Self {
             raw_s: delay.raw,
-            // Bounds are negative only for the difference between two receivers of one message in an observed system.
+            // Negative bounds are not raised to zero: in an observed system, the delay is the difference between two
+            // receivers of one message, and may be negative.
             lo_s: delay.bounds.map(|(lo, _)| lo),
             hi_s: delay.bounds.map(|(_, hi)| hi),
             source: delay.source.name(),

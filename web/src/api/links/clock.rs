@@ -20,7 +20,7 @@ pub(crate) struct ClockOffset {
     pub verdict: &'static str,
     /// Rate at which the offset grows, parts per million; null before there are enough exchanges.
     pub skew_ppm: Option<f64>,
-    /// Number of exchanges in the window.
+    /// Number of exchanges since the relation period began.
     pub exchanges: u64,
     /// Seconds since the newest exchange.
     pub age_s: Option<f64>,
@@ -120,6 +120,7 @@ impl From<DelayPoint> for MedianDelay {
 
 impl From<&DelaySecond> for Delay {
     fn from(second: &DelaySecond) -> Self {
+        // A message arrives after it was sent, so a negative median is left out.
         let median = second.median.filter(|point| !point.value.is_negative());
         Self { count: second.count, verdict: second.verdict.name(), median: median.map(MedianDelay::from) }
     }

@@ -106,7 +106,7 @@ pub(crate) struct LinkPoint {
     pub down: Option<Delay>,
     /// Clocks that the offset relates: `raw`, `raw-to-wall` or `wall`. A free-running (`raw`) clock counts from the boot of its machine.
     pub clocks: &'static str,
-    /// Range of the relative rate of the two clocks that the exchanges allow; null while the exchanges do not bound the rate.
+    /// Interval in which the exchanges place the relative rate of the two clocks; null while the rate is not bounded.
     pub proven_skew: Option<ProvenSkew>,
     /// Age of the oldest exchange that bounds the offset, seconds, if exchanges are so rare that the window grew beyond
     /// `[clock] window_s`; else null.
@@ -114,7 +114,7 @@ pub(crate) struct LinkPoint {
     pub oldest_exchange_age_s: Option<f64>,
 }
 
-/// Lowest and highest relative rate of two clocks that the exchanges allow, parts per million.
+/// Interval in which the exchanges place the relative rate of two clocks, parts per million.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ProvenSkew {
     pub min_ppm: f64,

@@ -289,6 +289,7 @@ impl Listener {
                 }
                 // The subject of the page was removed: the page keeps its contents, and `status` events continue.
                 Err(WebError::NotFound(_)) => {}
+                // `to_problem` logs the error. The problem itself is not sent, and the stream continues.
                 Err(error) => {
                     error.to_problem(&self.app);
                 }
