@@ -33,8 +33,8 @@ pub(crate) struct HostClock {
     /// Clock fault injected on purpose; null without one.
     #[serde(rename = "rehearsal")]
     pub clock_fault: Option<ClockFault>,
-    /// Clock source of the kernel, such as `tsc`; null if not reported. Any other than `tsc` and `arch_sys_counter` means that the
-    /// hypervisor supplies the clock.
+    /// Clock source of the kernel, such as `tsc`; null if not reported. In a virtual machine, any source other than
+    /// `tsc` and `arch_sys_counter` means that the hypervisor supplies the clock.
     pub clocksource: Option<String>,
 }
 
@@ -63,7 +63,7 @@ pub(crate) struct ClockFault {
 pub(crate) struct ClockFaultStep {
     /// Time since the start, seconds.
     pub at_s: f64,
-    /// Size of the step, seconds.
+    /// Size of the step, seconds; positive if the clock is set forward.
     pub by_s: f64,
 }
 

@@ -9,8 +9,9 @@ use utoipa::ToSchema;
 /// Statistics of one node name.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct NodeFigures {
-    /// Name of a node: a stage, `total`, `upload-throughput` or another standard name, or a user-defined one. Figures of a throughput
-    /// describe the ratios of single iterations. Their mean is not the speed over all iterations.
+    /// Name of a node: a stage, `total`, `upload-throughput` or another standard name, or a user-defined one.
+    /// A throughput is the ratio of bits to time in one iteration. The mean of these ratios is not the speed over all
+    /// iterations.
     pub name: String,
     #[serde(flatten)]
     pub statistics: QuantityStatistics,

@@ -1,6 +1,8 @@
 //! Schema types that several resources share.
 //!
-//! They are separate from the types of the aggregator and the store, so that a change of these types does not change the API.
+//! They are separate from the types of the aggregator and the store, so that a change of the aggregator's or the store's
+//! types does not change the API. The API shares only [`QuantityStatistics`](peernet_store::QuantityStatistics) with the
+//! store.
 //!
 //! Values are in units without prefixes (seconds, bytes, bits per second, watts, °C), times in RFC 3339 with
 //! nanoseconds, in UTC. Names of fields have underscores, names of stages and kinds have hyphens.

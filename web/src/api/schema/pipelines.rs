@@ -121,6 +121,7 @@ pub(crate) struct TransferRate {
 impl TransferRates {
     fn new(window: &peernet_aggregator::Window) -> Self {
         let rate = |direction: NetworkDirection| {
+            // The result is `None` if nothing was sent in this direction.
             direction.transfer(&window.transfers)?;
             let speed = speed::known_speed(&window.transfers, &window.bounds, direction);
             Some(TransferRate {
@@ -207,6 +208,7 @@ impl Pipeline {
             bounds: window.bounds.iter().map(Bound::from).collect(),
         });
         let skip = snapshot.series.len().saturating_sub(seconds);
+        // Without seconds, `total_over_time` has no points either.
         let since_s = snapshot.series.get(skip).map_or(i64::MAX, |second| second.at);
         Self {
             host: snapshot.host_name.to_string(),
@@ -229,9 +231,9 @@ impl PipelineList {
     /// Number of latest seconds of each pipeline in lists and events: more than one, so that a slow reader misses none.
     pub(crate) const SECONDS: usize = 5;
 
-    /// Converts every pipeline with `select`, which picks the requested parts.
-    pub(crate) fn of(snapshot: &LiveState, select: impl Fn(&PipelineSnapshot) -> Pipeline) -> Self {
-        let pipelines = snapshot.pipelines.iter().map(|one| select(one));
+    /// Returns the list of all pipelines. `convert` converts one pipeline, with the requested parts.
+    pub(crate) fn of(snapshot: &LiveState, convert: impl Fn(&PipelineSnapshot) -> Pipeline) -> Self {
+        let pipelines = snapshot.pipelines.iter().map(|pipeline| convert(pipeline));
         Self { at: time(snapshot.at), pipelines: pipelines.collect() }
     }
 }
