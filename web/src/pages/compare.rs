@@ -56,7 +56,7 @@ struct Compare {
     table: Table,
     /// Caveats about the means, each with its chip.
     caveats: Vec<(Chip, String)>,
-    /// Names of further differences, which the table does not show.
+    /// Names of the settings whose values differ, but are hashes, paths or long lists, which the table does not show.
     long_settings: String,
     /// Remarks on samples without a score.
     unscored_remarks: Vec<String>,
@@ -94,8 +94,8 @@ struct Baseline {
     choices: Vec<(String, i64, bool)>,
     address: Address,
     others: Vec<OtherRow>,
-    /// `true` if a difference has no interval.
-    is_too_short: bool,
+    /// `true` if at least one difference has no interval.
+    lacks_interval: bool,
 }
 
 /// Difference of a configuration from the baseline.
@@ -143,20 +143,22 @@ async fn show(
         answers(store, &comparison),
         measured_users(store, &comparison),
     )?;
-    let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    let dashboard_address = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
     let over_time = over_time(&comparison, &time_series);
     let lengths = lengths(&comparison, &answers);
     let users = users(&comparison, &measured_users);
-    let compare = assemble(shell("Compare"), &comparison, (&means, baseline), distributions, host);
+    let compare =
+        assemble(shell("Compare"), &comparison, (&means, baseline), distributions, dashboard_address);
     page(&Compare { over_time, lengths, users, ..compare })
 }
 
+/// Returns the page without `over_time`, `lengths` and `users`. The caller sets these fields.
 fn assemble(
     shell: Shell,
     comparison: &Comparison,
     (means, baseline): (&RunMeans, Option<usize>),
     distributions: Option<Distributions>,
-    host: &str,
+    dashboard_address: &str,
 ) -> Compare {
     let differences = Differences::of(comparison, means, baseline);
     let best = differences.ranking.as_ref().map(|ranking| ranking.best);
@@ -203,7 +205,7 @@ fn assemble(
         lengths: None,
         users: None,
         qualities: qualities(comparison),
-        commands: commands(comparison, host),
+        commands: commands(comparison, dashboard_address),
     }
 }
 
@@ -239,7 +241,7 @@ impl Baseline {
             name: all.get(differences.baseline).map_or_else(String::new, |one| one.name.clone()),
             choices: all.iter().enumerate().filter_map(choice).collect(),
             address: Address::of(comparison),
-            is_too_short: mean_differences.into_iter().any(|difference| difference.interval.is_none()),
+            lacks_interval: mean_differences.into_iter().any(|difference| difference.interval.is_none()),
             others: rows,
         }
     }

@@ -15,6 +15,7 @@ struct ErrorPage<'a> {
 
 /// Returns the page of a problem. Returns the text of the problem alone if the page cannot be rendered.
 pub(crate) fn render(app: &AppState, problem: &ProblemDetails) -> String {
-    let shell = Shell::new(app, &app.live_state(), "", problem.title());
+    let no_section = "";
+    let shell = Shell::new(app, &app.live_state(), no_section, problem.title());
     ErrorPage { shell, problem }.render().unwrap_or_else(|_| problem.detail().to_owned())
 }

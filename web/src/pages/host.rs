@@ -87,7 +87,7 @@ async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>)
     page(&past_page(&app, &snapshot, &row))
 }
 
-/// Renders the changed parts of the page.
+/// Renders the live parts of the page.
 pub(super) fn update(app: &AppState, snapshot: &LiveState, name: &str) -> Result<Update, WebError> {
     let host = find_live(snapshot, name).ok_or_else(|| {
         WebError::NotFound(format!("no host {name} is in the live state of this aggregator"))
@@ -175,8 +175,8 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
         }
         (true, own, others) => format!("{name} runs {own} and serves {others}"),
     };
-    let aggregator_identity = app.clock.identity();
-    let (clock, relation) = clock_words(&description.clock, aggregator_identity, host.clock_ahead);
+    let aggregator_clock = app.clock.identity();
+    let (clock, relation) = clock_words(&description.clock, aggregator_clock, host.clock_ahead);
     let memory = host
         .metrics
         .agent_memory_bytes
@@ -198,7 +198,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             .filter(|fact| !fact.is_empty())
             .collect(),
         links: links(snapshot, &name),
-        line: HostLine::new(host, aggregator_identity, app.zone),
+        line: HostLine::new(host, aggregator_clock, app.zone),
         agent: agent(description),
         hardware: hardware(description),
         clock: vec![
@@ -225,6 +225,8 @@ fn past_page(app: &AppState, snapshot: &LiveState, row: &HostRow) -> PastHost {
     let name = row.name.to_string();
     let seen = app.zone.moment(row.last_seen);
     let description = &row.description;
+    // Only the live state has the counts of rejected batches and the time of the newest stored event.
+    let (rejected, newest_stored) = (None, None);
     PastHost {
         shell: Shell::new(app, snapshot, "/hosts", name.as_str()),
         title: format!("{name} was last seen on {}, {}", seen.date(), seen.time_of_day()),
@@ -235,7 +237,7 @@ fn past_page(app: &AppState, snapshot: &LiveState, row: &HostRow) -> PastHost {
             ("Boot id", description.clock.boot.to_string()),
             ("Clock name", description.clock.clock.to_string()),
         ],
-        stored: events::stored_count_pairs(&row.stored, None, None, app.zone),
+        stored: events::stored_count_pairs(&row.stored, rejected, newest_stored, app.zone),
         name,
     }
 }

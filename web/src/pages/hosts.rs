@@ -62,7 +62,7 @@ async fn show(State(app): State<App>) -> Page {
     page(&hosts(&app, &app.live_state(), &stored))
 }
 
-/// Renders the changed parts of the page.
+/// Renders the live parts of the page.
 pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
     // The list of past hosts is no live part, so an update needs no stored hosts.
     let page = hosts(app, snapshot, &[]);

@@ -121,7 +121,8 @@ fn facts(app: &AppState, run: &RunSummary, detail: &IterationDetail) -> Vec<Stri
         format!("{}, {}", at.date(), at.time_with_milliseconds()),
         format!("episode {}, step {}", count(row.episode.into()), count(row.step.into())),
     ];
-    // The rank is among the stored iterations.
+    // The rank is among the stored iterations that succeeded and are not warm-up. If none of them was deleted, their
+    // number is `counts.ok`.
     let base = if run.last_deleted_iteration > 0 {
         "the iterations that are still stored".to_owned()
     } else {
@@ -138,7 +139,8 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
     let (run, row) = (&stored.summary, &detail.row);
     let snapshot = app.live_state();
     let timeline = Timeline::of(detail);
-    let scale = Scale::up_to(timeline.end * 1e3, 6);
+    let ticks = 6;
+    let scale = Scale::up_to(timeline.end * 1e3, ticks);
     let host = |index: usize| {
         let name = detail.hosts.get(index).and_then(Option::as_ref).map(ToString::to_string);
         name.unwrap_or_else(|| if index == 0 { run.host_name.to_string() } else { NONE.to_owned() })

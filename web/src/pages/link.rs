@@ -183,7 +183,9 @@ async fn show(
     let time_series = read_time_series(&app, &subject, query.range).await?;
     let assumptions = app.store().link_assumptions(&subject.key).await?;
     let subject = subject.with_last_offset(&time_series).with_assumptions(assumptions);
-    page(&link_page(&app, &snapshot, &subject, &time_series, None, query, &incidents))
+    // A past link has no recent measurements, so the figures above the chart also cover the selected range.
+    let selected_series = None;
+    page(&link_page(&app, &snapshot, &subject, &time_series, selected_series, query, &incidents))
 }
 
 async fn read_time_series(
@@ -196,7 +198,7 @@ async fn read_time_series(
     Ok(LinkTimeSeries::stored(series, from, to))
 }
 
-/// Renders the changed parts of the page.
+/// Renders the live parts of the page.
 pub(super) async fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(link_name), Some(range), Some(view)) = (parts.next(), parts.next(), parts.next()) else {
@@ -218,7 +220,10 @@ pub(super) async fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> 
     let incidents = app.cached_incidents().await?;
     let subject = Subject::live(link);
     let recent_series = LinkTimeSeries::live(&link.history, subject.end, Range::TenMinutes.seconds());
-    let page = link_page(app, snapshot, &subject, &recent_series, None, Query { range, offset }, &incidents);
+    // The chart of a longer range is not updated, so only the recent time series is needed.
+    let selected_series = None;
+    let query = Query { range, offset };
+    let page = link_page(app, snapshot, &subject, &recent_series, selected_series, query, &incidents);
     let mut parts = vec![
         ("title", page.as_title().render()?),
         ("figures", page.as_figures().render()?),

@@ -50,7 +50,7 @@ async fn show(State(app): State<App>) -> Page {
     page(&links(&app, &app.live_state(), &stored))
 }
 
-/// Renders the changed parts of the page.
+/// Renders the live parts of the page.
 pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
     // The list of past links is no live part, so an update needs no stored links.
     let page = links(app, snapshot, &[]);

@@ -93,14 +93,14 @@ fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
     path.map(|Path(value)| value).map_err(|rejection| WebError::NotFound(rejection.body_text()))
 }
 
-/// Changed parts of a live page.
+/// New contents of the live parts of a page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Update {
     /// Identifier of the layout. When it changes, the script reloads the page, because the page has other parts.
     pub layout: String,
     /// Title of the browser's window.
     pub title: String,
-    /// Elements whose contents changed: id, and new HTML.
+    /// Id of each part, and its new HTML. The live stream removes the parts that have not changed since it sent them.
     pub parts: Vec<(&'static str, String)>,
     /// Incidents to mark on the time axes.
     pub marks: Vec<IncidentMark>,

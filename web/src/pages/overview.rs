@@ -81,7 +81,7 @@ async fn show(State(app): State<App>) -> Page {
     page(&overview(&app, &snapshot, incidents)?)
 }
 
-/// Renders the changed parts of the page.
+/// Renders the live parts of the page.
 pub(super) async fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
     if snapshot.hosts.is_empty() && snapshot.pipelines.is_empty() {
         let page = empty_overview(app, snapshot);

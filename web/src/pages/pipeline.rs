@@ -114,7 +114,7 @@ async fn show(
     page(&pipeline_page(&app, &snapshot, pipeline, query.window.unwrap_or(10), &runs, &marks)?)
 }
 
-/// Renders the changed parts of the page.
+/// Renders the live parts of the page.
 pub(super) fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(host), Some(name), Some(seconds)) =
@@ -126,6 +126,7 @@ pub(super) fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> Result
         ));
     };
     let pipeline = find(snapshot, host, name)?;
+    // The list of runs and the marks in the chart are not live parts, so an update needs no runs and no marks.
     let page = pipeline_page(app, snapshot, pipeline, seconds, &[], &[])?;
     let parts = vec![
         ("title", page.as_title().render()?),
@@ -259,13 +260,15 @@ fn pipeline_page(
     let link = link::href_of_placement(snapshot, &host, placement);
     let cloud = placement.peer.as_ref().map_or("", Slug::as_str);
     let has_clock_fault = FaultyClocks::of(snapshot).concerns(&[&host, cloud]);
+    // The page needs no link to itself.
+    let href = "";
     Ok(PipelinePage {
         shell: Shell::new(app, snapshot, "/pipelines", format!("{} on {host}", pipeline.pipeline))
             .live(format!("{TOPIC}/{host}/{}/{seconds}", pipeline.pipeline)),
         title: title(pipeline, &stack),
         chip: state_chip(&pipeline.state),
         clock_fault: has_clock_fault.then_some(clock_fault::CHIP),
-        notes: Note::delay_notes(pipeline.pipeline.as_str(), "", link.as_deref(), &window.bounds, |name| {
+        notes: Note::delay_notes(pipeline.pipeline.as_str(), href, link.as_deref(), &window.bounds, |name| {
             window.value(name).copied()
         }),
         link,

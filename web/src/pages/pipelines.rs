@@ -68,7 +68,7 @@ async fn show(State(app): State<App>) -> Page {
     page(&pipelines(&app, &app.live_state()))
 }
 
-/// Renders the changed parts of the page.
+/// Renders the live parts of the page.
 pub(super) fn update(app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
     let page = pipelines(app, snapshot);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];

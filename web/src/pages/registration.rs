@@ -33,7 +33,7 @@ pub(crate) struct NavigationEntry {
 pub(crate) struct LiveTopic {
     /// Pattern of the topic: `hosts`, or `host/HOST` if the text after the first slash identifies the page.
     pub pattern: &'static str,
-    /// Renders the changed parts, from a snapshot and the text after the first slash of the topic.
+    /// Renders the live parts of the page, from a snapshot and the text after the first slash of the topic.
     pub update: for<'a> fn(&'a AppState, &'a LiveState, &'a str) -> UpdateFuture<'a>,
 }
 
@@ -58,7 +58,7 @@ impl RequestedTopic {
         topics.find(matches).map(|topic| Self { topic, rest: rest.unwrap_or_default().to_owned() })
     }
 
-    /// Renders the changed parts of the page.
+    /// Renders the live parts of the page.
     pub(crate) async fn update(&self, app: &AppState, snapshot: &LiveState) -> Result<Update, WebError> {
         (self.topic.update)(app, snapshot, &self.rest).await
     }

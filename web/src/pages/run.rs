@@ -139,7 +139,7 @@ struct Run {
 
 /// For each kind of mark in the chart over time: `true` if the chart has such marks.
 struct MarkKinds {
-    borders: bool,
+    episode_borders: bool,
     warm_up: bool,
     failed: bool,
 }
@@ -277,7 +277,9 @@ fn assemble(
     let missing = MissingCount::from_gaps(run.gaps.iter().map(|gap| gap.count));
     let (zone, snapshot) = (app.zone, app.live_state());
     let link = link::href_of_placement(&snapshot, summary.host_name.as_str(), &summary.placement);
-    let delay_notes = Note::delay_notes(summary.pipeline.as_str(), "", link.as_deref(), bounds, |name| {
+    // The page needs no link to itself.
+    let href = "";
+    let delay_notes = Note::delay_notes(summary.pipeline.as_str(), href, link.as_deref(), bounds, |name| {
         stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.statistics)
     });
     Ok(Run {
@@ -335,7 +337,7 @@ fn assemble(
         has_p95: series.stages.iter().flat_map(|stage| &stage.points).any(|point| point.p95.is_some()),
         time_remarks: stored.time_remarks(),
         marks: MarkKinds {
-            borders: !episodes.borders.is_empty(),
+            episode_borders: !episodes.borders.is_empty(),
             warm_up: !episodes.warm_up.is_empty(),
             failed: !episodes.failed_starts.is_empty(),
         },

@@ -61,6 +61,7 @@ async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> P
         let name = query.pipeline.as_ref().map_or_else(String::new, |name| format!("&pipeline={name}"));
         format!("?before={}{name}", last.number)
     });
+    // Runs are numbered from 1 and are not deleted, so the number of the newest run is the number of all runs.
     let newest = runs.first().map_or(0, |run| run.number).unsigned_abs();
     let title = match (runs.is_empty(), &query.pipeline, query.before) {
         (true, None, None) => "No run is stored yet".to_owned(),
