@@ -72,7 +72,7 @@ impl Collector for Scrape {
             let mut family = encoder.encode_descriptor(metric.name, metric.help, Some(&unit), kind)?;
             // The callback cannot return an error, so the first error is kept here and returned below.
             let mut result = Ok(());
-            (metric.samples)(self, &mut |values, sample| {
+            (metric.write_samples)(self, &mut |values, sample| {
                 if result.is_err() {
                     return;
                 }

@@ -73,6 +73,7 @@ pub(super) fn write_missed(scrape: &Scrape, sink: &mut Sink<'_>) {
 /// Writes the numbers of superseded answers.
 pub(super) fn write_superseded(scrape: &Scrape, sink: &mut Sink<'_>) {
     write_figures(scrape, sink, SUPERSEDED, |QuantityStatistics { count, mean, std, .. }| {
+        // Only the field `superseded` is read, so the other results may be computed from the same statistics.
         Sample::Size(ActuatorResults::from_statistics(|_| Some((*count, *mean, *std))).superseded)
     });
 }

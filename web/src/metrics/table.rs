@@ -28,8 +28,8 @@ impl Sample {
     }
 }
 
-/// Callback that receives the samples of a metric: the values of its labels, in the order of their names, and the
-/// number.
+/// Callback that receives the samples of a metric: the values of its labels, in the order of
+/// [`Metric::labels`], and the number.
 pub(super) type Sink<'a> = dyn FnMut(&[&str], Sample) + 'a;
 
 /// One metric. The full name is `peernet_<name>_<unit>` for a gauge, and `peernet_<name>_<unit>_total` for a counter.
@@ -41,16 +41,16 @@ pub(super) struct Metric {
     pub(super) labels: &'static [&'static str],
     pub(super) help: &'static str,
     /// Writes the samples of the metric.
-    pub(super) samples: fn(&Scrape, &mut Sink<'_>),
+    pub(super) write_samples: fn(&Scrape, &mut Sink<'_>),
 }
 
 const fn metric(
     (kind, name, unit): (Kind, &'static str, &'static str),
     labels: &'static [&'static str],
     help: &'static str,
-    samples: fn(&Scrape, &mut Sink<'_>),
+    write_samples: fn(&Scrape, &mut Sink<'_>),
 ) -> Metric {
-    Metric { name, unit, kind, labels, help, samples }
+    Metric { name, unit, kind, labels, help, write_samples }
 }
 
 // Names of the labels, by what a sample of the metric describes.
@@ -129,21 +129,21 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Gauge, "link_offset_half_width", "seconds"), LINK, "Half the width of the interval that contains the offset of the two clocks; absent while the offset is not known.", |s, sink| links::write_each(s, sink, links::half_width)),
     metric((Gauge, "link_probe_loss", "ratio"), LINK, "Share of the probes of the last 60 s that got no answer, 0 to 1; absent while no probe is sent.", |s, sink| links::write_each(s, sink, links::loss)),
     metric((Gauge, "link_refused", "probes"), LINK, "Packets that were refused as answers to probes, and probes that could not be sent, in the last 60 s.", |s, sink| links::write_each(s, sink, links::refused)),
-    metric((Counter, "link_transferred", "bytes"), CONNECTION_DIRECTION, "Bytes of messages since the connection was opened, without the overhead of the transport.", |s, sink| links::write_directions(s, sink, Edge, |one| Some(one.bytes))),
-    metric((Counter, "link_transferred", "messages"), CONNECTION_DIRECTION, "Whole messages since the connection was opened.", |s, sink| links::write_directions(s, sink, Edge, |one| Some(one.messages))),
-    metric((Counter, "link_transferred", "datagrams"), CONNECTION_DIRECTION, "Datagrams with data, or segments of TCP; absent where the transport does not count them.", |s, sink| links::write_directions(s, sink, Edge, |one| one.datagrams)),
-    metric((Counter, "link_lost", "datagrams"), CONNECTION_DIRECTION, "Datagrams that did not arrive; absent where the edge cannot know.", |s, sink| links::write_directions(s, sink, Edge, |one| one.lost)),
-    metric((Counter, "link_duplicated", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived more than once; absent where the edge cannot know.", |s, sink| links::write_directions(s, sink, Edge, |one| one.duplicated)),
-    metric((Counter, "link_reordered", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived out of order; absent where the edge cannot know.", |s, sink| links::write_directions(s, sink, Edge, |one| one.reordered)),
-    metric((Counter, "link_retransmitted", "datagrams"), CONNECTION_DIRECTION, "Datagrams that were sent again; absent where the edge cannot know.", |s, sink| links::write_directions(s, sink, Edge, |one| one.retransmitted)),
+    metric((Counter, "link_transferred", "bytes"), CONNECTION_DIRECTION, "Bytes of messages since the connection was opened, without the overhead of the transport.", |s, sink| links::write_directions(s, sink, Edge, |direction| Some(direction.bytes))),
+    metric((Counter, "link_transferred", "messages"), CONNECTION_DIRECTION, "Whole messages since the connection was opened.", |s, sink| links::write_directions(s, sink, Edge, |direction| Some(direction.messages))),
+    metric((Counter, "link_transferred", "datagrams"), CONNECTION_DIRECTION, "Datagrams with data, or segments of TCP; absent where the transport does not count them.", |s, sink| links::write_directions(s, sink, Edge, |direction| direction.datagrams)),
+    metric((Counter, "link_lost", "datagrams"), CONNECTION_DIRECTION, "Datagrams that did not arrive; absent where the edge cannot know.", |s, sink| links::write_directions(s, sink, Edge, |direction| direction.lost)),
+    metric((Counter, "link_duplicated", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived more than once; absent where the edge cannot know.", |s, sink| links::write_directions(s, sink, Edge, |direction| direction.duplicated)),
+    metric((Counter, "link_reordered", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived out of order; absent where the edge cannot know.", |s, sink| links::write_directions(s, sink, Edge, |direction| direction.reordered)),
+    metric((Counter, "link_retransmitted", "datagrams"), CONNECTION_DIRECTION, "Datagrams that were sent again; absent where the edge cannot know.", |s, sink| links::write_directions(s, sink, Edge, |direction| direction.retransmitted)),
     metric((Gauge, "link_transport_round_trip", "seconds"), CONNECTION, "Smoothed round trip of the transport's own packets; absent where the transport measures none.", |s, sink| links::write_transport_round_trips(s, sink, Edge)),
-    metric((Counter, "link_cloud_transferred", "bytes"), CONNECTION_DIRECTION, "Bytes of messages since the connection was opened, without the overhead of the transport, counted by the cloud.", |s, sink| links::write_directions(s, sink, Cloud, |one| Some(one.bytes))),
-    metric((Counter, "link_cloud_transferred", "messages"), CONNECTION_DIRECTION, "Whole messages since the connection was opened, counted by the cloud.", |s, sink| links::write_directions(s, sink, Cloud, |one| Some(one.messages))),
-    metric((Counter, "link_cloud_transferred", "datagrams"), CONNECTION_DIRECTION, "Datagrams with data, or segments of TCP, counted by the cloud; absent where its transport does not count them.", |s, sink| links::write_directions(s, sink, Cloud, |one| one.datagrams)),
-    metric((Counter, "link_cloud_lost", "datagrams"), CONNECTION_DIRECTION, "Datagrams that did not arrive, counted by the cloud; absent where the cloud cannot know.", |s, sink| links::write_directions(s, sink, Cloud, |one| one.lost)),
-    metric((Counter, "link_cloud_duplicated", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived more than once, counted by the cloud; absent where the cloud cannot know.", |s, sink| links::write_directions(s, sink, Cloud, |one| one.duplicated)),
-    metric((Counter, "link_cloud_reordered", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived out of order, counted by the cloud; absent where the cloud cannot know.", |s, sink| links::write_directions(s, sink, Cloud, |one| one.reordered)),
-    metric((Counter, "link_cloud_retransmitted", "datagrams"), CONNECTION_DIRECTION, "Datagrams that were sent again, counted by the cloud; absent where the cloud cannot know.", |s, sink| links::write_directions(s, sink, Cloud, |one| one.retransmitted)),
+    metric((Counter, "link_cloud_transferred", "bytes"), CONNECTION_DIRECTION, "Bytes of messages since the connection was opened, without the overhead of the transport, counted by the cloud.", |s, sink| links::write_directions(s, sink, Cloud, |direction| Some(direction.bytes))),
+    metric((Counter, "link_cloud_transferred", "messages"), CONNECTION_DIRECTION, "Whole messages since the connection was opened, counted by the cloud.", |s, sink| links::write_directions(s, sink, Cloud, |direction| Some(direction.messages))),
+    metric((Counter, "link_cloud_transferred", "datagrams"), CONNECTION_DIRECTION, "Datagrams with data, or segments of TCP, counted by the cloud; absent where its transport does not count them.", |s, sink| links::write_directions(s, sink, Cloud, |direction| direction.datagrams)),
+    metric((Counter, "link_cloud_lost", "datagrams"), CONNECTION_DIRECTION, "Datagrams that did not arrive, counted by the cloud; absent where the cloud cannot know.", |s, sink| links::write_directions(s, sink, Cloud, |direction| direction.lost)),
+    metric((Counter, "link_cloud_duplicated", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived more than once, counted by the cloud; absent where the cloud cannot know.", |s, sink| links::write_directions(s, sink, Cloud, |direction| direction.duplicated)),
+    metric((Counter, "link_cloud_reordered", "datagrams"), CONNECTION_DIRECTION, "Datagrams that arrived out of order, counted by the cloud; absent where the cloud cannot know.", |s, sink| links::write_directions(s, sink, Cloud, |direction| direction.reordered)),
+    metric((Counter, "link_cloud_retransmitted", "datagrams"), CONNECTION_DIRECTION, "Datagrams that were sent again, counted by the cloud; absent where the cloud cannot know.", |s, sink| links::write_directions(s, sink, Cloud, |direction| direction.retransmitted)),
     metric((Gauge, "link_cloud_transport_round_trip", "seconds"), CONNECTION, "Smoothed round trip of the transport's own packets as the cloud measures it; absent where the cloud measures none.", |s, sink| links::write_transport_round_trips(s, sink, Cloud)),
     metric((Gauge, "link_interface_mtu", "bytes"), INTERFACE, "MTU of the edge's interface that the connection uses; absent where it is unknown.", links::write_interfaces),
 ];
