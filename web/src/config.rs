@@ -82,31 +82,36 @@ impl WebConfig {
 mod tests {
     use super::*;
 
-    fn problems_of_address(listen: &str, allow_unauthenticated: bool) -> Vec<ConfigProblem> {
-        WebConfig { listen: listen.to_owned(), allow_unauthenticated, ..WebConfig::default() }.check()
+    fn problems_of_address(listen: &str) -> Vec<ConfigProblem> {
+        WebConfig { listen: listen.to_owned(), ..WebConfig::default() }.check()
+    }
+
+    /// Returns the problems of an address with `allow_unauthenticated = true`.
+    fn problems_of_unauthenticated_address(listen: &str) -> Vec<ConfigProblem> {
+        WebConfig { listen: listen.to_owned(), allow_unauthenticated: true, ..WebConfig::default() }.check()
     }
 
     #[test]
     fn default_listens_on_loopback_only() {
         assert_eq!(WebConfig::default().check(), []);
-        assert_eq!(problems_of_address("[::1]:0", false), []);
+        assert_eq!(problems_of_address("[::1]:0"), []);
     }
 
     #[test]
     fn non_loopback_address_needs_allow_unauthenticated() {
         for address in ["0.0.0.0:8040", "[::]:8040", "192.0.2.7:8040"] {
-            let problems = problems_of_address(address, false);
+            let problems = problems_of_address(address);
             assert_eq!(problems.len(), 1, "{address}");
             assert!(problems[0].message.contains("allow_unauthenticated = true"), "{}", problems[0]);
             assert!(problems[0].message.contains("everyone"), "{}", problems[0]);
-            assert_eq!(problems_of_address(address, true), []);
+            assert_eq!(problems_of_unauthenticated_address(address), []);
         }
     }
 
     #[test]
     fn address_without_port_is_refused() {
-        assert_eq!(problems_of_address("127.0.0.1", false)[0].key, "listen");
-        assert_eq!(problems_of_address("example", true)[0].key, "listen");
+        assert_eq!(problems_of_address("127.0.0.1")[0].key, "listen");
+        assert_eq!(problems_of_unauthenticated_address("example")[0].key, "listen");
     }
 
     #[test]

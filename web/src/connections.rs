@@ -145,7 +145,7 @@ impl StreamSlots {
 struct AcceptedConnection {
     tcp_stream: TcpStream,
     address: AddressGroup,
-    /// Cancelled when another address needs the slot.
+    /// Cancelled when another address needs the slot, and when all connections are closed.
     evict: CancellationToken,
     slot: Slot,
 }
@@ -173,7 +173,9 @@ impl Acceptor {
                 }
                 Err(error) if is_closed_by_peer(&error) => {}
                 Err(error) => {
-                    if let Some(times) = self.log.count_event(&error.to_string(), None, self.clock.mono()) {
+                    let address = None;
+                    if let Some(times) = self.log.count_event(&error.to_string(), address, self.clock.mono())
+                    {
                         tracing::error!(times, %error, "cannot accept a connection to the web server; trying again in one second");
                     }
                     // Usually, file descriptors or memory are exhausted. An immediate retry would fail again.
@@ -184,7 +186,9 @@ impl Acceptor {
     }
 
     fn log_refusal(&mut self, peer: SocketAddr) {
-        if let Some(times) = self.log.count_event("full", None, self.clock.mono()) {
+        // All addresses share one log line per minute, so their refusals are counted without an address.
+        let address = None;
+        if let Some(times) = self.log.count_event("full", address, self.clock.mono()) {
             tracing::warn!(times, %peer, "closed a new connection to the web server: the maximum number of connections is open, and no other address has at least two connections more than the address of the new connection");
         }
     }

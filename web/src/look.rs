@@ -25,10 +25,12 @@ pub(crate) fn part_names() -> String {
 
 /// Returns the entries of the colour key. Stages of the same colour, such as `queue` and `send-queue`, share an entry.
 pub(crate) fn key_entries() -> impl Iterator<Item = &'static str> {
+    // The class of a colour has the name of one of the stages with this colour. The entry has the name of this stage.
     parts().filter(|name| class(name) == *name)
 }
 
-/// Returns the label of an entry of the colour key. The label also names the other stages of the same colour.
+/// Returns the label of an entry of the colour key. Two labels also name a second stage of the same colour. The word
+/// `queue` also covers the stage `send-queue`.
 pub(crate) fn key_entry_label(name: &str) -> &str {
     match name {
         "encode" => "encode, ipc",

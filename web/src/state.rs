@@ -75,7 +75,8 @@ impl AppState {
     /// a minute ago.
     pub(crate) fn count_failure(&self, failure: &str) -> Option<u64> {
         let mut failure_log = self.failure_log.lock().unwrap_or_else(PoisonError::into_inner);
-        failure_log.count_event(failure, None, self.clock.mono())
+        let address = None;
+        failure_log.count_event(failure, address, self.clock.mono())
     }
 
     /// Returns the [`Self::SHOWN_INCIDENTS`] newest incidents, for the list of a live page.

@@ -107,6 +107,7 @@ fn transits(tree: &Tree) -> impl Iterator<Item = (&Node, &Transit)> {
 fn visit(tree: &Tree, index: usize, both_ways: Option<f64>) -> Option<Visit> {
     let edge = tree.anchors().first()?;
     let anchor = tree.anchors().get(index)?;
+    // The anchor of the other host is the arrival time of the request there.
     let (upload, request) = transits(tree)
         .find(|(node, transit)| node.host == HostIndex::EDGE && transit.received == Some(anchor.wall))?;
     let sent_at = upload.start.seconds();
@@ -144,6 +145,7 @@ fn visit(tree: &Tree, index: usize, both_ways: Option<f64>) -> Option<Visit> {
     let answer_times = answer.map(|(start, received_at)| {
         // The download starts when the answer is sent. Its start is relative to the arrival of the request.
         let stay = start.seconds();
+        // A step of the edge's wall clock may make `received_at` wrong, but not `both_ways`.
         (arrival + stay, both_ways.map_or(received_at, |network| sent_at + stay + network))
     });
     Some(Visit { sent_at, arrival, answer_times, shift, network })
@@ -225,6 +227,7 @@ impl Timeline {
         };
         match &node.measure {
             Measure::Timer(length) => Some(PlacedNode { length: length.map(Span::seconds), ..placed }),
+            // A container has no duration. Only a container below the root is shown: as the heading of its children.
             Measure::Container => Some(placed).filter(|_| depth == 0),
             Measure::Transit(transit) => {
                 let delay = transit.delay.map(|delay| Delay {
@@ -245,7 +248,8 @@ impl Timeline {
 
     /// Returns the format of the nodes' durations in tables.
     pub(crate) fn duration_format(&self) -> DurationFormat {
-        DurationFormat::for_total(Some(self.end), None)
+        let (total, std) = (Some(self.end), None);
+        DurationFormat::for_total(total, std)
     }
 
     /// Returns the visit to the other host; `None` unless there is exactly one other host and its visit is known.

@@ -63,8 +63,8 @@ mod tests {
     #[test]
     fn negative_or_nan_limit_is_rejected() {
         assert_eq!(WarnConfig::default().check(), []);
-        let never = WarnConfig { cpu_percent: f64::INFINITY, ..WarnConfig::default() };
-        assert_eq!(never.check(), []);
+        let disabled = WarnConfig { cpu_percent: f64::INFINITY, ..WarnConfig::default() };
+        assert_eq!(disabled.check(), []);
         let wrong = WarnConfig { late_percent: -1.0, cpu_percent: f64::NAN, ..WarnConfig::default() };
         let keys: Vec<_> = wrong.check().into_iter().map(|problem| problem.key).collect();
         assert_eq!(keys, ["warn.cpu_percent", "warn.late_percent"]);

@@ -7,7 +7,9 @@ use peernet_store::QuantityStatistics;
 /// Returns the 95 % interval of an accuracy in percent: `79.1 – 88.2`. `scores` are the statistics of scores that are 0
 /// or 1.
 pub(crate) fn interval(scores: &QuantityStatistics) -> Option<String> {
-    let (lo, hi) = Accuracy::from_mean(scores.mean, scores.count, scores.count)?.interval;
+    // The interval does not depend on the number of answers, so the number of scores replaces it.
+    let answered = scores.count;
+    let (lo, hi) = Accuracy::from_mean(scores.mean, scores.count, answered)?.interval;
     Some(join_ends([share(lo), share(hi)]))
 }
 

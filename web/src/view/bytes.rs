@@ -58,19 +58,20 @@ impl ByteRow {
     pub(crate) fn of_directions(detail: &IterationDetail) -> Vec<Self> {
         let measured_rows =
             DIRECTIONS.into_iter().filter(|(_, payload, ..)| counted_value(detail, payload).is_some());
-        let byte_rows = measured_rows.map(|(name, payload, metadata, speed)| {
+        let byte_rows = measured_rows.map(|(delay_name, payload, metadata, throughput_name)| {
             let size = |name: &str| {
                 counted_value(detail, name).map_or_else(|| NONE.to_owned(), |size| bytes(size).to_string())
             };
-            let (throughput, throughput_note) = throughput_text(detail, speed, name);
-            let run_median = statistics_of_name(&detail.run_figures, speed)
+            let (throughput, throughput_note) = throughput_text(detail, throughput_name, delay_name);
+            let run_median = statistics_of_name(&detail.run_figures, throughput_name)
                 .map(|statistics| statistics.p50)
                 .filter(|median| *median > 0.0);
             // The ratio of an interval to the median would look exact, so an interval has no ratio.
-            let ratio = counted_value(detail, speed).zip(run_median).filter(|_| throughput_note.is_empty());
+            let value = counted_value(detail, throughput_name);
+            let ratio = value.zip(run_median).filter(|_| throughput_note.is_empty());
             let ratio = ratio.map(|(value, median)| times(value / median));
             Self {
-                name,
+                name: delay_name,
                 payload: size(payload),
                 metadata: size(metadata),
                 throughput,
@@ -85,16 +86,21 @@ impl ByteRow {
 /// Returns the throughput in words. Also returns the reason if the throughput is missing or is an interval. If the
 /// verdict on the delay is `limited`, only the interval is returned, because a single value would look more certain
 /// than it is.
-fn throughput_text(detail: &IterationDetail, name: &str, delay: &str) -> (String, &'static str) {
+fn throughput_text(
+    detail: &IterationDetail,
+    throughput_name: &str,
+    delay_name: &str,
+) -> (String, &'static str) {
     let node =
         |name: &str| detail.tree.nodes().iter().find(|node| node.name == *name).map(|node| &node.measure);
-    let Some(Measure::Throughput(rate)) = node(name) else {
+    let Some(Measure::Throughput(rate)) = node(throughput_name) else {
         return (NONE.to_owned(), "no throughput was computed");
     };
-    let verdict = match node(delay) {
+    let verdict = match node(delay_name) {
         Some(Measure::Transit(transit)) => transit.delay.map(|delay| delay.verdict),
         _ => None,
     };
+    // `is_speed_limited` returns `None` if the verdict permits no throughput.
     match (rate.value, rate.bounds, is_speed_limited(verdict)) {
         (Some(_), Some((lo, hi)), Some(true)) => {
             (throughput_between((lo, Some(hi))), "the delay is known only within its clock bound")
@@ -115,6 +121,7 @@ impl OtherMeasurement {
                 .any(|(_, payload, metadata, speed)| [payload, metadata, speed].contains(&&name));
             is_size_or_speed || matches!(name, "total" | "stages-total" | "unattributed")
         };
+        // The first node is the root, which is the iteration itself.
         let nodes = detail.tree.iter().skip(1).filter(|(_, node)| {
             !shown_elsewhere(node)
                 && matches!(node.measure, Measure::Value(..) | Measure::Custom(..) | Measure::TokenRate(_))

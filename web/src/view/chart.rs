@@ -44,6 +44,7 @@ impl IncidentMark {
             .filter_map(|row| {
                 Some(Self {
                     at: row.at.unix_nanos() / 1_000_000,
+                    // The icon does not depend on the zone.
                     sign: IncidentLine::new(row, Zone::Utc).sign,
                     host: row.host_name.as_ref()?.to_string(),
                     pipeline: row.pipeline.clone(),
@@ -149,6 +150,7 @@ impl ChartCard {
     pub(crate) fn new(pipeline: &PipelineSnapshot, snapshot: &LiveState, zone: Zone) -> Self {
         let host = pipeline.host_name.to_string();
         let name = pipeline.pipeline.to_string();
+        let (p95, p99) = (None, None);
         let stack = pipeline.window(10).map(Stack::of_window).unwrap_or_default();
         let has_part = |name: &&str| {
             pipeline.series.iter().flat_map(|second| &second.parts).any(|(part, _)| part == *name)
@@ -159,7 +161,7 @@ impl ChartCard {
             key: format!("{host}/{name}"),
             href: place::pipeline_href(&host, &name),
             route: place::route(&host, &pipeline.placement),
-            finding: format!("Stages of {name} over the last 10 minutes. {}", stack.finding((None, None))),
+            finding: format!("Stages of {name} over the last 10 minutes. {}", stack.finding((p95, p99))),
             minutes: minutes(&pipeline.series, &columns, zone),
             columns,
             data: ChartData::new(pipeline, snapshot, host),
@@ -249,8 +251,9 @@ fn minutes(series: &[std::sync::Arc<LiveSecond>], columns: &[&'static str], zone
             mean_of_groups(means)
         };
         let total = average(&stage::TOTAL);
-        let column = DurationFormat::for_total(total, None);
-        let text = |mean: Option<f64>| mean.map_or_else(|| NONE.to_owned(), |mean| column.duration(mean));
+        let std = None;
+        let format = DurationFormat::for_total(total, std);
+        let text = |mean: Option<f64>| mean.map_or_else(|| NONE.to_owned(), |mean| format.duration(mean));
         Minute {
             at: zone.moment(WallTime::from_unix_nanos(minute.saturating_mul(60_000_000_000))),
             iterations: count(seconds.iter().map(|second| second.counts.total()).sum()),

@@ -88,7 +88,8 @@ fn page_and_table_have_equal_ranking() {
     let fast = loaded("fast", |iteration| {
         vec![("total", 0.010 * wave(iteration)), ("stages-total", 0.009 * wave(iteration))]
     });
-    // By its totals this run is slower than `fast`, but some of its iterations have no total.
+    // By its totals this run is slower than `fast`, but some of its iterations have no total. All runs are therefore
+    // compared by the sums of their stages, by which this run is faster.
     let partial = loaded("partial", |iteration| {
         let total = (iteration % 3 > 0).then_some(("total", 0.012 * wave(iteration)));
         total.into_iter().chain([("stages-total", 0.005 * wave(iteration))]).collect()
@@ -102,7 +103,9 @@ fn page_and_table_have_equal_ranking() {
         let table = peernet_analysis::compare::Comparison::new(&runs);
         let (comparison, means) = page(&runs);
         assert_eq!(comparison.total_column, table.total_column);
-        let ranking = Differences::of(&comparison, &means, 0).ranking.expect("several runs are measured");
+        let baseline = 0;
+        let ranking =
+            Differences::of(&comparison, &means, baseline).ranking.expect("several runs are measured");
         assert_eq!(
             (Some(ranking.best), ranking.ties(), ranking.untested(), ranking.unranked),
             (table.best, table.ties, table.untested, table.unranked)
