@@ -1,4 +1,5 @@
-//! Caveats about the means of stored runs, such as skipped starts, and the commands that compare runs by all their iterations.
+//! Caveats about the means of stored runs, such as skipped starts, and the commands that compare the runs by single
+//! iterations.
 
 use peernet_analysis::compare::{replayed_configurations, skipped_starts};
 use peernet_analysis::run_selection::RunState;
@@ -34,7 +35,7 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     let replayed = replayed_configurations(
         replayed_descriptions.iter().map(|(name, text)| (name.clone(), text.as_deref())),
     );
-    // The trust report has a finding about other runs that were not measured to their end.
+    // The trust report has a finding about a run that ended early, but none about a run without a recorded end.
     let open: Vec<String> = comparison
         .runs()
         .filter(|run| RunState::from_end_reason(run.reason.as_ref()) == RunState::Open)
@@ -86,9 +87,10 @@ pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
     sentences.collect()
 }
 
-/// Returns the commands that download the runs from this dashboard and compare them by all their iterations. `host` is the address by
-/// which the browser reaches the dashboard. Returns `None` for fewer than two runs. Also returns `None` for an experiment, because
-/// the command that ran the experiment wrote the results to a folder.
+/// Returns the commands that download the runs from this dashboard and compare them by single iterations instead of
+/// stored statistics. `host` is the address by which the browser reaches the dashboard. Returns `None` for fewer than
+/// two runs. Also returns `None` for an experiment, because the command that ran the experiment wrote the results to a
+/// folder.
 pub(crate) fn commands(comparison: &Comparison, host: &str) -> Option<String> {
     let runs: Vec<String> = comparison.runs().map(|run| run.number.to_string()).collect();
     (comparison.experiment.is_none() && runs.len() > 1).then_some(())?;

@@ -83,10 +83,11 @@ impl Differences {
             all.iter().map(|one| names.iter().map(|name| estimate(one, name)).collect()).collect();
         let total_column = comparison.total_column;
         let total = |(one, estimates): (&Configuration, &Vec<Option<MeanEstimate>>)| {
-            let mean = names.iter().zip(estimates).find(|(name, _)| **name == *total_column.name());
+            let name_and_estimate =
+                names.iter().zip(estimates).find(|(name, _)| **name == *total_column.name());
             ConfigurationTotal {
                 model_computes: one.model_computes,
-                mean: mean.and_then(|(_, estimate)| estimate.clone()),
+                mean: name_and_estimate.and_then(|(_, estimate)| estimate.clone()),
             }
         };
         let totals: Vec<ConfigurationTotal> = all.iter().zip(&estimates).map(total).collect();

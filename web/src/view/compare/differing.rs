@@ -117,7 +117,9 @@ mod tests {
     }
 
     /// Returns the columns of a page and of `peernet compare` for two runs.
-    fn of_page_and_table(change: impl Fn(usize, &mut RunDetail)) -> [(Vec<String>, Vec<Vec<String>>); 2] {
+    fn columns_of_page_and_table(
+        change: impl Fn(usize, &mut RunDetail),
+    ) -> [(Vec<String>, Vec<Vec<String>>); 2] {
         let runs = [0, 1].map(|at| {
             let mut run = detail(at as i64, &[("Load", "closed")]);
             change(at, &mut run);
@@ -142,13 +144,13 @@ mod tests {
     #[test]
     fn page_and_table_name_runs_by_same_facts() {
         let labels = |labels: [&str; 2]| labels.map(|label| vec![label.to_owned()]).to_vec();
-        let of_pipelines = of_page_and_table(|at, run| {
+        let of_pipelines = columns_of_page_and_table(|at, run| {
             run.summary.pipeline = ["cam-a", "cam-b"][at].parse().expect("a name");
         });
         let expected = (vec!["pipeline".to_owned()], labels(["cam-a", "cam-b"]));
         assert_eq!(of_pipelines, [expected.clone(), expected]);
 
-        let of_executions = of_page_and_table(|at, run| {
+        let of_executions = columns_of_page_and_table(|at, run| {
             run.summary.experiment = Some(ExperimentPosition {
                 name: "sizes".to_owned(),
                 id: ["0123456789", "9876543210"][at].to_owned(),
@@ -200,6 +202,7 @@ mod tests {
         // The first field alone distinguishes the runs, but all fields that the author declared and that differ are named.
         let two_fields = [["cloud", "yes", "1"], ["local", "no", "1"]];
         assert_eq!(names_of_page_and_table(&two_fields), [["cloud, resize", "local, no resize"]; 2]);
+        // In words, both labels would be `no resize`. The names have each label after its axis instead.
         let namesakes = [["cloud", "no", "1"], ["cloud", "none", "1"]];
         assert_eq!(names_of_page_and_table(&namesakes), [["resize no", "resize none"]; 2]);
     }

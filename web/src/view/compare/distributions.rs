@@ -1,5 +1,5 @@
-//! Distributions of single runs. All runs of a quantity have the same axis. The quantities are the total and the six that the
-//! paper's program draws.
+//! Distributions of single runs. All distributions of a quantity have the same axis. The quantities are the total and
+//! the six that the paper's program draws.
 
 use peernet_analysis::figure_files::HISTOGRAMS;
 use peernet_figures::drawing::BinnedAxis;
@@ -38,7 +38,7 @@ pub(crate) struct Group {
     pub runs: Vec<RunHistogram>,
     /// Sentences about runs that are not drawn.
     pub missing: Vec<String>,
-    /// Name of the node; `None` for the total, which the page of a run shows by default.
+    /// Name of the node in hyperlinks to pages of runs; `None` for the total, which these pages show by default.
     pub stage: Option<String>,
 }
 
@@ -48,7 +48,7 @@ pub(crate) struct RunHistogram {
     pub name: String,
     pub caption: String,
     /// Verdict on the clock bounds, if it needs attention.
-    pub doubt: Option<Chip>,
+    pub verdict_chip: Option<Chip>,
     pub picture: Picture,
 }
 
@@ -107,7 +107,7 @@ impl Quantity {
         let name = &self.name;
         let mut stages = comparison.configurations.iter().flat_map(|one| &one.stages);
         let unit = &stages.find(|statistics| statistics.stage == *name)?.unit;
-        let (drawn, total) = choose_runs(comparison, |run| comparison.summary(run.number, name));
+        let (drawn, count_if_not_all) = choose_runs(comparison, |run| comparison.summary(run.number, name));
         let (symbol, per_si) = display_unit(unit);
         let summaries = drawn.iter().map(|(.., summary)| *summary);
         let axis = BinnedAxis::around(summaries, Unit::symbol(&symbol, per_si))?;
@@ -125,10 +125,10 @@ impl Quantity {
             let items = axis.histogram(summary, &look, median.clock_interval);
             let picture =
                 Picture::of_items(&items, "plot", &label).followed_by(&Picture::axis_below(&axis.scale));
-            Some(RunHistogram { run: run.number, name, caption, doubt: median.doubt, picture })
+            Some(RunHistogram { run: run.number, name, caption, verdict_chip: median.verdict_chip, picture })
         });
         let runs: Vec<RunHistogram> = runs.collect();
-        let selection_note = total.map(|all| {
+        let selection_note = count_if_not_all.map(|all| {
             format!(
                 "{} of {all} runs: the first of each configuration, then the second, as far as there is room.",
                 runs.len()

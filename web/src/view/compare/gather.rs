@@ -72,9 +72,10 @@ impl CompareSelection {
 
 /// Loads a comparison: the statistics of all runs, from their roll-ups.
 ///
-/// The sketches of all runs are in memory at the same time. A sketch takes eight bytes for each step of 2 % from the smallest to the largest
-/// value. This is 3 kB if the two values differ by a factor of a thousand. The maximum number of runs with 30 stages and other quantities
-/// each takes 17 MB, and the configurations at most as much again. A sketch has a maximum size, so the worst case is ten times these 17 MB.
+/// The sketches of all runs are in memory at the same time. A sketch takes eight bytes for each step of 2 % from the
+/// smallest to the largest value. This is 3 kB if the two values differ by a factor of a thousand. The maximum number
+/// of runs takes 17 MB if each run has 30 sketches, and the configurations take at most as much again. A sketch has a
+/// maximum size, so the worst case is ten times these 17 MB.
 ///
 /// # Errors
 /// Returns an error when a run or the experiment is not stored, or the store cannot be read.
@@ -103,7 +104,8 @@ pub(crate) async fn load_comparison(
                 )));
             };
             let (runs, left_out) = select_runs(runs);
-            // The settings of an experiment come without facts. `JudgedRuns` loads the facts below.
+            // These details have no facts. The settings of an experiment need no facts, and `JudgedRuns` loads the
+            // details with facts below.
             let details = runs.into_iter().map(RunDetail::from).collect();
             (Some((experiment.name, experiment.id)), details, left_out, is_truncated)
         }

@@ -25,7 +25,7 @@ const MAX_READ: u64 = 1_500;
 /// Maximum number of iterations that a page reads of one configuration.
 const MAX_READ_PER_CONFIGURATION: u64 = 750;
 /// Lengths are shown in kB if the longest answer has at least this number of bytes.
-const KILOBYTES: f64 = 10_000.0;
+const MIN_BYTES_FOR_KB: f64 = 10_000.0;
 
 /// A configuration whose answers differ in length.
 struct VaryingLengths<'a> {
@@ -57,7 +57,7 @@ impl<'a> VaryingLengths<'a> {
     fn unit(&self, longest: f64) -> (String, f64) {
         if is_tokens(self.length_name) {
             (self.length_name.replace(['-', '_'], " "), 1.0)
-        } else if longest >= KILOBYTES {
+        } else if longest >= MIN_BYTES_FOR_KB {
             ("kB of answer".to_owned(), 1e-3)
         } else {
             ("bytes of answer".to_owned(), 1.0)
@@ -101,6 +101,7 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
     for varying_configuration in &varying[..drawn] {
         // The page has a fixed budget of iterations, which the drawn configurations share equally.
         let max_read = (MAX_READ / drawn as u64).min(MAX_READ_PER_CONFIGURATION);
+        // The number is at least 1, so that the divisor `all_answered` is not 0.
         let answered = |run: &RunSummary| run.counts.ok.max(1);
         let all_answered: u64 = varying_configuration.configuration.runs.iter().map(answered).sum();
         let mut answers = Answers {
@@ -170,6 +171,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
     let mut varying = VaryingLengths::all(comparison);
     let not_drawn = varying.split_off(varying.len().min(MAX_CONFIGURATIONS));
     let without_usage = without_usage(comparison);
+    // If no configuration is drawn, there are no values for an axis.
     let Some(vertical) = BinnedAxis::from_zero(
         varying.iter().map(|varying_configuration| varying_configuration.latencies),
         Unit::symbol("ms", 1e3),
@@ -238,6 +240,8 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
 /// Returns `Median 412 ms; answers of 20 to 320 tokens, median 96 tokens.`
 fn medians_sentence(varying_configuration: &VaryingLengths<'_>) -> String {
     let median = |summary: &Summary| summary.quantile(0.5).unwrap_or_default();
+    // In `20 to 320 tokens`, only the second number has the unit. Each number of bytes has its own unit, because the
+    // units may differ.
     let range = (varying_configuration.lengths.moments.min, varying_configuration.lengths.moments.max);
     format!(
         "Median {}; answers of {} to {}, median {}.",
@@ -261,38 +265,36 @@ fn amount_sentence(varying_configuration: &VaryingLengths<'_>, sample: &Answers)
     // iterations.
     let has_one_length = IterationValues::has_one_value(varying_configuration.length_name);
     let iterations = if has_one_length { lengths.max(latencies) } else { latencies };
-    let all = lengths.min(latencies);
-    let without_length = iterations - all;
-    let rest = if without_length > 0 {
-        format!(
-            " {} of {} iterations lack a valid length or latency.",
-            count(without_length),
-            count(iterations)
-        )
+    let complete = lengths.min(latencies);
+    let incomplete = iterations - complete;
+    let rest = if incomplete > 0 {
+        format!(" {} of {} iterations lack a valid length or latency.", count(incomplete), count(iterations))
     } else {
         String::new()
     };
-    let is_deleted =
+    let has_deleted_iterations =
         varying_configuration.configuration.runs.iter().any(|run| run.last_deleted_iteration > 0);
-    match (sample.is_whole, is_deleted) {
-        _ if points == 0 => format!("No iteration is stored any more; histograms of all {}.", count(all)),
-        (true, false) if without_length > 0 => format!(
+    match (sample.is_whole, has_deleted_iterations) {
+        _ if points == 0 => {
+            format!("No iteration is stored any more; histograms of all {}.", count(complete))
+        }
+        (true, false) if incomplete > 0 => format!(
             "{} of {} iterations; the others lack a valid length or latency.",
             count(points),
-            count(points + without_length)
+            count(points + incomplete)
         ),
         (true, false) => format!("All {} iterations.", count(points)),
         (true, true) => format!(
             "{} iterations, all that are still stored; histograms of all {}.{rest}",
             count(points),
-            count(all)
+            count(complete)
         ),
-        (false, is_deleted) => {
-            let range = if is_deleted { " over what is still stored" } else { "" };
+        (false, has_deleted_iterations) => {
+            let range = if has_deleted_iterations { " over what is still stored" } else { "" };
             format!(
                 "{} of {} iterations, evenly spread{range}; histograms of all.{rest}",
                 count(points),
-                count(all)
+                count(complete)
             )
         }
     }

@@ -28,7 +28,7 @@ pub(super) struct Median {
     /// Interval of the median by the clock bounds, in the SI unit; `None` without uncertainty.
     pub clock_interval: Option<(f64, f64)>,
     /// Verdict on the clock bounds; `None` if it needs no attention.
-    pub doubt: Option<Chip>,
+    pub verdict_chip: Option<Chip>,
 }
 
 impl Median {
@@ -59,7 +59,7 @@ impl Median {
             }
         };
         let clock_interval = interval.map(|interval| interval.ends());
-        Some(Self { text, clock_interval, doubt: verdict.map(Chip::verdict) })
+        Some(Self { text, clock_interval, verdict_chip: verdict.map(Chip::verdict) })
     }
 }
 
@@ -101,6 +101,9 @@ mod tests {
 
     use super::*;
 
+    const WITH_ENDS: bool = true;
+    const WITHOUT_ENDS: bool = false;
+
     fn mergeable(half_ms: f64, verdict: Verdict, has_ends: bool) -> MergeableStatistics {
         let of = |value: f64| {
             let mut all = Summary::default();
@@ -122,14 +125,15 @@ mod tests {
         mergeable
     }
 
+    /// Returns the text of the median, and whether the median has a chip.
     fn median_text(mergeable: &MergeableStatistics, name: &Name, unit: &str) -> (String, bool) {
         let median = Median::of(mergeable, name, unit).expect("samples");
-        (median.text.replace(SPACE, " ").replace('\u{a0}', " "), median.doubt.is_some())
+        (median.text.replace(SPACE, " ").replace('\u{a0}', " "), median.verdict_chip.is_some())
     }
 
     #[test]
     fn median_delay_has_interval_by_clock_bounds() {
-        let statistics = mergeable(0.5, Verdict::Ok, true);
+        let statistics = mergeable(0.5, Verdict::Ok, WITH_ENDS);
         assert_eq!(
             median_text(&statistics, &stage::UPLOAD, "s"),
             ("median 6.00 ms, clock bounds 5.50 – 6.50".to_owned(), false)
@@ -138,34 +142,34 @@ mod tests {
         assert_eq!(text, "median 25.0 MB/s, clock bounds 23.1 – 27.3");
         assert_eq!(median_text(&statistics, &stage::SENSING, "s"), ("median 0.126 ms".to_owned(), false));
         assert_eq!(Median::of(&statistics, "queue", "s"), None);
-        let exact = mergeable(0.0, Verdict::Ok, true);
+        let exact = mergeable(0.0, Verdict::Ok, WITH_ENDS);
         assert_eq!(median_text(&exact, &stage::UPLOAD, "s"), ("median 6.00 ms".to_owned(), false));
     }
 
     #[test]
     fn interval_from_half_widths_names_its_method() {
         // The run was stored by an earlier version, which stored no ends of intervals.
-        let statistics = mergeable(0.5, Verdict::Ok, false);
+        let statistics = mergeable(0.5, Verdict::Ok, WITHOUT_ENDS);
         assert_eq!(
             median_text(&statistics, &stage::UPLOAD, "s").0,
             "median 6.00 ms, clock bounds 5.50 – 6.50 (from half widths)"
         );
         let (text, _) = median_text(&statistics, &stage::UPLOAD_THROUGHPUT, "bit/s");
         assert_eq!(text, "median 25.0 MB/s, clock bounds 23.1 – 27.3 (from half widths)");
-        let wide = mergeable(8.0, Verdict::Limited, false);
+        let wide = mergeable(8.0, Verdict::Limited, WITHOUT_ENDS);
         let (text, _) = median_text(&wide, &stage::UPLOAD, "s");
         assert_eq!(text, "median within the clock bounds 0.0 – 14.0 ms (from half widths)");
     }
 
     #[test]
     fn limited_delay_is_interval_with_verdict() {
-        let wide = mergeable(8.0, Verdict::Limited, true);
+        let wide = mergeable(8.0, Verdict::Limited, WITH_ENDS);
         assert_eq!(
             median_text(&wide, &stage::UPLOAD, "s"),
             ("median within the clock bounds 0.0 – 14.0 ms".to_owned(), true)
         );
         let median = Median::of(&wide, &stage::UPLOAD_THROUGHPUT, "bit/s").expect("samples");
-        assert!(median.text.ends_with("≥ 10.7\u{202f}MB/s") && median.doubt.is_some(), "{median:?}");
+        assert!(median.text.ends_with("≥ 10.7\u{202f}MB/s") && median.verdict_chip.is_some(), "{median:?}");
         assert_eq!(median.clock_interval.expect("bounded").1, f64::INFINITY);
     }
 }

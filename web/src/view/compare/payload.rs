@@ -1,4 +1,4 @@
-//! Latency and throughput against payload, as in the figures of the same runs.
+//! Latency and throughput against payload, as `peernet plot` draws them.
 
 use peernet_analysis::message_sizes::{MessageSketches, SizeSummary};
 use peernet_analysis::payload_study::{
@@ -48,12 +48,12 @@ pub(super) fn studies(comparison: &Comparison) -> Vec<PayloadStudy> {
     let runs = comparison.configurations.iter().flat_map(|one| one.runs.iter().map(move |run| (one, run)));
     let links = group_by_link(runs.map(|(one, run)| (link_of(run), run.experiment.as_ref(), (one, run))));
     let studies = links.into_iter().map(|(link, runs)| {
-        let labels: Vec<&[String]> = runs.iter().map(|(one, _)| one.values.as_slice()).collect();
+        let labels_of_runs: Vec<&[String]> = runs.iter().map(|(one, _)| one.values.as_slice()).collect();
         let directions = DIRECTIONS.map(|name| {
             let sketches = runs.iter().filter_map(|(_, run)| sketches(comparison, run.number, name));
             DirectionMessages::from_sketches(name, sketches)
         });
-        PayloadStudy::new(&link, directions, pooled_note(&comparison.axes, &labels))
+        PayloadStudy::new(&link, directions, pooled_note(&comparison.axes, &labels_of_runs))
     });
     PayloadStudy::select_drawable(studies)
 }

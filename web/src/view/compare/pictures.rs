@@ -12,7 +12,7 @@ use peernet_statistics::number::{self, NONE, count, duration, mean_std_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics, RunSummary};
 use peernet_stream::Placement;
 
-use super::spread::box_plot;
+use super::spread::{TICKS, box_plot};
 use super::table::mean_and_std;
 use super::{Comparison, Configuration};
 use crate::look;
@@ -74,7 +74,8 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
         .iter()
         .map(|one| (one.name.clone(), latency_bar(comparison, one).unwrap_or_default()))
         .collect();
-    let (pictures, scale) = Stacked::new("", &bars, Vec::new()).rows();
+    let (title, notes) = ("", Vec::new());
+    let (pictures, scale) = Stacked::new(title, &bars, notes).rows();
     let decimals = comparison.mean_decimals(comparison.total_column.name());
     let row = |(index, items): (usize, &Vec<Item>)| {
         let (one, (name, bar)) = (&comparison.configurations[index], &bars[index]);
@@ -126,6 +127,7 @@ fn routes(runs: &[&RunSummary]) -> String {
     let mut routes: Vec<(&Placement, Vec<String>)> = Vec::new();
     for run in runs {
         let (placement, host) = (&run.placement, run.host_name.to_string());
+        // Without the name of the edge, two runs with the same cloud have the same route.
         let is_same = |other: &Placement| place::route("", other) == place::route("", placement);
         match routes.iter_mut().find(|(other, _)| is_same(other)) {
             Some((_, hosts)) if hosts.contains(&host) => {}
@@ -170,7 +172,7 @@ pub(crate) fn place_comparisons(comparison: &Comparison) -> (Vec<PlaceComparison
         })
         .collect();
     let upper_ends = rows.iter().flat_map(|(_, places)| places).map(|place| place.quartiles.largest_drawn());
-    let scale = Scale::up_to(upper_ends.fold(0.0, f64::max) * 1e3, 6);
+    let scale = Scale::up_to(upper_ends.fold(0.0, f64::max) * 1e3, TICKS);
     let place_comparison = |(model, places): &(&String, Vec<PlaceValues<'_>>)| PlaceComparison {
         model: (*model).clone(),
         places: places.iter().map(|place| place.row(&scale)).collect(),

@@ -1,4 +1,5 @@
-//! Runs of a comparison over time, from stored buckets and single rows, at any length of a run.
+//! Runs of a comparison over time, from stored buckets and single rows. The numbers of buckets and rows are limited for
+//! runs of any length.
 
 use std::collections::HashMap;
 
@@ -161,7 +162,8 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
 /// Returns `5.3 ms between the starts of the first and the last iteration`; `None` for a single iteration, or if the
 /// clock was set back during the run.
 fn length_text(run: &RunSummary, episodes: &Episodes) -> Option<String> {
-    let seconds = (run.last_iteration? - episodes.first.unwrap_or(run.started)).seconds();
+    let first_iteration = episodes.first.unwrap_or(run.started);
+    let seconds = (run.last_iteration? - first_iteration).seconds();
     let length = if seconds < 1.0 { duration(seconds).to_string() } else { long_duration(seconds) };
     (seconds > 0.0).then(|| format!("{length} between the starts of the first and the last iteration"))
 }
@@ -169,8 +171,8 @@ fn length_text(run: &RunSummary, episodes: &Episodes) -> Option<String> {
 /// Returns the time that a point of the plot covers, in words: `points of 10 s`.
 fn bucket_width_text(seconds: f64) -> String {
     let (count, unit) = match seconds as u64 {
-        hours if hours >= 3_600 => (hours / 3_600, "h"),
-        minutes if minutes >= 60 => (minutes / 60, "min"),
+        seconds if seconds >= 3_600 => (seconds / 3_600, "h"),
+        seconds if seconds >= 60 => (seconds / 60, "min"),
         seconds => (seconds, "s"),
     };
     format!("points of {count}\u{202f}{unit}")
@@ -186,11 +188,12 @@ fn data(
     let RunTimeSeries { series, means, episodes } = time_series;
     let points: &[SeriesPoint] = series.stages.first().map_or(&[], |stage| &stage.points);
     let width = f64::from(series.bucket_s.max(1));
-    let start = episodes.first.unwrap_or(run.started);
-    let since = |at: WallTime| (at - start).seconds();
+    let first_iteration = episodes.first.unwrap_or(run.started);
+    let since = |at: WallTime| (at - first_iteration).seconds();
     let last = points.last().map_or(0.0, |point| since(point.at));
-    // If the clock was set back during the run, the last iteration may start before the first one.
-    let length_s = run.last_iteration.map_or(0.0, since).max(last).max(width.min(1.0));
+    // If the clock was set back during the run, the last iteration may start before the first one. The plot is at least
+    // one second long.
+    let length_s = run.last_iteration.map_or(0.0, since).max(last).max(1.0);
     let is_inside = |at: &WallTime| (0.0..=length_s).contains(&since(*at));
     let mean = |name: &str, at: WallTime| -> Option<&MeanBucket> {
         let buckets = &means.iter().find(|stage| stage.stage == *name)?.buckets;

@@ -7,6 +7,9 @@ use peernet_statistics::number::{join_ends, milliseconds};
 use super::{Axes, Comparison, Configuration};
 use crate::picture::Picture;
 
+/// Approximate number of ticks of a scale.
+pub(super) const TICKS: usize = 6;
+
 /// A configuration's total as a box.
 pub(crate) struct BoxRow {
     pub name: String,
@@ -35,7 +38,7 @@ pub(crate) fn boxes(comparison: &Comparison) -> (Vec<BoxRow>, Axes) {
         .collect();
     let scale = Scale::up_to(
         measured.iter().map(|(_, quartiles)| quartiles.largest_drawn()).fold(0.0, f64::max) * 1e3,
-        6,
+        TICKS,
     );
     let row = |(one, quartiles): &(&Configuration, Quartiles)| {
         let [p25, p50, p75] = quartiles.values.map(milliseconds);

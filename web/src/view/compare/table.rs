@@ -109,7 +109,7 @@ impl Table {
 /// Column of a quality.
 enum QualityColumn {
     Quality(Quality),
-    /// Share of the answers whose five best classes contain the right class.
+    /// Share of the answers whose five best classes contain the right class: index 1 of [`ACCURACIES`].
     Top5,
 }
 
@@ -180,7 +180,7 @@ pub(crate) struct DifferenceRow {
     /// 95 % interval of the difference; `None` if it is unknown.
     pub interval: Option<String>,
     /// `true` if the difference is larger than chance explains; `None` if that cannot be determined.
-    pub is_certain: Option<bool>,
+    pub is_distinct: Option<bool>,
 }
 
 impl DifferenceRow {
@@ -202,7 +202,7 @@ impl DifferenceRow {
             other_mean: mean(stage.means.1),
             difference,
             interval,
-            is_certain: stage.is_distinct(),
+            is_distinct: stage.is_distinct(),
         }
     }
 }

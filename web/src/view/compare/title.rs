@@ -34,8 +34,9 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
     if !untested.is_empty() {
         // If all these runs have enough iterations, only their buckets of whole seconds, which this page reads, are too
         // few. The command reads single iterations and can therefore tell more.
-        let mut compared = untested.iter().chain([&ranking.best]).flat_map(|index| &all[*index].runs);
-        let is_too_short = compared.all(|run| run.counts.ok >= MIN_VALUES as u64);
+        let mut untested_and_best_runs =
+            untested.iter().chain([&ranking.best]).flat_map(|index| &all[*index].runs);
+        let have_enough_iterations = untested_and_best_runs.all(|run| run.counts.ok >= MIN_VALUES as u64);
         let statement = match ranking.differences.len() {
             1 => format!("{} has the smaller mean, {mean}", best.name),
             others => {
@@ -46,7 +47,7 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
             true => format!(" of {}", join_names(all, &untested)),
             false => String::new(),
         };
-        if !is_too_short {
+        if !have_enough_iterations {
             return format!("{statement}; too little is known{configurations} to tell more");
         }
         let subject = match (configurations.strip_prefix(" of "), untested.as_slice()) {
@@ -54,6 +55,7 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
             (Some(names), [_]) => format!("{names} is "),
             (Some(names), _) => format!("{names} are "),
         };
+        // A batch has at least one bucket, and a bucket covers at least one second, so this many seconds are needed.
         return format!(
             "{statement}; {subject}too short for this page (needs {MIN_BATCHES}{SPACE}s): peernet compare can tell"
         );

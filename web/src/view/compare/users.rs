@@ -143,7 +143,8 @@ pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option
 /// Returns the answers per second of each user of a configuration, and the totals of all its users.
 fn users_line(configuration: &Configuration, repeats: &[Repeat<Summary>]) -> UsersLine {
     let edges = complete_repeats(configuration).first().map_or(0, Vec::len);
-    // As for several users, these are the measured totals, even if the table compares sums of stages.
+    // The line of a single user has these totals. They are measured totals, as for several users, even if the other
+    // tables of the page compare sums of stages.
     let all_totals = || configuration.summary(&stage::TOTAL).cloned().unwrap_or_default();
     UsersLine::new(configuration.values.clone(), edges, repeats, all_totals)
 }
