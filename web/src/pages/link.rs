@@ -208,8 +208,9 @@ pub(super) async fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> 
         ));
     };
     let range = Range::ALL.into_iter().find(|candidate| candidate.query_value() == range);
-    let view =
-        [OffsetView::Removed, OffsetView::Measured].into_iter().find(|candidate| candidate.word() == view);
+    let view = [OffsetView::DriftRemoved, OffsetView::Measured]
+        .into_iter()
+        .find(|candidate| candidate.word() == view);
     let (Some(range), Some(offset)) = (range, view) else {
         return Err(WebError::BadRequest(
             "query parameter topics: the range of a link is 10min, 1h or 24h, its offset removed or measured"
@@ -321,7 +322,7 @@ pub(super) fn link_page(
         ranges: Range::ALL
             .map(|range| (address(range, query.offset), range.name(), range == query.range))
             .to_vec(),
-        views: [(OffsetView::Removed, "drift removed"), (OffsetView::Measured, "as measured")]
+        views: [(OffsetView::DriftRemoved, "drift removed"), (OffsetView::Measured, "as measured")]
             .map(|(view, name)| (address(query.range, view), name, view == query.offset))
             .to_vec(),
         stats: stats::all(subject, recent_series),

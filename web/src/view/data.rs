@@ -39,8 +39,8 @@ impl fmt::Display for JsonBlock {
 
 impl askama::filters::HtmlSafe for JsonBlock {}
 
-/// A number for a chart; `None` is a gap. The JSON form has at least three decimals. A small number has more decimals,
-/// so that four significant digits remain, because tooltips show three. A gap is `null`.
+/// A number for a chart; `None` is a gap. The JSON form is rounded to three decimals. A small number is rounded to more
+/// decimals, so that four significant digits remain, because tooltips show three. A gap is `null`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct RoundedNumber(pub Option<f64>);
 

@@ -21,10 +21,11 @@ pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
 /// `995 iterations failed, 300 marked` if not all have a mark. `None` if no iteration failed.
 pub(crate) fn failed_count_text(episodes: &Episodes, run: &RunSummary) -> Option<String> {
     let failed = run.counts.all_failed();
-    // The counts of a run, which retention does not change, exclude the failed iterations of the warm-up. These are
-    // counted among the stored iterations, so their number is not known after retention has deleted iterations.
-    let is_complete = run.last_deleted_iteration == 0;
-    let in_warm_up = episodes.failed_in_warm_up.filter(|_| is_complete).unwrap_or_default();
+    // The counts of a run, which retention does not change, exclude the failed iterations of the warm-up. The failed
+    // iterations of the warm-up are counted among the stored iterations, so their number is not known after retention
+    // has deleted iterations.
+    let has_all_iterations = run.last_deleted_iteration == 0;
+    let in_warm_up = episodes.failed_in_warm_up.filter(|_| has_all_iterations).unwrap_or_default();
     let marked = episodes.failed_starts.len() as u64;
     let texts = [
         (failed > 0).then(|| format!("{} failed", number::counted(failed, "iteration"))),

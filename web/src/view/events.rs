@@ -213,14 +213,14 @@ pub(crate) fn stored_count_pairs(
     newest: Option<peernet_clock::WallTime>,
     zone: Zone,
 ) -> Vec<(&'static str, String)> {
-    let before = match stored.in_other_database {
+    let in_other_database = match stored.in_other_database {
         0 => String::new(),
-        before => format!(", {} of them in another database", count(before)),
+        number => format!(", {} of them in another database", count(number)),
     };
     let missing = stored.missing_count().events();
     let mut pairs = vec![
         ("Stored", format!("{} events, {} nodes", count(stored.events), count(stored.nodes))),
-        ("Gaps", format!("{}, {missing} missing{before}", count(stored.gaps))),
+        ("Gaps", format!("{}, {missing} missing{in_other_database}", count(stored.gaps))),
         ("Quarantined", format!("{} batches that could not be stored", count(stored.quarantined))),
     ];
     // These counts begin at the start of the aggregator, so they say nothing about a host that has not reported since
@@ -395,7 +395,9 @@ mod tests {
             let mut host = samples::host("cam-1", "Orin");
             (host.stored.gaps, host.stored.unknown_gaps, host.stored.missing) = (2, 1, missing);
             let remark = most_severe_remark(&host).expect("events are missing").text;
-            (remark, stored_count_pairs(&host.stored, None, None, Zone::Utc)[1].1.clone())
+            let (rejected, newest) = (None, None);
+            let gaps = stored_count_pairs(&host.stored, rejected, newest, Zone::Utc)[1].1.clone();
+            (remark, gaps)
         };
         let expected = |number: &str| {
             let remark = "the gaps of its runs, or incidents of the kind gap, say why.";

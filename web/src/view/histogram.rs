@@ -22,8 +22,10 @@ pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) ->
         .filter_map(|(name, value)| Some((name, value?)))
         .filter(|(_, value)| *value <= last_edge)
         .collect();
+    // Without a spread, a value has three significant digits.
+    let spread = 0.0;
     let quantile_texts =
-        quantiles.iter().map(|(name, value)| format!("{name} {}", unit.format_value(*value, 0.0)));
+        quantiles.iter().map(|(name, value)| format!("{name} {}", unit.format_value(*value, spread)));
     let label =
         format!("Distribution of {}: {}", stored.stage, quantile_texts.collect::<Vec<_>>().join(", "));
     let distribution = Distribution {

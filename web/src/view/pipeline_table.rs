@@ -18,6 +18,8 @@ use crate::picture::Picture;
 
 /// Whiskers extend the axis only up to this multiple of the longest bar.
 const MAX_AXIS_RATIO: f64 = 2.0;
+/// Approximate number of ticks of a scale.
+const TICKS: usize = 6;
 /// Length of the window of all numbers, seconds: the shortest window with enough iterations for a p99 at 5 Hz.
 // Bars, quantiles and whiskers come from one window, because numbers of different windows cannot be compared.
 const WINDOW_S: u32 = 60;
@@ -29,7 +31,7 @@ pub(crate) struct PipelineTable {
     /// Axis below each bar, for phones.
     pub small_axis: Picture,
     pub rows: Vec<PipelineRow>,
-    /// The stages that any of the rows has: columns of the table view.
+    /// The stages that any of the rows has, except `unattributed`, which always has a column in the table view.
     pub columns: Vec<&'static str>,
     /// `true` if a pipeline has a deadline.
     pub has_deadlines: bool,
@@ -61,7 +63,7 @@ pub(crate) struct PipelineRow {
     /// Traffic up and down, MB/s.
     pub traffic: Cell,
     pub clock: ClockCell,
-    /// Means in the order of the table's columns, ms.
+    /// Means in the order of the table's columns, and the mean of `unattributed`, ms.
     pub stages: Vec<String>,
     pub total: String,
 }
@@ -143,7 +145,7 @@ impl PipelineTable {
                 .value(&stage::TOTAL)
                 .map_or(0.0, |total| total.p99.or(total.p95).unwrap_or(total.p50) * 1e3)
         });
-        let scale = Scale::up_to(reach.fold(0.0, f64::max).min(MAX_AXIS_RATIO * longest).max(longest), 6);
+        let scale = Scale::up_to(reach.fold(0.0, f64::max).min(MAX_AXIS_RATIO * longest).max(longest), TICKS);
         let has_part =
             |name: &&str| stacks.iter().flat_map(|stack| &stack.parts).any(|part| part.name == **name);
         let columns: Vec<&'static str> =

@@ -14,7 +14,7 @@ use super::super::incidents::IncidentLine;
 use super::super::speed::NetworkDirection;
 use super::delays::{delays_of_point, non_negative_bounds};
 use super::time_series::LinkTimeSeries;
-use super::tracks::{Place, RailSign, Track, Tracks, span};
+use super::tracks::{AxisPosition, IncidentSign, Track, Tracks, span};
 use super::{Subject, estimate_and_max_error, offset};
 use crate::picture::Picture;
 use crate::zone::Zone;
@@ -25,7 +25,8 @@ use crate::zone::Zone;
 pub(crate) enum OffsetView {
     /// The offset minus the part that a steady drift explains.
     #[default]
-    Removed,
+    #[serde(rename = "removed")]
+    DriftRemoved,
     /// The offset as measured.
     Measured,
 }
@@ -34,7 +35,7 @@ impl OffsetView {
     /// Returns the word for an address.
     pub(crate) const fn word(self) -> &'static str {
         match self {
-            Self::Removed => "removed",
+            Self::DriftRemoved => "removed",
             Self::Measured => "measured",
         }
     }
@@ -46,6 +47,10 @@ const MAX_WHISKERS: f64 = 60.0;
 const MIN_LABELLED_GAP: f64 = 0.08;
 /// Minimum distance between two signs, as a share of the time axis; closer signs would overlap.
 const MIN_SIGN_DISTANCE: f64 = 0.022;
+/// Approximate number of ticks of a scale.
+const TICKS: usize = 3;
+/// Width of a whisker's cap to each side, as a share of the time axis.
+const CAP_WIDTH: f64 = 0.003;
 /// A scale ends at the largest value, but at most at this multiple of the 95th percentile.
 const MAX_OUTLIER_RATIO: f64 = 3.0;
 
@@ -112,7 +117,9 @@ pub(super) fn reach(values: impl Iterator<Item = f64>) -> f64 {
 /// Returns the number of values beyond the end of a scale, in words; `None` if there are no such values.
 pub(super) fn beyond(values: impl Iterator<Item = f64>, scale: &Scale, unit: &str) -> Option<String> {
     let number = values.filter(|value| *value > scale.ends().1).count() as u64;
-    let end = scale.ticks(1).pop().filter(|_| number > 0)?.text;
+    // The last tick of a widened scale is its end, for any maximum number of ticks.
+    let max_ticks = 1;
+    let end = scale.ticks(max_ticks).pop().filter(|_| number > 0)?.text;
     Some(format!("{} beyond {}{SPACE}{unit} ↑", count(number), end.trim_start_matches('+')))
 }
 
@@ -130,9 +137,9 @@ pub(crate) fn tracks(
     incidents: &[IncidentRow],
     zone: Zone,
 ) -> Tracks {
-    let seconds = (time_series.seconds() / MAX_WHISKERS).ceil() as i64;
+    let coarse_bucket_s = (time_series.seconds() / MAX_WHISKERS).ceil() as i64;
     let gaps = time_series.gaps();
-    let input = ChartInput { time_series, coarse: time_series.merged(seconds), gaps };
+    let input = ChartInput { time_series, coarse: time_series.merged(coarse_bucket_s), gaps };
     let mut all = Vec::new();
     if !subject.same_clock() {
         all.push(offset::track(&subject.cloud, &input, view));
@@ -153,7 +160,9 @@ pub(crate) fn tracks(
     let background: Vec<Item> = hatches.iter().cloned().chain(incident_lines).collect();
     Tracks {
         label: finding(subject, &input, incidents.len()),
-        gap_labels: labelled_gaps.map(|(from, to)| (Place(f64::midpoint(*from, *to)), "no report")).collect(),
+        gap_labels: labelled_gaps
+            .map(|(from, to)| (AxisPosition(f64::midpoint(*from, *to)), "no report"))
+            .collect(),
         strips: [NetworkDirection::Up, NetworkDirection::Down]
             .map(|direction| strip(&input, direction, &hatches))
             .to_vec(),
@@ -163,7 +172,7 @@ pub(crate) fn tracks(
     }
 }
 
-fn signs(input: &ChartInput<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<RailSign> {
+fn signs(input: &ChartInput<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<IncidentSign> {
     let mut rows: Vec<&IncidentRow> = incidents.iter().collect();
     rows.sort_by_key(|row| row.at);
     let mut last_x = f64::NEG_INFINITY;
@@ -174,7 +183,7 @@ fn signs(input: &ChartInput<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<R
         if is_shown {
             last_x = x;
         }
-        RailSign { x: Place(x), sign: line.sign, tone: line.tone.class(), is_shown }
+        IncidentSign { x: AxisPosition(x), sign: line.sign, tone: line.tone.class(), is_shown }
     });
     signs.collect()
 }
@@ -184,7 +193,7 @@ fn strip(input: &ChartInput<'_>, direction: NetworkDirection, hatches: &[Item]) 
     let bucket_width = input.time_series.bucket as f64 / input.time_series.seconds().max(1.0);
     let mut segments: Vec<(f64, f64, Verdict)> = Vec::new();
     for point in &input.time_series.points {
-        let Some(verdict) = delays_of_point(point, direction).map(|second| second.verdict) else { continue };
+        let Some(verdict) = delays_of_point(point, direction).map(|delays| delays.verdict) else { continue };
         let end = input.x(point.at);
         let begin = (end - bucket_width).max(0.0);
         // A point continues the segment of the previous point if it has the same verdict and no bucket is missing
@@ -229,7 +238,7 @@ fn delays(input: &ChartInput<'_>) -> Track {
         });
         medians.flatten().map(|median| non_negative_bounds(&median).1 * 1e3)
     };
-    let scale = Scale::up_to(reach(upper_bounds()), 3);
+    let scale = Scale::up_to(reach(upper_bounds()), TICKS);
     let mut track =
         Track::new(format!("one-way delay, median of {}, ms", bucket_text(input.coarse.bucket)), scale);
     track.note = "whiskers: contain the true value".to_owned();
@@ -245,6 +254,7 @@ fn delays(input: &ChartInput<'_>) -> Track {
         let marks: Vec<(f64, f64, f64, f64)> = points
             .iter()
             .filter_map(|point| {
+                // A negative median is impossible, so it is not drawn.
                 let median =
                     delays_of_point(point, direction)?.median.filter(|median| !median.value.is_negative())?;
                 let (lo, hi) = non_negative_bounds(&median);
@@ -252,7 +262,7 @@ fn delays(input: &ChartInput<'_>) -> Track {
                 Some(((input.x(point.at) - half_bucket).max(0.0), at(hi), at(lo), at(median.value.seconds())))
             })
             .collect();
-        track.draw(whiskers, Path::whiskers(marks.iter().map(|(x, hi, lo, _)| (*x, *hi, *lo)), 0.003));
+        track.draw(whiskers, Path::whiskers(marks.iter().map(|(x, hi, lo, _)| (*x, *hi, *lo)), CAP_WIDTH));
         track.draw(dots, Path::dots(marks.iter().map(|(x, _, _, value)| (*x, *value))));
     }
     track
@@ -262,7 +272,7 @@ fn round_trips(input: &ChartInput<'_>) -> Track {
     let points = &input.time_series.points;
     let medians =
         || points.iter().filter_map(|point| point.round_trip).map(|trip| trip.median.seconds() * 1e3);
-    let scale = Scale::up_to(reach(medians()), 3);
+    let scale = Scale::up_to(reach(medians()), TICKS);
     let mut track = Track::new("probe round trip, ms".to_owned(), scale);
     track.note = "strong: smallest · faint: median · ticks: lost probes, by their share".to_owned();
     track.beyond = beyond(medians(), &scale, "ms");
@@ -276,7 +286,8 @@ fn round_trips(input: &ChartInput<'_>) -> Track {
     // A tick is longer for a larger share of lost probes; its length is the same for all shares from 20 % on.
     let lost = points.iter().filter_map(|point| {
         let share = point.probes.lost_share().filter(|share| *share > 0.0)?;
-        Some((input.x(point.at), 0.03, 0.05 + 0.15 * (share * 5.0).min(1.0)))
+        let (upper_end, lower_end) = (0.03, 0.05 + 0.15 * (share * 5.0).min(1.0));
+        Some((input.x(point.at), upper_end, lower_end))
     });
     track.draw("lost", Path::ticks(lost));
     track
@@ -313,11 +324,9 @@ fn finding(subject: &Subject<'_>, input: &ChartInput<'_>, incidents: usize) -> S
         return format!("{text} Nothing was reported.");
     }
     for direction in [NetworkDirection::Up, NetworkDirection::Down] {
-        let seconds = input.coarse.points.iter().filter_map(|point| delays_of_point(point, direction));
-        let worst = seconds.clone().map(|second| second.verdict).max_by_key(|verdict| verdict.severity());
-        if let Some(range) =
-            range(seconds.filter_map(|second| second.median).map(|median| median.value.seconds()))
-        {
+        let delays = input.coarse.points.iter().filter_map(|point| delays_of_point(point, direction));
+        let worst = delays.clone().map(|one| one.verdict).max_by_key(|verdict| verdict.severity());
+        if let Some(range) = range(delays.filter_map(|one| one.median).map(|median| median.value.seconds())) {
             let worst = worst.map_or_else(String::new, |verdict| format!(", worst verdict {verdict}"));
             text.push_str(&format!(" Median {} {range}{worst}.", direction.delay_name()));
         }

@@ -149,18 +149,23 @@ mod tests {
     fn only_unknown_counts_are_dashes() {
         let link = samples::link(Some(0.0005), &[]);
         let rows = rows(&Subject::live(&link));
-        let [up, received, down, sent] = &rows[..] else { panic!("{rows:?}") };
+        let [upload_by_edge, upload_by_cloud, download_by_edge, download_by_cloud] = &rows[..] else {
+            panic!("{rows:?}")
+        };
         let labels = rows.iter().map(|row| (row.direction, row.counted_by.as_str())).collect::<Vec<_>>();
         let (edge, cloud) = (link.edge_name.as_str(), link.live.peer_name.as_str());
         let expected = ["upload", "download"].map(|direction| [(direction, edge), (direction, cloud)]);
         assert_eq!(labels, expected.concat());
-        assert_eq!((up.pipeline.as_str(), up.bytes.as_str()), ("line", "1.25\u{202f}GB"));
+        assert_eq!(
+            (upload_by_edge.pipeline.as_str(), upload_by_edge.bytes.as_str()),
+            ("line", "1.25\u{202f}GB")
+        );
         let texts =
             |row: &DirectionRow| row.counts.iter().map(|one| one.text().to_owned()).collect::<Vec<_>>();
-        assert_eq!(texts(up), ["10,482", "863,204", NONE, "0", "0", "17"]);
-        assert_eq!(texts(down), ["10,480", "10,655", NONE, NONE, "3", NONE]);
-        assert_eq!(texts(received), ["10,481", "863,100", NONE, NONE, "12", NONE]);
-        assert_eq!(texts(sent), ["10,480", "10,655", NONE, "0", "0", "4"]);
+        assert_eq!(texts(upload_by_edge), ["10,482", "863,204", NONE, "0", "0", "17"]);
+        assert_eq!(texts(download_by_edge), ["10,480", "10,655", NONE, NONE, "3", NONE]);
+        assert_eq!(texts(upload_by_cloud), ["10,481", "863,100", NONE, NONE, "12", NONE]);
+        assert_eq!(texts(download_by_cloud), ["10,480", "10,655", NONE, "0", "0", "4"]);
     }
 
     #[test]

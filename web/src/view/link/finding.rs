@@ -67,6 +67,7 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
                 "{route}: a clock was stepped a moment ago; delays can be trusted again when the bound has settled"
             )
         }
+        // The offset is not stale any more, but some delays of the last 10 s were judged while it was stale.
         (Some(Verdict::Stale), _) | (_, Some(Verdict::Stale)) => {
             format!("{route}: the clocks are known to {bound}; delays can be trusted from now on")
         }

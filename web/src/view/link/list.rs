@@ -130,8 +130,7 @@ impl PastLine {
 pub(crate) fn title(snapshot: &LiveState) -> String {
     let links: Vec<Subject<'_>> = snapshot.links.iter().map(|link| Subject::live(link)).collect();
     let verdicts: Vec<Verdict> = links.iter().filter_map(Subject::verdict).collect();
-    let count_of =
-        |wanted: Verdict| verdicts.iter().filter(|verdict| verdict.severity() == wanted.severity()).count();
+    let count_of = |wanted: Verdict| verdicts.iter().filter(|verdict| **verdict == wanted).count();
     let (good, limited) = (count_of(Verdict::Ok), count_of(Verdict::Limited));
     let bad = verdicts.len() - good - limited;
     let subject = number::counted(links.len() as u64, "link");

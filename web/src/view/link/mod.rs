@@ -33,8 +33,8 @@ const RECENT_SPAN: Span = Span::from_seconds(10);
 /// Separator between edge, cloud and network in a link's name. None of these three names can contain the separator.
 pub(crate) const NAME_SEPARATOR: char = '~';
 
-/// Returns the name of a link in addresses: `EDGE~CLOUD` over `zmq-tcp`, as in earlier releases, and `EDGE~CLOUD~NETWORK` over any
-/// other network.
+/// Returns the name of a link in addresses: `EDGE~CLOUD` if the network is `zmq-tcp`, as in earlier releases, otherwise
+/// `EDGE~CLOUD~NETWORK`.
 pub(crate) fn name(edge: &str, cloud: &str, network: &NetworkName) -> String {
     if network.is_default() {
         format!("{edge}{NAME_SEPARATOR}{cloud}")
@@ -227,6 +227,7 @@ impl<'a> Subject<'a> {
 
     /// Returns whether any exchange ever related the two clocks, even if a clock was stepped since then.
     pub(crate) fn was_related(&self) -> bool {
+        // No counts of exchanges are known for a link that is not in the live state, so its clocks count as related.
         self.live.is_none_or(|link| {
             link.live.latest_sample.exchanges.accepted > 0
                 || link.history.iter().any(|point| point.offset.is_some())
@@ -265,6 +266,7 @@ impl<'a> Subject<'a> {
         // second is excluded. If all recent points are settled and there are older points, the relation was established
         // before the recent points, and no recent point is excluded.
         let settled_count = first_unsettled.unwrap_or(newest_first.len() + usize::from(!is_whole_history));
+        // If at most the newest point is settled, no point would remain, so no point is excluded.
         if settled_count > 1 && !self.same_clock() {
             newest_first.truncate(settled_count - 1);
         }

@@ -33,7 +33,7 @@ fn usual_size(sizes: impl Iterator<Item = f64>) -> f64 {
 pub(super) fn track(cloud: &str, input: &ChartInput<'_>, view: OffsetView) -> Track {
     let points = &input.time_series.points;
     let trend = match view {
-        OffsetView::Removed => OffsetTrend::of(points),
+        OffsetView::DriftRemoved => OffsetTrend::of(points),
         OffsetView::Measured => OffsetTrend::default(),
     };
     // The offset of a bucket is the offset at one time within the bucket, so the trend at that time is subtracted.
@@ -57,20 +57,22 @@ pub(super) fn track(cloud: &str, input: &ChartInput<'_>, view: OffsetView) -> Tr
         (source, points.iter().filter_map(|point| interval_by(point, source)).collect::<Vec<Ends>>())
     });
     let scale = match view {
-        OffsetView::Removed => {
+        OffsetView::DriftRemoved => {
             let own = usual_size(bands.iter().copied().map(larger_end));
             let sizes = others.iter().map(|(_, intervals)| reach(intervals.iter().copied().map(larger_end)));
             let most = sizes.filter(|size| *size <= own * MAX_OTHER_RATIO).fold(own, f64::max);
-            Scale::linear((-most, most)).widened(6).signed()
+            let ticks = 6;
+            Scale::linear((-most, most)).widened(ticks).signed()
         }
         OffsetView::Measured => {
             let span = |(lo, hi): Ends, one: &Ends| (lo.min(one.0), hi.max(one.1));
             let (lo, hi) = bands.iter().fold((f64::INFINITY, f64::NEG_INFINITY), span);
-            Scale::linear((lo, hi)).widened(5).signed()
+            let ticks = 5;
+            Scale::linear((lo, hi)).widened(ticks).signed()
         }
     };
 
-    let suffix = if view == OffsetView::Removed { ", drift removed" } else { "" };
+    let suffix = if view == OffsetView::DriftRemoved { ", drift removed" } else { "" };
     let quantity = match points.last().map(|point| point.clocks) {
         Some(RelatedClocks::Raw) => "offset of the free-running clock of",
         Some(RelatedClocks::RawToWall) => "offset, free-running clock to wall clock of",
@@ -108,7 +110,8 @@ pub(super) fn track(cloud: &str, input: &ChartInput<'_>, view: OffsetView) -> Tr
     track.draw("strong", Path::line(line));
     note.push("line: estimate".to_owned());
     track.note = note.join(" · ");
-    if view == OffsetView::Removed {
+    // The scale of the other view contains all bands.
+    if view == OffsetView::DriftRemoved {
         track.beyond = beyond(bands.into_iter().map(larger_end), &scale, "ms");
     }
     track

@@ -27,18 +27,22 @@ pub(crate) struct Origin {
     pub rows: Vec<SourceRow>,
     /// Reasons for the width of the bounds, or for the absence of bounds, in sentences.
     pub why: Vec<String>,
-    /// Purpose of the hints: `To narrow it`.
+    /// Purpose of the hints: `To narrow the bounds`.
     pub hint_title: &'static str,
     /// Advice, most promising first.
     pub hints: Vec<String>,
 }
 
-fn row(name: String, interval: Interval, is_result: bool) -> SourceRow {
+/// Returns the row of a source.
+fn row(name: String, interval: Interval) -> SourceRow {
     let between = interval_ms(interval.lo.seconds(), interval.hi.seconds());
-    SourceRow { name, between, width: trip_ms(interval.width().seconds()), is_result }
+    SourceRow { name, between, width: trip_ms(interval.width().seconds()), is_result: false }
 }
 
-/// Returns a source in words.
+/// Number of exchanges for [`source`] if the source is not in-band.
+const NO_EXCHANGES: u64 = 0;
+
+/// Returns a source in words. Only the words for in-band offsets have the number of exchanges.
 pub(crate) fn source(source: DelaySource, exchanges: u64) -> String {
     match source {
         DelaySource::InBand => format!("in-band, {} exchanges", count(exchanges)),
@@ -71,7 +75,7 @@ impl Origin {
         let mut rows: Vec<SourceRow> = offset
             .sources
             .iter()
-            .map(|(name, interval)| row(source(*name, offset.exchanges), *interval, false))
+            .map(|(name, interval)| row(source(*name, offset.exchanges), *interval))
             .collect();
         let has_several = offset.sources.len() > 1;
         if !offset.is_consistent() {
@@ -90,13 +94,14 @@ impl Origin {
             };
         }
         rows.extend(unused_claims(subject, offset));
-        rows.push(row(if has_several { "intersection" } else { "used" }.to_owned(), offset.bounds, true));
+        let result_name = if has_several { "intersection" } else { "used" };
+        rows.push(SourceRow { is_result: true, ..row(result_name.to_owned(), offset.bounds) });
         let verb = if subject.connected { "come" } else { "came" };
         Self {
             title: format!("Where the bounds {verb} from"),
             rows,
             why: explain_bound(offset, time_series),
-            hint_title: "To narrow it",
+            hint_title: "To narrow the bounds",
             hints: hints(subject, Some(offset)),
         }
     }
@@ -108,7 +113,7 @@ fn unused_claims(subject: &Subject<'_>, offset: &Offset) -> Option<SourceRow> {
     let is_unused = offset.sources.iter().all(|(source, _)| *source == DelaySource::InBand);
     // Claims are about wall clocks, so the offset that follows from two claims is an offset of wall clocks.
     let clocks = if subject.clocks() == RelatedClocks::Wall { "" } else { ", of the wall clocks" };
-    is_unused.then(|| row(format!("{}{clocks}, not used", source(claim_source, 0)), interval, false))
+    is_unused.then(|| row(format!("{}{clocks}, not used", source(claim_source, NO_EXCHANGES)), interval))
 }
 
 /// Returns the offset of the wall clocks that follows from the present claims of both hosts' time daemons.
@@ -178,12 +183,13 @@ fn explain_bound(offset: &Offset, time_series: &LinkTimeSeries) -> Vec<String> {
 /// Returns the reason why the bounds are narrower than the best round trip alone can make them.
 fn describe_narrowing(offset: &Offset) -> String {
     let others = offset.sources.iter().filter(|(origin, _)| *origin != DelaySource::InBand);
-    let others: Vec<String> = others.map(|(origin, _)| source(*origin, 0)).collect();
+    let others: Vec<String> = others.map(|(origin, _)| source(*origin, NO_EXCHANGES)).collect();
     if others.is_empty() {
-        return "the fastest way there and the fastest way back, of different exchanges, narrow it together"
+        return "the fastest way there and the fastest way back, of different exchanges, narrow the bounds \
+                together"
             .to_owned();
     }
-    format!("the offset {} narrows it", others.join(" and "))
+    format!("the offset {} narrows the bounds", others.join(" and "))
 }
 
 /// Smallest error that a time daemon usually claims. A time daemon is recommended only if half the width of the bounds

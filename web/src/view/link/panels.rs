@@ -20,7 +20,7 @@ pub(crate) struct HostRow {
     pub text: String,
     /// Error bound that the host's time daemon claims.
     pub claims: String,
-    /// Number of detected clock steps.
+    /// Number of detected steps, slews and sleeps of the clock. Each of these begins a new epoch.
     pub steps: String,
     pub clock_fault: Option<String>,
 }

@@ -14,9 +14,9 @@ use crate::picture::Picture;
 pub(crate) struct Tracks {
     /// Description of the plot in words.
     pub(super) label: String,
-    pub(super) signs: Vec<RailSign>,
+    pub(super) signs: Vec<IncidentSign>,
     /// Position of the middle of a gap, and its label.
-    pub(super) gap_labels: Vec<(Place, &'static str)>,
+    pub(super) gap_labels: Vec<(AxisPosition, &'static str)>,
     pub(super) strips: Vec<Picture>,
     pub(super) tracks: Vec<TrackPicture>,
     pub(super) times: Picture,
@@ -26,9 +26,9 @@ impl askama::filters::HtmlSafe for Tracks {}
 
 /// Position on the time axis, as a share of its length.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
-pub(super) struct Place(pub(super) f64);
+pub(super) struct AxisPosition(pub(super) f64);
 
-impl std::fmt::Display for Place {
+impl std::fmt::Display for AxisPosition {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{:.3}%", self.0 * 100.0)
     }
@@ -36,8 +36,8 @@ impl std::fmt::Display for Place {
 
 /// Sign of an incident above the tracks, with a line through all tracks.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct RailSign {
-    pub(super) x: Place,
+pub(super) struct IncidentSign {
+    pub(super) x: AxisPosition,
     /// Name of the icon.
     pub(super) sign: &'static str,
     /// CSS class of the tone.

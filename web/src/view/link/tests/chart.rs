@@ -23,7 +23,7 @@ fn gap_interrupts_lines_and_is_hatched() {
     let gap: Vec<i64> = (40..60).collect();
     let link = link(Some(0.00065), &gap);
     let subject = Subject::live(&link);
-    let picture = tracks(&subject, &time_series(&link), OffsetView::Removed, &[], Zone::Utc);
+    let picture = tracks(&subject, &time_series(&link), OffsetView::DriftRemoved, &[], Zone::Utc);
     let offset = &picture.tracks[0];
     assert_eq!(offset.plot.to_string().matches("class=\"hatch\"").count(), 1);
     let band = path(offset, "band").expect("a band");
@@ -43,7 +43,7 @@ fn chart_without_data_renders() {
     let mut empty = link(None, &[]);
     empty.history.clear();
     let subject = Subject::live(&empty);
-    for view in [OffsetView::Removed, OffsetView::Measured] {
+    for view in [OffsetView::DriftRemoved, OffsetView::Measured] {
         let picture = tracks(&subject, &time_series(&empty), view, &[], Zone::Utc);
         assert!(picture.label.contains("Nothing was reported"), "{}", picture.label);
         assert!(!picture.to_string().contains("NaN"));
@@ -70,7 +70,8 @@ fn clock_step_outliers_change_neither_trend_nor_scale() {
         let residual = point.offset.as_ref().expect("known").estimate.seconds() - trend.at(2, point.at);
         assert!(residual.abs() < 1e-6, "{residual}");
     }
-    let picture = tracks(&Subject::live(&link), &time_series(&link), OffsetView::Removed, &[], Zone::Utc);
+    let picture =
+        tracks(&Subject::live(&link), &time_series(&link), OffsetView::DriftRemoved, &[], Zone::Utc);
     let axis = picture.tracks[0].axis.to_string();
     assert!(axis.ends_with(">+0.015</text></svg>"), "{axis}");
 }
@@ -82,7 +83,7 @@ fn repeated_seconds_are_drawn_per_relation_period() {
     let whole = LinkTimeSeries { from: at(0), to: at(40), bucket: 1, points };
     let mut subject_link = link(Some(0.0005), &[]);
     subject_link.history.clear();
-    let picture = tracks(&Subject::live(&subject_link), &whole, OffsetView::Removed, &[], Zone::Utc);
+    let picture = tracks(&Subject::live(&subject_link), &whole, OffsetView::DriftRemoved, &[], Zone::Utc);
     let band = path(&picture.tracks[0], "band").expect("a band");
     assert_eq!(band.matches('Z').count(), 2, "{band}");
 }

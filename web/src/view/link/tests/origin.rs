@@ -48,14 +48,14 @@ fn narrow_bound_names_its_sources_and_needs_no_time_daemon() {
         (origin.why[0].clone(), origin.hints)
     };
     let (why, hints) = first_reason_and_hints(&link);
-    assert!(why.contains("the offset as claimed by chrony on both hosts narrows it"), "{why}");
+    assert!(why.contains("the offset as claimed by chrony on both hosts narrows the bounds"), "{why}");
     assert_eq!(hints, ["a shorter path between the hosts"]);
     if let Some(offset) = &mut link.live.latest_sample.offset {
         offset.sources.truncate(1);
     }
     let (why, _) = first_reason_and_hints(&link);
     assert!(
-        why.contains("of different exchanges, narrow it together") && !why.contains("another source"),
+        why.contains("of different exchanges, narrow the bounds together") && !why.contains("another source"),
         "{why}"
     );
 }
@@ -171,7 +171,7 @@ fn contradictory_offset_is_shown_without_value() {
             table.iter().all(|row| row.offset == "—" && row.bound == "—" && row.drift == "—"),
             "{table:?}"
         );
-        let picture = tracks(&subject, &time_series(&link), OffsetView::Removed, &[], Zone::Utc);
+        let picture = tracks(&subject, &time_series(&link), OffsetView::DriftRemoved, &[], Zone::Utc);
         assert_eq!(super::chart::path(&picture.tracks[0], "band"), None);
     }
 }
