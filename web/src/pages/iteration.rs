@@ -22,7 +22,7 @@ use crate::timeline::Timeline;
 use crate::view::bytes::{ByteRow, OtherMeasurement};
 use crate::view::chip::Chip;
 use crate::view::runs::reject_deleted;
-use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, lanes, rows};
+use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, rails, rows};
 use crate::view::{clock_fault, link, place};
 
 /// Registration of this page.
@@ -58,7 +58,7 @@ struct Iteration {
     cloud: Option<String>,
     axis: Picture,
     /// Time lines of both hosts, with the messages between the hosts; `None` without another host.
-    lanes: Option<Picture>,
+    rails: Option<Picture>,
     rows: Vec<Row>,
     note: Option<String>,
     delays: Vec<DelayRow>,
@@ -169,7 +169,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
         slower: detail.slower,
         faster: detail.faster,
         axis: Picture::milliseconds_axis(&scale, ""),
-        lanes: cloud.as_ref().and_then(|cloud| lanes(&timeline, &journey(&timeline, &edge, cloud), &scale)),
+        rails: cloud.as_ref().and_then(|cloud| rails(&timeline, &journey(&timeline, &edge, cloud), &scale)),
         rows: rows(detail, &timeline, &hosts, &scale),
         note: cloud.as_ref().and_then(|cloud| footnote(&timeline, cloud)),
         delays: delays(&timeline, &detail.row.delays),

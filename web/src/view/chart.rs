@@ -150,7 +150,6 @@ impl ChartCard {
     pub(crate) fn new(pipeline: &PipelineSnapshot, snapshot: &LiveState, zone: Zone) -> Self {
         let host = pipeline.host_name.to_string();
         let name = pipeline.pipeline.to_string();
-        let (p95, p99) = (None, None);
         let stack = pipeline.window(10).map(Stack::of_window).unwrap_or_default();
         let has_part = |name: &&str| {
             pipeline.series.iter().flat_map(|second| &second.parts).any(|(part, _)| part == *name)
@@ -161,7 +160,10 @@ impl ChartCard {
             key: format!("{host}/{name}"),
             href: place::pipeline_href(&host, &name),
             route: place::route(&host, &pipeline.placement),
-            finding: format!("Stages of {name} over the last 10 minutes. {}", stack.finding((p95, p99))),
+            finding: format!(
+                "Stages of {name} over the last 10 minutes. {}",
+                stack.description((None, None))
+            ),
             minutes: minutes(&pipeline.series, &columns, zone),
             columns,
             data: ChartData::new(pipeline, snapshot, host),

@@ -20,7 +20,8 @@ pub(crate) fn route(host: &str, placement: &Placement) -> String {
     }
 }
 
-/// Returns the model of a local pipeline, or network and mean payload of a remote pipeline: `resnet on board`, `zmq-tcp · 1.23 MB`.
+/// Returns the model of a local pipeline, or network and mean payload of a remote pipeline: `resnet on board`,
+/// `zmq-tcp · 1.23 MB`. The model replaces a payload that is not known.
 pub(crate) fn details(placement: &Placement, window: Option<&Window>) -> String {
     match placement.kind {
         PlacementKind::Local => format!("{} on board", placement.model),

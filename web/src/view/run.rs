@@ -31,6 +31,7 @@ const MAX_SLOWEST: usize = 8;
 pub(crate) struct StoredRun<'a> {
     pub run: &'a RunDetail,
     pub statistics: &'a RunStatistics,
+    /// Time series of the total alone, and gaps.
     pub series: &'a Series,
     pub slowest: &'a [IterationRow],
     /// The first failed iterations.
@@ -133,9 +134,10 @@ impl StoredRun<'_> {
         self.starts.actual_hz()
     }
 
-    /// Returns a scale that ends at or after the slowest iteration, ms.
+    /// Returns a scale of durations in ms, from zero to at least the total of the slowest iteration.
     pub(crate) fn scale(&self) -> AxisScale {
-        AxisScale::up_to(self.slowest.first().and_then(|row| row.total).unwrap_or(0.0) * 1e3, 5)
+        let (largest, ticks) = (self.slowest.first().and_then(|row| row.total).unwrap_or(0.0), 5);
+        AxisScale::up_to(largest * 1e3, ticks)
     }
 
     /// Returns the format of the run's tables of durations.
@@ -160,17 +162,18 @@ impl StoredRun<'_> {
 
     /// Returns the statistics of quantities that are not durations.
     pub(crate) fn other_statistics(&self) -> Vec<OtherStatistics> {
-        // Counts are shown above, as a share or a sum: quantiles of counts have little meaning.
+        // The page shows counts above this table, as a share or a sum: quantiles of counts have little meaning.
         let counts =
             [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED, SUPERSEDED].into_iter().chain(ACCURACIES);
         let counts = counts.chain(ACTION_REPORTS).chain(EPISODE_VALUES);
         let is_count = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
         // A mean of the throughputs of single iterations is not a speed, because small messages count as much as large
         // ones. `transfer_rows` returns the speed.
-        let is_ratio = |stage: &StageStatistics| {
+        let is_throughput = |stage: &StageStatistics| {
             [stage::UPLOAD_THROUGHPUT, stage::DOWNLOAD_THROUGHPUT].contains(&stage.stage)
         };
-        let is_other = |stage: &&StageStatistics| stage.unit != "s" && !is_count(stage) && !is_ratio(stage);
+        let is_other =
+            |stage: &&StageStatistics| stage.unit != "s" && !is_count(stage) && !is_throughput(stage);
         let other_stages = self.statistics.stages.iter().filter(is_other);
         let rows = other_stages.map(|stage| {
             let (statistics, scale) = (&stage.statistics, Scale::for_unit(&stage.unit));
@@ -218,6 +221,7 @@ impl StoredRun<'_> {
         let rows = self.slowest.iter().take(MAX_SLOWEST).map(|row| {
             let stack = Stack::of_iteration(row);
             let bar = StageBar { has_values: false, ..StageBar::new(&stack.parts, scale) };
+            let no_label = "";
             SlowIteration {
                 number: row.number,
                 number_text: count(row.number),
@@ -230,7 +234,7 @@ impl StoredRun<'_> {
                     let css_class = look::class(&name);
                     (name, css_class, format!("{more}{SPACE}ms"))
                 }),
-                bar: Picture::of_items(&bar.items(), "stages thin", ""),
+                bar: Picture::of_items(&bar.items(), "stages thin", no_label),
             }
         });
         rows.collect()
@@ -241,7 +245,8 @@ impl StoredRun<'_> {
         let Self { series, slowest, episodes, .. } = self;
         let milliseconds = |time: WallTime| time.unix_nanos() / 1_000_000;
         let all = |times: &[WallTime]| times.iter().copied().map(milliseconds).collect();
-        // If the clock was set back during a warm-up, the warm-up seems to end before its beginning.
+        // If the clock was set back during a warm-up, the warm-up seems to end before its beginning. The chart leaves
+        // out such a warm-up.
         let warm_up = episodes.warm_up.iter().filter(|(from, until)| until > from);
         let points = series.stages.iter().flat_map(|stage| &stage.points).map(|point| {
             (

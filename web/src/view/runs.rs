@@ -38,7 +38,10 @@ impl End {
             );
         }
         let connected = || snapshot.hosts.iter().any(|host| host.id == run.host && host.connected);
-        let is_current = snapshot.pipelines.iter().any(|one| one.host == run.host && one.run == Some(run.id));
+        let is_current = snapshot
+            .pipelines
+            .iter()
+            .any(|pipeline| pipeline.host == run.host && pipeline.run == Some(run.id));
         if is_current && connected() {
             return Self::InProgress;
         }
@@ -101,6 +104,7 @@ pub(crate) fn reject_deleted(
     iteration: u64,
     retention: &RetentionConfig,
 ) -> Result<(), WebError> {
+    // The first iteration has the number 1, so no iteration 0 was deleted.
     if iteration == 0 || iteration > run.last_deleted_iteration {
         return Ok(());
     }
@@ -207,10 +211,10 @@ mod tests {
         };
         let gaps =
             [gap(60, 849, "no room"), gap(0, 40_000, "no room"), gap(30, 0, "batches 3 to 9 are missing")];
-        let unknown = [gap(0, 849, "no room"), gap(60, 0, "no room")];
+        let partly_known = [gap(0, 849, "no room"), gap(60, 0, "no room")];
         let subject = "At least 849 events";
-        assert_eq!(gap_notes(&unknown, Zone::Utc)[0].subject, format!("{subject} of this run"));
-        let missing = unknown
+        assert_eq!(gap_notes(&partly_known, Zone::Utc)[0].subject, format!("{subject} of this run"));
+        let missing = partly_known
             .iter()
             .map(|gap| MissingEvents { count: gap.count, reason: gap.reason.clone() })
             .collect();

@@ -60,12 +60,13 @@ pub(crate) fn known_speed(
 
 /// Returns the reason why a chart of `series` has no line for a direction; `None` if the chart has such a line. The
 /// reason is that of the minute that ends with the newest successful iteration.
-// The newest minute itself would give no reason for a pipeline that has ended: its chart still shows the earlier
-// minutes.
+// For a pipeline that has ended, the minute before now would always give the reason that no iteration succeeded. But
+// the chart still shows earlier minutes.
 pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirection) -> Option<&'static str> {
     let last = series.iter().rfind(|second| second.counts.ok > 0).map(|second| second.at);
     let minute = || series.iter().filter(|second| last.is_some_and(|last| second.at > last - MINUTE_S));
     let mut verdicts = VerdictCounts::default();
+    // `NetworkDirection` has the order of `verdicts`: up, down.
     minute().for_each(|second| verdicts.merge(&second.verdicts[direction as usize]));
     find_obstacle(Verdict::summarise(verdicts.counts()), minute().map(|second| second.counts.ok).sum())
 }
@@ -105,6 +106,7 @@ pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: NetworkDirec
     let verdict = bound_of(&window.bounds, direction).and_then(clocks::verdict);
     let why = find_obstacle(verdict, window.counts.ok);
     match text(&window.transfers, &window.bounds, direction, window.value(direction.delay_name())) {
+        // Without a verdict the speed is known, so `why` does not apply.
         Some(text) => Cell { text, title: verdict.and(why).map(str::to_owned) },
         None => Cell::none(why.unwrap_or("the sizes or the delays are not known")),
     }
@@ -129,7 +131,8 @@ pub(crate) fn direction_traffic(window: &Window, direction: NetworkDirection) ->
     direction.transfer(&window.transfers)?.traffic(window.covered_s)
 }
 
-/// Returns the interval of a speed while sending in MB/s, from the statistics of the delays. `None` if a delay has no interval.
+/// Returns the interval of a speed while sending in MB/s, from the statistics of the delays. `None` if a delay has no
+/// interval.
 fn interval(speed: f64, delay: &QuantityStatistics, accuracy: &DelayAccuracy) -> Option<String> {
     let interval = accuracy.interval_of_mean(delay)?;
     let ClockInterval { lo, hi, method } = interval.throughput_interval(speed, delay.mean);

@@ -49,10 +49,13 @@ impl Stack {
         self
     }
 
-    /// Creates the stack from the numbers of messages sent up and down, and the statistics of nodes by name.
+    /// Creates the stack from the statistics of nodes by name. `sent` has the numbers of messages sent up and down: a
+    /// sent message with an unknown delay counts as if it had the mean of the known delays.
     fn new(sent: [u64; 2], statistics_of: impl Fn(&str) -> Option<QuantityStatistics>) -> Self {
-        let mean_of = |name: &str| statistics_of(name).map(|statistics| (statistics.count, statistics.mean));
-        Self { parts: bar_parts(StageSplit::new(sent, mean_of).parts), total: statistics_of("total") }
+        let count_and_mean_of =
+            |name: &str| statistics_of(name).map(|statistics| (statistics.count, statistics.mean));
+        let split = StageSplit::new(sent, count_and_mean_of);
+        Self { parts: bar_parts(split.parts), total: statistics_of("total") }
     }
 
     /// Returns the stack of one iteration. If upload or download is unknown, the stack has the sum of both in their
@@ -78,16 +81,18 @@ impl Stack {
         scale: Scale,
     ) -> Picture {
         let bar = StageBar { quantiles: quantiles.into(), ..StageBar::new(&self.parts, scale) };
-        Picture::of_items(&bar.items(), class, &self.finding(quantiles))
+        Picture::of_items(&bar.items(), class, &self.description(quantiles))
     }
 
     /// Returns the stack as a bar that fills its panel.
     pub(crate) fn full_width_bar(&self, class: &'static str) -> Picture {
-        Picture::of_items(&StageBar::full_width(&self.parts).items(), class, &self.finding((None, None)))
+        let no_quantiles = (None, None);
+        let bar = StageBar::full_width(&self.parts);
+        Picture::of_items(&bar.items(), class, &self.description(no_quantiles))
     }
 
-    /// Returns the description of the bar in words.
-    pub(crate) fn finding(&self, (p95, p99): (Option<f64>, Option<f64>)) -> String {
+    /// Returns the description of the bar in words. The description has the quantiles that are given.
+    pub(crate) fn description(&self, (p95, p99): (Option<f64>, Option<f64>)) -> String {
         let Some(total) = &self.total else { return "no successful iteration in this time".to_owned() };
         let mut text = format!("Median {}", duration(total.p50));
         for (name, quantile) in [("p95", p95), ("p99", p99)] {
@@ -147,11 +152,11 @@ mod tests {
         let names: Vec<_> = stack.parts.iter().map(|part| part.name.as_str()).collect();
         assert_eq!(names, ["sensing", look::NETWORK, "inference", "unattributed"]);
         assert!((stack.parts[1].seconds - 0.012).abs() < 1e-12);
-        assert!(stack.finding((None, None)).contains("Largest stages: upload + download 12.0\u{202f}ms"));
+        assert!(stack.description((None, None)).contains("Largest stages: upload + download 12.0\u{202f}ms"));
     }
 
     #[test]
-    fn bar_of_stepped_iteration_has_sum_of_directions() {
+    fn bar_has_sum_of_directions_after_clock_step() {
         let mut row = crate::tests::samples::iteration().row;
         row.total = Some(1.200);
         row.stages = vec![(stage::SENSING, 0.002), (stage::UPLOAD, 0.010), (stage::INFERENCE, 0.0002)];

@@ -135,7 +135,8 @@ impl StageRow {
             let row = Self::new(column, &bound.stage, None, Some(bound), None);
             rows.insert(index_of(&rows, &bound.stage), row);
         }
-        // If no direction is known, the sum of both directions has a row, before `upload` as in the bar.
+        // Only if neither direction has a known delay, the sum of both directions has a row, before `upload` as in the
+        // bar.
         if let (Some(network), Some(total)) =
             (stack.parts.iter().find(|part| part.name == look::NETWORK), stack.total)
         {
@@ -166,10 +167,13 @@ impl StageRow {
     pub(crate) fn of_window(window: &Window) -> Vec<Self> {
         let stack = Stack::of_window(window);
         let column = stack.duration_format();
-        let mean_of = |name: &str| window.value(name).map(|statistics| (statistics.count, statistics.mean));
-        let share = |name: &str| share_of_total(name, DelayAccuracy::sent_messages(&window.bounds), mean_of);
+        let count_and_mean_of =
+            |name: &str| window.value(name).map(|statistics| (statistics.count, statistics.mean));
+        let sent = DelayAccuracy::sent_messages(&window.bounds);
+        let share = |name: &str| share_of_total(name, sent, count_and_mean_of);
         let mut rows = Vec::new();
         let network = stack.parts.iter().find(|part| part.name == look::NETWORK);
+        // `sensing` is the first of `parts` and is skipped there, because its own parts follow it here.
         let order = ["sensing", "capture", "transform"].into_iter().chain(look::parts().skip(1));
         // Lateness is a part of the unattributed time, so its row follows that row.
         let order = order.filter(|name| *name != look::LATENESS).chain([look::LATENESS, "total"]);

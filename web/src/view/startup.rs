@@ -9,8 +9,8 @@ pub(crate) const WAITING: &str = "Waiting for agents to report";
 /// Time after which an agent that has not reported counts as absent. Agents try to reconnect every few seconds.
 const RECONNECT_TIMEOUT: Span = Span::from_seconds(15);
 
-/// Returns whether agents may still reconnect to an aggregator that started at `since`. Until then, a host or pipeline that has not
-/// reported is not missing.
+/// Returns whether agents may still reconnect to an aggregator that started at `since`. Until then, a host or pipeline
+/// that has not reported is not missing.
 pub(crate) fn is_waiting_for_agents(snapshot: &LiveState, since: WallTime) -> bool {
     let has_known_hosts = snapshot.absent > 0 || !snapshot.hosts.is_empty();
     // As long as not even one host has reported, the page has nothing else to show, so the time does not matter.

@@ -1,4 +1,5 @@
-//! Warnings of the overview: latencies with a large spread, busy processors, unattributed time, skipped and late starts.
+//! Warnings of the overview: latencies with a large spread, busy processors, unattributed time, skipped and late
+//! starts.
 
 use peernet_aggregator::{HostSnapshot, MetricsPoint, Window};
 use peernet_analysis::rows::SKIPPED_STARTS;
@@ -69,8 +70,9 @@ fn tail_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
 
 /// Returns the split of the mean total of the minute.
 fn split(minute: &Window) -> StageSplit {
-    let mean_of = |name: &str| minute.value(name).map(|statistics| (statistics.count, statistics.mean));
-    StageSplit::new(DelayAccuracy::sent_messages(&minute.bounds), mean_of)
+    let count_and_mean_of =
+        |name: &str| minute.value(name).map(|statistics| (statistics.count, statistics.mean));
+    StageSplit::new(DelayAccuracy::sent_messages(&minute.bounds), count_and_mean_of)
 }
 
 /// Returns the warning about time that no stage, lateness or restart explains, or about stages that overlap. The trust
@@ -104,6 +106,7 @@ fn skipped_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)>
 
 /// Returns the warning about iterations that start later than intended.
 fn late_warning(split: &StageSplit, warn: &WarnConfig) -> Option<(Chip, String)> {
+    // A lateness that would be negligible as unexplained time is negligible, too.
     let seconds = split.lateness.filter(|seconds| *seconds >= NEGLIGIBLE_UNEXPLAINED_S)?;
     let share = split.share_of_mean_total(seconds);
     let text = format!(
@@ -176,11 +179,11 @@ mod tests {
         };
         assert_eq!(words(restarted), [] as [&str; 0], "the wait for a restart is explained");
         assert_eq!(words(|minute| set_unattributed(minute, -0.0025)), ["sum"]);
-        let unrelated = |minute: &mut Window| {
+        let without_unattributed = |minute: &mut Window| {
             set_unattributed(minute, 0.0080);
             minute.values.retain(|(name, _)| *name != stage::UNATTRIBUTED);
         };
-        assert_eq!(words(unrelated), [] as [&str; 0], "the stages are not all known");
+        assert_eq!(words(without_unattributed), [] as [&str; 0], "the stages are not all known");
     }
 
     #[test]

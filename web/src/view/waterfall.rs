@@ -11,7 +11,7 @@ use peernet_statistics::number::{
 };
 use peernet_store::IterationDetail;
 
-pub(crate) use bars::lanes;
+pub(crate) use bars::rails;
 
 use super::chip::Chip;
 use super::clocks;
@@ -26,7 +26,7 @@ use crate::timeline::{NodeLocation, PlacedNode, Timeline};
 pub(crate) struct Row {
     /// Name of the host, in the first of consecutive rows of one host.
     pub group: Option<String>,
-    /// In the first of consecutive rows of one host: their number.
+    /// In the first of consecutive rows of one host: how many rows these are. In all other rows: 1.
     pub span: usize,
     /// CSS class: `net` for the network, `cloud` for another host, `total` for the total, else empty.
     pub class: &'static str,
@@ -84,11 +84,14 @@ pub(crate) fn rows(
     let is_cause = |name: &str| detail.row.causes.iter().any(|cause| cause.name == *name);
     let row = |node: &PlacedNode| {
         let is_cause = node.is_counted && is_cause(node.name.as_str());
-        Row::of(node, hosts, is_cause, bars::row(node, timeline, scale, is_cause), column)
+        // Only the bar of a cause has a mark at the median.
+        let has_median = is_cause;
+        Row::of(node, hosts, is_cause, bars::row(node, timeline, scale, has_median), column)
     };
     let is_lateness = |node: &&PlacedNode| node.depth == 0 && node.name == *look::LATENESS;
     let mut rows: Vec<Row> = timeline.nodes.iter().filter(|node| !is_lateness(node)).map(row).collect();
-    // Lateness is a part of the unattributed time, so its row is indented. Otherwise the column would seem to add up to more than the total.
+    // Lateness is a part of the unattributed time, so its row is indented. Otherwise the column would seem to add up to
+    // more than the total.
     let lateness = timeline.nodes.iter().find(is_lateness).map(|node| Row { depth: 1, ..row(node) });
 
     let medians = detail.medians();
@@ -98,19 +101,23 @@ pub(crate) fn rows(
         if let Some((name, seconds)) = unaccounted.network {
             // As in bars and tables of stages, the sum is before `upload`, the first row of the network.
             let index = rows.iter().position(|row| row.class == "net").unwrap_or(rows.len());
+            // The sum of network and unattributed time has no median.
             let median = medians.both_ways().filter(|_| name == look::NETWORK);
-            let mut row = Row::sum(name, "network".to_owned(), (seconds, median), bars::blank(scale), column);
+            let bar = bars::blank(scale);
+            let mut row = Row::without_node(name, "network".to_owned(), (seconds, median), bar, column);
             row.is_cause = is_cause(name);
             rows.insert(index, row);
         }
         if let Some(rest) = unaccounted.unattributed {
             let median = medians.median(&stage::UNATTRIBUTED);
-            let mut row = Row::sum("unattributed", edge.clone(), (rest, median), bars::blank(scale), column);
+            let bar = bars::blank(scale);
+            let mut row = Row::without_node("unattributed", edge.clone(), (rest, median), bar, column);
+            // If starts are late, the cause has the second name.
             row.is_cause = is_cause("unattributed") || is_cause(REST_OF_UNATTRIBUTED);
             rows.push(row);
         }
         rows.extend(lateness);
-        let mut total_row = Row::sum(
+        let mut total_row = Row::without_node(
             "total",
             edge,
             (total, medians.median(&stage::TOTAL)),
@@ -131,6 +138,7 @@ fn name_hosts_once(rows: &mut [Row]) {
         let same = |row: &Row| row.host == rows[begin].host && row.class == rows[begin].class;
         let span = rows[begin..].iter().take_while(|row| same(row)).count().max(1);
         let is_total = rows[begin].class == "total";
+        // The total is the time of the whole iteration and not of one host, so its row names no host.
         rows[begin].group = Some(if is_total { String::new() } else { rows[begin].host.clone() });
         rows[begin].span = span;
         begin += span;
@@ -168,9 +176,9 @@ impl Row {
         }
     }
 
-    /// Creates the row of a time that no node measures, such as the total. `seconds` is the time in the
+    /// Creates the row of a time that is not a node of the time line, such as the total. `seconds` is the time in the
     /// iteration, `median` the median in the run.
-    fn sum(
+    fn without_node(
         name: &str,
         host: String,
         (seconds, median): (f64, Option<f64>),
@@ -243,12 +251,12 @@ pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     let Some(visit) = timeline.visit() else { return String::new() };
     let column = timeline.duration_format();
     let at = |seconds: f64| format!("{}{SPACE}ms", column.duration(seconds));
-    let back = visit.answer_times.map_or_else(
+    let answer = visit.answer_times.map_or_else(
         || "no answer came back".to_owned(),
-        |(_, back)| format!("the answer is back at {}", at(back)),
+        |(_, received_at)| format!("the answer is back at {}", at(received_at)),
     );
     format!(
-        "The sample leaves {edge} at {}, reaches {cloud} at {}, {back}",
+        "The sample leaves {edge} at {}, reaches {cloud} at {}, {answer}",
         at(visit.sent_at),
         at(visit.arrival)
     )

@@ -161,7 +161,7 @@ mod tests {
         for (iteration, at) in [(2, 110.0), (1, 100.0), (4, 70.0), (3, 60.0)] {
             starts.add(iteration, at);
         }
-        let wall = |seconds| Some(WallTime::from_unix_nanos(seconds * 1_000_000_000));
+        let wall = |seconds: i64| Some(WallTime::from_unix_nanos(seconds * 1_000_000_000));
         let times = starts.starts().times;
         assert_eq!([times.first, times.last], [wall(100), wall(70)]);
         assert_eq!(starts.starts().actual_hz(), None);

@@ -325,7 +325,7 @@ impl RunObserver for RunRecorder<'_> {
 #[cfg(test)]
 mod tests {
     use peernet_analysis::record::RunRecord;
-    use peernet_analysis::trust::StartTimes;
+    use peernet_analysis::trust::{StartTimes, Starts};
 
     use super::*;
 

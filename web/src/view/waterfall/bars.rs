@@ -15,7 +15,7 @@ const MIN_WIDTH: f64 = 0.002;
 const BAR: (f64, f64) = (0.24, 0.76);
 /// Upper and lower side of the bar of a child node.
 const CHILD: (f64, f64) = (0.3, 0.7);
-/// Half the width of the caps of a clock bound, points: in a bar, and below a rail.
+/// Half the length of the caps of a clock bound, points: in a bar, and below a rail.
 const CAPS: (f64, f64) = (3.8, 2.6);
 /// Vertical positions of the rails of edge and cloud, as shares of the height of the picture.
 const RAILS: (f64, f64) = (0.24, 0.76);
@@ -23,6 +23,10 @@ const RAILS: (f64, f64) = (0.24, 0.76);
 const HALF_HEIGHT: f64 = 0.12;
 /// Vertical position of the clock bounds, below the cloud's rail.
 const BOUNDS: f64 = 0.94;
+/// Both ends of a clock bound have caps.
+const HAS_CAP: [bool; 2] = [true; 2];
+/// The bar of a row has no label, because the row contains the numbers.
+const NO_LABEL: &str = "";
 
 /// Returns the position of a time on the axis.
 fn at(scale: &Scale, seconds: f64) -> f64 {
@@ -39,7 +43,8 @@ fn rect((from, to): (f64, f64), (top, bottom): (f64, f64), style: Style) -> Item
     Item::rect(At::new(from, top), At::new(to, bottom), style)
 }
 
-/// Returns the uncertain times of a visit: the ranges in which the arrival of the request and the departure of the answer may lie.
+/// Returns the uncertain times of a visit: the ranges in which the arrival of the request and the departure of the
+/// answer may lie.
 fn bands(visit: &Visit, scale: &Scale) -> Vec<(f64, f64)> {
     let (earlier, later) = visit.shift;
     if later - earlier <= 0.0 {
@@ -51,14 +56,14 @@ fn bands(visit: &Visit, scale: &Scale) -> Vec<(f64, f64)> {
 
 /// Returns a row without a bar.
 pub(super) fn blank(scale: &Scale) -> Picture {
-    Picture::of_items(&Item::grid(scale), "row", "")
+    Picture::of_items(&Item::grid(scale), "row", NO_LABEL)
 }
 
 /// Returns the bar of the total.
 pub(super) fn total(seconds: f64, scale: &Scale) -> Picture {
     let mut items = Item::grid(scale);
     items.push(rect(extent(scale, 0.0, seconds), BAR, Style::total()));
-    Picture::of_items(&items, "row", "")
+    Picture::of_items(&items, "row", NO_LABEL)
 }
 
 /// Returns the bar of a node. If `has_median` is true, a tick marks the run's median.
@@ -77,7 +82,8 @@ pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, has_med
     } else if let Some(visit) =
         visit.filter(|_| node.location == NodeLocation::Network && node.length.is_none())
     {
-        // The duration of the message is unknown. The outline shows the time in which the message was on the way.
+        // The duration of the message is unknown. The outline shows the time in which the message was on the way: one
+        // end is known, and the end on the cloud is an estimate.
         let ends = if is_download { visit.answer_times } else { Some((visit.sent_at, visit.arrival)) };
         let ghost = ends.map(|(from, to)| rect(extent(scale, from, to - from), BAR, Style::of_page("ghost")));
         items.extend(ghost);
@@ -94,7 +100,8 @@ pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, has_med
         );
         items.push(Item::Text(label.shifted(0.5, 0.36).with_max_width(at(scale, start + length) - x)));
     }
-    // The uncertain end of a message is on the cloud: the arrival of an upload, the departure of a download. The whisker is drawn there.
+    // The uncertain end of a message is on the cloud: the arrival of an upload, the departure of a download. The
+    // whisker is drawn there.
     let bounds = node.delay.and_then(|delay| delay.bounds).filter(|(lo, hi)| hi > lo).zip(visit);
     let ends = bounds.and_then(|((lo, hi), visit)| match visit.answer_times {
         Some((_, back)) if is_download => Some([back - hi, back - lo]),
@@ -103,13 +110,13 @@ pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, has_med
     });
     if let Some(ends) = ends {
         let ends = ends.map(|end| At::new(at(scale, end), 0.5));
-        items.extend(Orientation::Horizontal.rimmed_whisker(ends, [true; 2], CAPS.0));
+        items.extend(Orientation::Horizontal.rimmed_whisker(ends, HAS_CAP, CAPS.0));
     }
-    Picture::of_items(&items, "row", "")
+    Picture::of_items(&items, "row", NO_LABEL)
 }
 
 /// Returns the rails of an iteration that went to exactly one other host; `label` describes them in words.
-pub(crate) fn lanes(timeline: &Timeline, label: &str, scale: &Scale) -> Option<Picture> {
+pub(crate) fn rails(timeline: &Timeline, label: &str, scale: &Scale) -> Option<Picture> {
     let visit = timeline.visit()?;
     let (edge, cloud) = RAILS;
     let bands = bands(visit, scale);
@@ -139,7 +146,7 @@ pub(crate) fn lanes(timeline: &Timeline, label: &str, scale: &Scale) -> Option<P
     }
     for (from, to) in bands {
         let ends = [from, to].map(|x| At::new(x, BOUNDS));
-        items.extend(Orientation::Horizontal.whisker(ends, [true; 2], CAPS.1, &Style::whisker()));
+        items.extend(Orientation::Horizontal.whisker(ends, HAS_CAP, CAPS.1, &Style::whisker()));
     }
     Some(Picture::of_items(&items, "lane", label))
 }
