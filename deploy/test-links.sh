@@ -34,7 +34,7 @@ state=/run/peernet-test-links
 #     difference. Download without added delay: below 1 ms. Paper: 0.37 and 0.62 ms.
 # campus (CAN in the paper): the rate is chosen for the pair that is not resized: 1,927,000 B at 160 Mbit/s take 96 ms, and the delay
 #     adds 2 to 3 ms. Paper: 98.28 ms. Resized: 24 ms and the delay. Paper: 14.53 ms. No rate reproduces both, because the paper does
-#     not give the size to which it resizes: 14.53 ms would be half of our bytes. Download: the delay alone. Paper: 1.73 to 3.59 ms.
+#     not give the size to which it resizes: 14.53 ms suffice for half of our bytes. Download: the delay alone. Paper: 1.73 to 3.59 ms.
 # 5g: over 5G the paper sends only resized pictures. Its upload takes 432.71 ms; it does not say how much of that is delay and how much
 #     transmission. We assume a delay of 60 ms, a usual value for a mobile network with a VPN. The other 373 ms for 482,000 B are
 #     10.3 Mbit/s. To the paper's second server, the A100, the upload takes 339.20 ± 234.52 ms; both servers share this profile.

@@ -131,6 +131,7 @@ def calibrate(model: torch.nn.Module, size: int) -> None:
     if not norms:
         return
     for module in model.modules():
+        # Blocks of torchvision say with this attribute whether they have a residual connection.
         if getattr(module, "use_res_connect", False):
             last_norm = [norm for norm in module.modules() if norm in norms][-1]
             torch.nn.init.constant_(last_norm.weight, 0.05)

@@ -122,7 +122,7 @@ class Answer:
     def __init__(self, script, request, number):
         characters, pictures = read_question(request)
         self.id = f"chatcmpl-{number}"
-        self.script, self.first = script, script.time_to_first_token(pictures)
+        self.script, self.time_to_first_token = script, script.time_to_first_token(pictures)
         self.drawn = script.draw_length()
         # `max_completion_tokens` is the newer name of the field `max_tokens`.
         limits = [request.get(name) for name in ("max_completion_tokens", "max_tokens")]
@@ -144,7 +144,7 @@ class Answer:
         """Yields each token with its time after the request, in seconds."""
         words = itertools.cycle(TEXT.split())
         for number, word in enumerate(itertools.islice(words, self.length)):
-            yield self.first + number * self.script.token, word if number == 0 else f" {word}"
+            yield self.time_to_first_token + number * self.script.token, word if number == 0 else f" {word}"
 
     def object(self, kind, **fields):
         return {"id": self.id, "object": kind, "created": int(time.time()), "model": MODEL, **fields}
@@ -226,7 +226,7 @@ class Server:
                 await send_http_chunk(writer, b"")
             else:
                 text = "".join(token for _, token in answer.tokens())
-                await sleep_until(start + answer.first + (answer.length - 1) * self.script.token)
+                await sleep_until(start + answer.time_to_first_token + (answer.length - 1) * self.script.token)
                 message = {"role": "assistant", "content": text}
                 choice = {"index": 0, "message": message, "finish_reason": answer.finish_reason}
                 completion = answer.object("chat.completion", choices=[choice], usage=answer.usage)
@@ -320,7 +320,7 @@ def main():
         default="60:12:0.5,240:25:0.5",
         metavar="MEAN:DEVIATION:WEIGHT,…",
         help="common lengths of answers, in tokens (default: %(default)s); 3:1:0.2,60:12:0.4,240:25:0.4 adds the "
-        "length of yes and no",
+        "length of the answers yes and no",
     )
     arguments = parser.parse_args()
     # Sleeps with `epoll` are rounded up to milliseconds, those with `select` are not.

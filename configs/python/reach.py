@@ -7,7 +7,7 @@ import socket
 import threading
 
 CONTROLLER = ("127.0.0.1", 9005)
-# Largest distance in one step, and distance from the target at which it is reached; metres.
+# Largest distance in one step, and distance from the target below which the target is reached; metres.
 REACH, TOLERANCE = 0.15, 0.02
 
 

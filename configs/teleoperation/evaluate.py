@@ -59,12 +59,16 @@ def teacher_velocity(simulator: Simulator) -> np.ndarray:
 
 
 def steps_to_success(
-    simulator: Simulator, velocity: Callable[[Simulator], np.ndarray], episode: int, delay: float, jitter: np.random.Generator | None
+    simulator: Simulator,
+    choose_velocity: Callable[[Simulator], np.ndarray],
+    episode: int,
+    delay: float,
+    jitter: np.random.Generator | None,
 ) -> int | None:
     """Runs an episode. Returns the number of steps until success, or None if there is none within STEPS."""
     simulator.reset(episode_rng(episode))
     for step in range(1, STEPS + 1):
-        action = velocity(simulator)
+        action = choose_velocity(simulator)
         # As in robot.py, success is judged by the state that the pictures of this step show.
         if simulator.success:
             return step
@@ -87,10 +91,10 @@ def main() -> None:
     width, height = (int(side) for side in options.size.split("x"))
     simulator = Simulator(width, height)
     policy = Policy(options.model) if options.model else None
-    velocity = policy.velocity if policy else teacher_velocity
+    choose_velocity = policy.velocity if policy else teacher_velocity
     for delay in options.delays:
         jitter = np.random.default_rng(0) if options.jitter else None
-        results = [steps_to_success(simulator, velocity, episode, delay, jitter) for episode in range(options.episodes)]
+        results = [steps_to_success(simulator, choose_velocity, episode, delay, jitter) for episode in range(options.episodes)]
         steps = [one for one in results if one is not None]
         steps_text = f", in {np.mean(steps):.1f} steps on average and at most {max(steps)}" if steps else ""
         print(f"delay {delay:.3f} s: {len(steps)} of {len(results)} episodes succeed{steps_text}", flush=True)

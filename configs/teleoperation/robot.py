@@ -54,9 +54,9 @@ class Cameras:
     def advance(self, seconds: float) -> None:
         """Lets simulated time pass: the total of the last iteration, in seconds, and then one control period.
 
-        During the iteration the arm follows the previous action, because the new one arrives only at its end. Then it follows the new
-        one for PERIOD. An iteration without any delay is thus a step of an ideal controller at 20 Hz. If no action was received,
-        the arm keeps following the previous one.
+        During the iteration the arm follows the previous action, because the new action arrives only at the end of the iteration.
+        Then the arm follows the new action for PERIOD. An iteration without any delay is thus a step of an ideal controller at 20 Hz.
+        If no action was received, the arm keeps following the previous one.
         """
         if not (math.isfinite(seconds) and seconds >= 0):
             raise ValueError(f"advance() got {seconds} seconds; the total of an iteration is a finite number and not negative")
@@ -81,7 +81,8 @@ class Cameras:
         """Answers each action with its feedback, or with a line that says why the action is invalid."""
         while True:
             line, sender = self.controller.recvfrom(MAX_LINE_BYTES)
-            # If the line is invalid, the number of the iteration is unknown. PEERNet assigns a reply without it to the current iteration.
+            # If the line is invalid, the number of the iteration is unknown. PEERNet assigns a reply without the number to the current
+            # iteration.
             reply: dict[str, Any] = {}
             try:
                 action = parse_json(line)

@@ -48,7 +48,7 @@ POSTURE = np.array([0.0, -1.0, 1.6, -0.6, 0.0])
 # Damping of the least-squares inverse of the Jacobian, and gain that keeps the hand pointing down, 1/s.
 DAMPING, ORIENTATION_GAIN = 1e-3, 5.0
 
-# Seed of the targets. An experiment sets another one for each repeat and user, which is the same in all configurations.
+# Seed of the targets. An experiment sets another seed for each repeat and user, but the same seed in all configurations.
 EPISODE_SEED = int(os.environ.get("PEERNET_SEED", 9_100_000))
 
 
@@ -90,14 +90,15 @@ class Simulator:
         self.data.mocap_pos[0, :2] = cup
         self.data.qpos[:] = POSTURE
         self.velocity = np.zeros(3)
-        # Newton's method: each pass moves the joints by the Jacobian's estimate for the remaining distance.
+        # Newton's method: each pass moves the joints by the Jacobian's estimate for the remaining distance, which is
+        # passed as a velocity for 1 s.
         for _ in range(100):
             mujoco.mj_kinematics(self.model, self.data)
             mujoco.mj_comPos(self.model, self.data)
             rest = tip - self.tip
             if np.linalg.norm(rest) < 1e-4 and np.linalg.norm(self.orientation_error()) < 1e-3:
                 break
-            self.data.qpos += self.joint_velocities(clip_length(rest, 0.1), 1.0)
+            self.data.qpos += self.joint_velocities(clip_length(rest, 0.1), orientation_gain=1.0)
         mujoco.mj_forward(self.model, self.data)
 
     def turn_joints(self, angles: np.ndarray) -> None:

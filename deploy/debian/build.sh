@@ -32,7 +32,7 @@ put() {
     install -m "$mode" "$@" "$folder"
 }
 
-# Under these names the program is the command line.
+# The program is the command line if it is started by the name of one of the links below.
 put 755 usr/bin "$programs/peernetd"
 for name in peernet PEERNet peernet_cli; do ln -s peernetd "$stage/usr/bin/$name"; done
 
@@ -51,7 +51,7 @@ put 644 usr/lib/systemd/system deploy/systemd/*.service
 put 644 usr/lib/sysusers.d deploy/sysusers.d/peernet.conf
 put 644 usr/lib/tmpfiles.d deploy/tmpfiles.d/peernet.conf
 
-# The library with its links, and the library that GPU providers from another build share.
+# The library with its links, and libonnxruntime_providers_shared.so, which GPU providers from another build need.
 install -d -m 755 "$stage/usr/lib/peernet"
 cp --no-dereference onnxruntime/lib/libonnxruntime*.so* "$stage/usr/lib/peernet"
 
@@ -83,7 +83,8 @@ find "$stage/$doc/examples" -name '*.toml' -exec sed -i \
 } >"$stage/$doc/copyright"
 chmod 644 "$stage/$doc/copyright"
 
-# Find the packages of the libraries that the programs are linked with.
+# Find the packages of the libraries that the programs are linked with. dpkg-shlibdeps runs only in a folder of sources that has
+# debian/control.
 sources=$(mktemp -d)
 trap 'rm -rf "$sources"' EXIT
 mkdir "$sources/debian"

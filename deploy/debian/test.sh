@@ -122,7 +122,8 @@ all_in_one() {
     expect_running all-in-one/over-the-network http://127.0.0.1:8040
 }
 
-# Runs the process of role $1; its own state folder stands in place of the agent's.
+# Runs the process of role $1. The cloud and the robot are both agents, so the folder of the role is mounted in place of the
+# agent's state folder.
 machine() {
     hostname "$1"
     [ "$1" = aggregator ] || mount --bind "/var/lib/peernet/$1" /var/lib/peernet/agent
@@ -214,13 +215,13 @@ case "${1:-}" in
             exec sudo sh "$0" "$1"
         fi
         for tool in apt-get dpkg systemd-analyze setpriv unshare; do
-            command -v "$tool" >/dev/null || fail "$tool not found; it needs a Debian system with systemd and util-linux"
+            command -v "$tool" >/dev/null || fail "$tool not found; this test needs a Debian system with systemd and util-linux"
         done
         scratch=$(mktemp -d)
         status=0
         unshare --mount --propagation private sh "$0" --overlay "$1" "$scratch" || status=$?
         rmdir "$scratch"
-        # 75: no overlay is allowed. If `unshare` itself fails with 1, it has run nothing.
+        # 75: no overlay is allowed. If `unshare` itself is not allowed, the status is 1, as after a failed check, but no check has run.
         if [ "$status" = 75 ] || ! unshare --mount true 2>/dev/null; then
             [ -e /.dockerenv ] || [ -e /run/.containerenv ] || systemd-detect-virt --quiet --container \
                 || fail "no overlay can be mounted here, and this is not a container: refusing to install on the machine itself"

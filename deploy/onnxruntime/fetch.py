@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Fetch the pinned ONNX Runtime library and unpack it where PEERNet looks for it.
 
-pip downloads the official wheel from PyPI and checks the hash of `pinned.toml`, which this script checks again. Does nothing if
-this version is already installed. Needs only Python 3.9 and pip.
+pip downloads the official wheel from PyPI. First pip and then this script compare the wheel with the hash in `pinned.toml`. Does
+nothing if this version is already installed. Needs only Python 3.9 and pip.
 """
 
 import argparse
@@ -23,7 +23,8 @@ PINS = HERE / "pinned.toml"
 STAMP = ".fetched"
 PYTHON_TAG = "312"  # pip must be told one of the interpreters the wheel exists for
 
-# Members that are extracted from the wheel: member name -> file name in the destination.
+# Members that are extracted from the wheel: pattern of the member's name, and file name in the destination (None: the group of the
+# pattern).
 WANTED = [
     (re.compile(r"onnxruntime/capi/(libonnxruntime\.so\.\d+\.\d+\.\d+)"), None),
     (re.compile(r"onnxruntime/capi/(libonnxruntime_providers_shared\.so)"), None),
@@ -121,7 +122,8 @@ def unpack(wheel, folder):
 def install(staging, names, destination, stamp):
     """Moves the unpacked files to the destination. The stamp is written last, so that an interrupted installation is repeated."""
     destination.mkdir(parents=True, exist_ok=True)
-    if (destination / STAMP).exists():  # only files of an earlier fetch: the folder may contain other files
+    # Without a stamp, the folder may contain libraries that are not from an earlier fetch. They stay.
+    if (destination / STAMP).exists():
         for old in destination.glob("libonnxruntime*"):
             old.unlink()
         (destination / STAMP).unlink()

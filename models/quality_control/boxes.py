@@ -11,7 +11,7 @@ from scene import LABELS, Scene
 from view import View
 
 DEFECTS = LABELS[1:]
-NAMES = ("scratch", "dent", "missing hole")  # names of one defect, in the order of DEFECTS
+NAMES = ("scratch", "dent", "missing hole")  # for each label of DEFECTS, the name of such a defect
 
 
 @dataclass(frozen=True)

@@ -46,14 +46,17 @@ class Model:
         return int(logits[0].argmax())
 
 
-def confusion(model: Model, folder: Path, first_to: int | None) -> np.ndarray:
-    """Counts the pictures of a folder: [true label, predicted label]. Prints the names of misclassified pictures."""
+def confusion(model: Model, folder: Path, first_width: int | None) -> np.ndarray:
+    """Counts the pictures of a folder: [true label, predicted label]. Prints the names of misclassified pictures.
+
+    Each picture is first resized to a width of `first_width`, unless that is None.
+    """
     counts = np.zeros((len(model.labels), len(model.labels)), int)
     with (folder / "labels.csv").open(newline="") as file:
         for row in csv.DictReader(file):
             image = Image.open(folder / row["file"]).convert("RGB")
-            if first_to is not None:
-                image = image.resize((first_to, first_to * image.height // image.width), Image.BILINEAR)
+            if first_width is not None:
+                image = image.resize((first_width, first_width * image.height // image.width), Image.BILINEAR)
             true, predicted = model.labels.index(row["label"]), model.classify(image)
             counts[true, predicted] += 1
             if true != predicted:
@@ -75,7 +78,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Checks a model on labelled pictures.")
     parser.add_argument("model", type=Path)
     parser.add_argument("folders", type=Path, nargs="*")
-    parser.add_argument("--first-to", type=int, help="width in pixels to which pictures are resize first")
+    parser.add_argument("--first-to", type=int, help="width in pixels to which pictures are first resized")
     parser.add_argument("--write-card", action="store_true", help="write the accuracy over all folders into the card")
     options = parser.parse_args()
     model = Model(options.model)

@@ -48,7 +48,10 @@ def _place(
     colour: np.ndarray,
     height: float,
 ) -> None:
-    """Blends the shadow of a small object onto the belt at (x, y) mm, and then the object, whose picture is [n, n]."""
+    """Blends the shadow of a small object onto the belt at (x, y) mm, and then the object.
+
+    `bright` and `coverage` are the brightness of the object and the share of each pixel that it covers; both [n, n].
+    """
     lamp = lamp_direction(scene.light)
     offset = -lamp[:2] / lamp[2] * height * view.scale * 0.5
     px, py = view.pixel(x, y)
@@ -88,7 +91,7 @@ def _shaving(scale: float, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
         ImageDraw.Draw(coverage).line(line, fill=255, width=width)
         shine = 60 + 190 * max(0.0, np.cos(2 * angle[i] - glint)) ** 3
         ImageDraw.Draw(bright).line(line, fill=round(shine), width=width + 2)
-    small = [np.asarray(i.resize((n, n), Image.BOX), np.float32) / 255 for i in (bright, coverage)]
+    small = [np.asarray(image.resize((n, n), Image.BOX), np.float32) / 255 for image in (bright, coverage)]
     return small[0], small[1]
 
 

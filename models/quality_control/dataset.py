@@ -48,6 +48,7 @@ def input_variants(seed: int) -> np.ndarray:
     If a scene is drawn 640 wide, this drawing also stands for the picture that is 1280 wide. About half of the smaller
     pictures are made from the encoded drawing, so they are encoded twice; the others are made from the drawing itself.
     """
+    # 77 is neither an index of a label (scene.py) nor a width (draw.py), so no other generator has the same seed.
     rng = np.random.default_rng([seed, 77])
     is_full_width = rng.random() < FULL_WIDTH_SHARE
     drawn = draw.draw_picture(seed, LABELS[seed % len(LABELS)], 1280 if is_full_width else 640)

@@ -18,6 +18,7 @@ def defect_cells(scene: Scene, rows: int, columns: int) -> np.ndarray:
     points = _points(scene)
     if len(points) == 0:
         return cells
+    # The width does not matter, because a cell is a share of the picture.
     view = View.of(scene.camera, 1280)
     c, s = np.cos(scene.pose.angle), np.sin(scene.pose.angle)
     for u, v in points:

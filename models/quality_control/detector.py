@@ -33,8 +33,8 @@ from preprocessing import HEIGHT, MEAN, SCALE, STD, WIDTH, normalise
 from scene import LABELS
 
 SEED = 7
-TRAINING_SEEDS = 7_000_000
-PICTURE_SEEDS = 8_000_001
+TRAINING_SEEDS = 7_000_000  # first seed of the scenes of the training set
+PICTURE_SEEDS = 8_000_001  # first seed of the scenes of the test pictures
 EPOCHS, BATCH, PEAK_RATE = 14, 32, 2e-3
 INITIAL_LOGIT = -4.0  # of each cell before the training; it is low because hardly any cell is the centre of a defect
 CENTRE_RADIUS_CELLS = 1.0  # the cells this close to the centre of a box, along both axes, must find the box
@@ -82,12 +82,16 @@ class Detector(nn.Module):
     def __init__(self, classifier: Path) -> None:
         super().__init__()
         self.features = _features(classifier)
-        width = 64
+        channels = 64  # of the classifier's last features
         self.head = nn.Sequential(
-            nn.Conv2d(width, width, 3, padding=1), nn.ReLU(), nn.Conv2d(width, width, 3, padding=2, dilation=2), nn.ReLU()
+            nn.Conv2d(channels, channels, 3, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(channels, channels, 3, padding=2, dilation=2),
+            nn.ReLU(),
         )
-        self.scores = nn.Conv2d(width, len(boxes.NAMES), 1)
-        self.sides = nn.Conv2d(width, 4, 1)
+        self.scores = nn.Conv2d(channels, len(boxes.NAMES), 1)
+        # Distances from the middle of a cell to the left, top, right and bottom side of its box.
+        self.sides = nn.Conv2d(channels, 4, 1)
         nn.init.constant_(self.scores.bias, INITIAL_LOGIT)
         rows, columns = torch.meshgrid(torch.arange(ROWS), torch.arange(COLUMNS), indexing="ij")
         self.register_buffer("centres", CELL * (torch.stack([columns, rows]).float() + 0.5))
@@ -111,6 +115,7 @@ def _features(classifier: Path) -> nn.Sequential:
     weights = {one.name: torch.from_numpy(numpy_helper.to_array(one).copy()) for one in graph.initializer}
     layers: list[nn.Module] = []
     for node in graph.node:
+        # `locate`, which computes the classifier's maps from the features, is left out.
         if node.op_type != "Conv" or node.input[1] == "locate.weight":
             continue
         options = {one.name: list(one.ints) for one in node.attribute if one.ints}
@@ -133,7 +138,7 @@ def cell_targets(seed: int, mirrored: bool) -> np.ndarray:
     targets = np.zeros((5, ROWS, COLUMNS), np.float32)
     drawn = boxes.boxes(scenes.sample(seed, LABELS[seed % len(LABELS)]), WIDTH)
     # Smaller boxes overwrite larger boxes in the cells of both, because they are harder to find.
-    for box in sorted(drawn, key=lambda one: (one.left - one.right) * (one.bottom - one.top)):
+    for box in sorted(drawn, key=lambda box: -(box.right - box.left) * (box.bottom - box.top)):
         left, right = (WIDTH - box.right, WIDTH - box.left) if mirrored else (box.left, box.right)
         x, y = (left + right) / 2 / CELL - 0.5, (box.top + box.bottom) / 2 / CELL - 0.5
         near_rows = np.abs(np.arange(ROWS) - y) <= CENTRE_RADIUS_CELLS
@@ -165,14 +170,14 @@ def loss_of(detector: Detector, features: torch.Tensor, targets: torch.Tensor) -
     kinds = targets[:, 0].long()
     positive = kinds > 0
     count = positive.sum().clamp(min=1)
-    ones = nn.functional.one_hot(kinds, len(boxes.NAMES) + 1)[..., 1:].permute(0, 3, 1, 2).float()
+    expected = nn.functional.one_hot(kinds, len(boxes.NAMES) + 1)[..., 1:].permute(0, 3, 1, 2).float()
     probability = logits.sigmoid()
-    wrong = torch.where(ones > 0, 1 - probability, probability)
-    weight = torch.where(ones > 0, 0.25, 0.75) * wrong**2
-    entropy = nn.functional.binary_cross_entropy_with_logits(logits, ones, reduction="none")
+    wrong = torch.where(expected > 0, 1 - probability, probability)
+    weight = torch.where(expected > 0, 0.25, 0.75) * wrong**2
+    entropy = nn.functional.binary_cross_entropy_with_logits(logits, expected, reduction="none")
     class_loss = (weight * entropy).sum() / count
-    edges, true = (one.permute(0, 2, 3, 1)[positive] for one in (edges, targets[:, 1:]))
-    return 2 * class_loss + (1 - overlap(edges, true)).sum() / count
+    edges, true_edges = (values.permute(0, 2, 3, 1)[positive] for values in (edges, targets[:, 1:]))
+    return 2 * class_loss + (1 - overlap(edges, true_edges)).sum() / count
 
 
 def overlap(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -205,7 +210,10 @@ def train(detector: Detector, training: tuple[torch.Tensor, torch.Tensor], epoch
 
 
 def write_pictures(folder: Path, count: int) -> None:
-    """Writes test pictures, 640 pixels wide, and labels.csv: a line for each defect, or for a picture without defects."""
+    """Writes test pictures, 640 pixels wide, and labels.csv.
+
+    labels.csv has a line for each defect. A picture without defects has one line, without label and box.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "labels.csv").open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")

@@ -32,9 +32,9 @@ def draw_picture(seed: int, label: str, width: int) -> Image.Image:
     clutter.scatter(light, scene, view, rng)
     if scene.neighbour is not None:
         metal.paint(light, metal.without_defects(scene), scene.neighbour, view, rng)
-    face = metal.paint(light, scene, scene.pose, view, rng)
+    face_brightness = metal.paint(light, scene, scene.pose, view, rng)
     clutter.dust(light, scene, view, rng)
-    return sensor.expose(light, face, scene, rng)
+    return sensor.expose(light, face_brightness, scene, rng)
 
 
 def shuffled_labels(counts: dict[str, int], seed: int) -> list[str]:

@@ -35,9 +35,10 @@ class VisiblePart:
 
     def distance(self, level: float) -> np.ndarray:
         """Distance in mm from the part's edge to the points that the pixels show at the height `level`."""
+        # `warp` returns 0 beyond the map, which becomes FAR.
         return FAR - self.map(np.maximum(FAR - self.face.edge_distance, 0), level)
 
-    def distance_above_belt(self, shift: tuple[float, float]) -> np.ndarray:
+    def distance_on_belt(self, shift: tuple[float, float]) -> np.ndarray:
         """Distance in mm from the part's edge to the points of the belt that the pixels show, moved by `shift` mm."""
         inside = np.maximum(FAR - self.face.edge_distance, 0)
         return FAR - warp(inside, self.face.texels, self.view, self.pose, self.pixels, 0.0, shift)
@@ -69,7 +70,9 @@ def paint(canvas: np.ndarray, scene: Scene, pose: Pose, view: View, rng: np.rand
     pixels = window(view, pose, SHADOW_REACH)
     if pixels.is_empty:
         return 0.0
-    visible = VisiblePart(surface.build(scene, min(1.25 * view.scale, 8.0), rng), view, pose, pixels)
+    # The map has a little more texels per mm than the picture has pixels per mm, but at most 8.
+    texels = min(1.25 * view.scale, 8.0)
+    visible = VisiblePart(surface.build(scene, texels, rng), view, pose, pixels)
     patch = canvas[pixels.slices]
     _shadow(patch, visible, scene.light)
     _walls(patch, visible, scene, rng)
@@ -86,7 +89,7 @@ def _shadow(patch: np.ndarray, visible: VisiblePart, light: Light) -> None:
     shade = np.zeros(patch.shape[:2], np.float32)
     for level in SHADOW_LEVELS:
         soft = 0.4 + 2 * light.softness * part.THICKNESS * level
-        away = visible.distance_above_belt((reach[0] * level, reach[1] * level))
+        away = visible.distance_on_belt((reach[0] * level, reach[1] * level))
         shade = np.maximum(shade, np.clip(0.5 - away / soft, 0, 1))
     contact = np.exp(-np.maximum(visible.distance(0.0), 0) / 3.0)
     patch *= (1 - (1 - 0.5 * light.ambient) * shade)[..., None]
@@ -145,8 +148,9 @@ def _directions(light: Light, visible: VisiblePart) -> tuple[Vector, Vector]:
 
 def _gloss(normal: Vector, along: tuple[np.ndarray, np.ndarray], half: Vector, rough: np.ndarray) -> np.ndarray:
     """Ward's highlight, wide across the machining marks and narrow along them, 0..1."""
-    level = np.maximum(_dot(normal, half), 0.05)
-    lift = (half[0] - normal[0] * level) * along[0] + (half[1] - normal[1] * level) * along[1]
-    side = np.maximum(1 - level**2 - lift**2, 0)
+    cosine = np.maximum(_dot(normal, half), 0.05)
+    # Components of `half` in the surface: along the marks, and the square of the one across them.
+    lengthwise = (half[0] - normal[0] * cosine) * along[0] + (half[1] - normal[1] * cosine) * along[1]
+    across_squared = np.maximum(1 - cosine**2 - lengthwise**2, 0)
     a, b = 0.19 + 0.25 * rough, 0.40 + 0.15 * rough
-    return np.exp(-((lift / a) ** 2 + side / b**2) / level**2) * (1 - 0.45 * rough)
+    return np.exp(-((lengthwise / a) ** 2 + across_squared / b**2) / cosine**2) * (1 - 0.45 * rough)

@@ -9,14 +9,14 @@ from noise import blur
 from scene import Scene
 
 
-def expose(light: np.ndarray, face: float, scene: Scene, rng: np.random.Generator) -> Image.Image:
-    """The 8-bit RGB picture of linear light [height, width, 3]; `face` is the top face's mean brightness."""
+def expose(light: np.ndarray, face_brightness: float, scene: Scene, rng: np.random.Generator) -> Image.Image:
+    """The 8-bit RGB picture of linear light [height, width, 3]; `face_brightness` is the mean of the top face."""
     height, width, _ = light.shape
-    unit = width / 1280
+    unit = width / 1280  # pixels of this picture per pixel of a picture 1280 wide
     camera = scene.camera
     light = (
         light
-        * (camera.exposure / max(face, 0.05))
+        * (camera.exposure / max(face_brightness, 0.05))
         * _tint(scene)
         * _vignette(height, width, camera.vignette)[..., None]
     )

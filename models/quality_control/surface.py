@@ -187,7 +187,7 @@ def _engraving(shape: tuple[int, int], texels: float, rng: np.random.Generator) 
     x, y = grid(texels)
     canvas = Image.new("L", shape[::-1])
     cells = (rng.random((12, 12)) < 0.5).astype(np.uint8) * 255
-    cells[:, 0] = cells[-1, :] = 255
+    cells[:, 0] = cells[-1, :] = 255  # finder pattern of a data matrix: its left and bottom edges are solid
     side = round(8 * texels)
     code = Image.fromarray(cells).resize((side, side), Image.NEAREST)
     left, top = round((14 - x[0, 0]) * texels), round((25 - y[0, 0]) * texels)

@@ -28,7 +28,7 @@ VALIDATION_SEEDS = 2_000_000  # first seed of the scenes with which the progress
 SCENES, VALIDATION_SCENES = 3600, 240
 EPOCHS, BATCH, PEAK_RATE = 16, 16, 2e-3
 CELL_WEIGHT = 10.0  # weight of a cell that shows a defect; the weight of other cells is 1
-LOCATION_SHARE = 20.0  # weight of the loss of the maps; the weight of the loss of the label is 1
+LOCATION_WEIGHT = 20.0  # weight of the loss of the maps; the weight of the loss of the label is 1
 OPSET = 13
 
 
@@ -71,7 +71,7 @@ def loss_of(network: Network, training: Dataset, chosen: np.ndarray, rng: np.ran
     )
     weight = torch.full((1, 1, 1), CELL_WEIGHT)
     location_loss = nn.functional.binary_cross_entropy_with_logits(maps, targets, pos_weight=weight)
-    return class_loss + LOCATION_SHARE * location_loss
+    return class_loss + LOCATION_WEIGHT * location_loss
 
 
 def augment_batch(pixels: np.ndarray, maps: np.ndarray, rng: np.random.Generator) -> tuple[torch.Tensor, torch.Tensor]:

@@ -31,6 +31,7 @@ class View:
         """The view of `camera` for a picture that is `width` pixels wide."""
         height = width * 3 // 4
         t, d = camera.tilt, camera.tilt_direction
+        # Unit vectors: from the origin to the camera, and the directions of the picture's rows and columns.
         back = np.array([np.sin(t) * np.cos(d), np.sin(t) * np.sin(d), np.cos(t)])
         right = np.array([1.0, 0, 0]) - back[0] * back
         right /= np.linalg.norm(right)

@@ -3,7 +3,7 @@
 #
 #     sensor = { kind = "exec", command = ["docs/examples/external/light.sh"] }
 #
-# A real one would read a device where this one makes the picture up.
+# A real sensor would read a device. This sensor makes the picture up.
 
 number=0
 while read -r request; do # one line, "next", for each sample

@@ -4,9 +4,9 @@
 #     actuator = { kind = "exec", command = ["docs/examples/external/record.sh", "answers.txt"] }
 
 answer=
-while read -r word bytes media shape source; do # answer BYTES MEDIA-TYPE SHAPE SOURCE, then as many bytes
+while read -r word bytes media shape source; do # part|answer BYTES MEDIA-TYPE SHAPE SOURCE, then as many bytes
     answer="$answer $(head -c "$bytes")"
-    if [ "$word" = part ]; then # the line "answer" has the last part, and it alone is replied to
+    if [ "$word" = part ]; then # the line "answer" has the last part; only this line gets a reply
         continue
     fi
     if printf '%s%s\n' "$source" "$answer" >> "$1"; then
