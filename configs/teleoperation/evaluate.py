@@ -29,7 +29,7 @@ class Policy:
         import tomllib
 
         card = tomllib.loads((folder / "model.toml").read_text())
-        self.input_names = [one["name"] for one in card["input"]]
+        self.input_names = [model_input["name"] for model_input in card["input"]]
         self.preprocessing = card["preprocessing"]
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
@@ -95,7 +95,7 @@ def main() -> None:
     for delay in options.delays:
         jitter = np.random.default_rng(0) if options.jitter else None
         results = [steps_to_success(simulator, choose_velocity, episode, delay, jitter) for episode in range(options.episodes)]
-        steps = [one for one in results if one is not None]
+        steps = [count for count in results if count is not None]
         steps_text = f", in {np.mean(steps):.1f} steps on average and at most {max(steps)}" if steps else ""
         print(f"delay {delay:.3f} s: {len(steps)} of {len(results)} episodes succeed{steps_text}", flush=True)
     if policy:

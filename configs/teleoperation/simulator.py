@@ -53,7 +53,7 @@ EPISODE_SEED = int(os.environ.get("PEERNET_SEED", 9_100_000))
 
 
 def episode_rng(episode: int) -> np.random.Generator:
-    """Returns the random number generator of an episode, which depends only on EPISODE_SEED and the number of the episode; the first one is 0."""
+    """Returns the random number generator of an episode, which depends only on EPISODE_SEED and the number of the episode, from 0 on."""
     return np.random.default_rng([EPISODE_SEED, episode])
 
 

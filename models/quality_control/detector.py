@@ -112,13 +112,13 @@ class Detector(nn.Module):
 def _features(classifier: Path) -> nn.Sequential:
     """The classifier's convolutions, from its ONNX graph, in which batch normalisation is a part of their weights."""
     graph = onnx.load(str(classifier / "model.onnx")).graph
-    weights = {one.name: torch.from_numpy(numpy_helper.to_array(one).copy()) for one in graph.initializer}
+    weights = {tensor.name: torch.from_numpy(numpy_helper.to_array(tensor).copy()) for tensor in graph.initializer}
     layers: list[nn.Module] = []
     for node in graph.node:
         # `locate`, which computes the classifier's maps from the features, is left out.
         if node.op_type != "Conv" or node.input[1] == "locate.weight":
             continue
-        options = {one.name: list(one.ints) for one in node.attribute if one.ints}
+        options = {attribute.name: list(attribute.ints) for attribute in node.attribute if attribute.ints}
         weight, bias = weights[node.input[1]], weights[node.input[2]]
         layer = nn.Conv2d(
             weight.shape[1],

@@ -133,7 +133,8 @@ impl ZonedTime {
 impl fmt::Display for ZonedTime {
     /// Writes the time as the `datetime` attribute of HTML needs it (RFC 3339).
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0.to_rfc3339_opts(chrono::SecondsFormat::Millis, true))
+        let utc_as_z = true;
+        f.write_str(&self.0.to_rfc3339_opts(chrono::SecondsFormat::Millis, utc_as_z))
     }
 }
 

@@ -99,12 +99,13 @@ impl StageRow {
 
     /// Returns the row of the sum of both directions.
     fn network(column: DurationFormat, part: &StagePart, share: Option<f64>) -> Self {
+        let (statistics, bound) = (None, None);
         let title =
             "independent of the clock offset: the round trip on this host minus the time on the other host";
         Self {
             mean: column.duration(part.seconds),
             bound: BoundCell { text: EXACT.to_owned(), sign: None, title },
-            ..Self::new(column, &part.name, None, None, share)
+            ..Self::new(column, &part.name, statistics, bound, share)
         }
     }
 
@@ -132,7 +133,8 @@ impl StageRow {
         // A direction without a known delay has no statistics, and therefore no row yet. Its row shows the verdict on
         // the delays.
         for bound in bounds.iter().filter(|bound| stages.iter().all(|stage| stage.stage != bound.stage)) {
-            let row = Self::new(column, &bound.stage, None, Some(bound), None);
+            let (statistics, share) = (None, None);
+            let row = Self::new(column, &bound.stage, statistics, Some(bound), share);
             rows.insert(index_of(&rows, &bound.stage), row);
         }
         // Only if neither direction has a known delay, the sum of both directions has a row, before `upload` as in the
