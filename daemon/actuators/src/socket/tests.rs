@@ -28,7 +28,8 @@ fn act(actuator: &mut dyn Actuator, answer: &str) -> Result<Feedback, String> {
     actuator.act(Action::first(&answer, "eye"), &mut recorder).map_err(|error| error.to_string())
 }
 
-/// Starts a controller that serves connections one after the other. Returns its address and its thread.
+/// Starts a controller that serves connections one after the other; `serve` gets the index of each connection. Returns
+/// the controller's address and its thread.
 fn tcp_controller(
     connections: usize,
     mut serve: impl FnMut(usize, BufReader<TcpStream>) + Send + 'static,
@@ -44,6 +45,7 @@ fn tcp_controller(
     (address, serving)
 }
 
+/// Reads a line; `null` if the actuator closes the connection before it sends a line.
 fn read_line(stream: &mut BufReader<TcpStream>) -> serde_json::Value {
     let mut line = String::new();
     stream.read_line(&mut line).expect("is sent");
@@ -152,13 +154,14 @@ fn error_gives_reason_why_feedback_is_wrong() {
 }
 
 #[test]
-fn line_before_answer_is_refused() {
+fn greeting_is_refused_as_feedback_on_first_answer() {
     let (address, serving) = tcp_controller(1, |_, mut stream| {
         stream.get_mut().write_all(b"welcome\n").expect("is read");
         let _ = stream.read(&mut [0; 1]);
     });
     let mut actuator = actuator(&address, "feedback = true\ntimeout_ms = 5000");
-    // If the greeting arrives after the first answer was sent, it is read as feedback on that answer.
+    // The actuator does not read from a new connection before it sends the answer. The greeting is then read as
+    // feedback.
     let error = act(&mut *actuator, "go").expect_err("a greeting is no feedback");
     assert!(error.contains("welcome"), "{error}");
     serving.join().expect("ends");
@@ -207,8 +210,10 @@ fn error_names_iteration_of_wrong_feedback() {
 
 #[test]
 fn missing_controller_fails_each_action() {
-    let port = TcpListener::bind("127.0.0.1:0").expect("there is a port").local_addr().expect("it has one");
-    let mut actuator = actuator(&format!("tcp://{port}"), "");
+    // The listener is closed at the end of the statement, so nothing listens at its address.
+    let address =
+        TcpListener::bind("127.0.0.1:0").expect("there is a port").local_addr().expect("it has one");
+    let mut actuator = actuator(&format!("tcp://{address}"), "");
     for _ in 0..2 {
         let error = act(&mut *actuator, "go").expect_err("nothing listens");
         assert!(error.contains("cannot connect to the controller at tcp://127.0.0.1:"), "{error}");
@@ -227,14 +232,16 @@ fn try_build_connects_without_acting() {
     };
     config(&address).try_build(&clock()).expect("the controller listens");
     serving.join().expect("was connected to");
+    // The controller has served its only connection and has closed its port.
     let closed_port = config(&address);
     let error = closed_port.try_build(&clock()).expect_err("the port is closed").to_string();
     assert!(error.starts_with(&format!("cannot connect to the controller at {address}: ")), "{error}");
     assert_eq!(closed_port.remarks(&clock()), [error], "remarks() and try_build() report the same error");
     closed_port.check(&clock()).expect("the configuration is valid");
 
-    let port = UdpSocket::bind("127.0.0.1:0").expect("there is a port").local_addr().expect("it has one");
-    config(&format!("udp://{port}")).try_build(&clock()).expect("a datagram could be sent");
+    let udp_address =
+        UdpSocket::bind("127.0.0.1:0").expect("there is a port").local_addr().expect("it has one");
+    config(&format!("udp://{udp_address}")).try_build(&clock()).expect("a UDP address needs no listener");
     let unknown = config("udp://no-such-host.invalid:9000");
     let error = unknown.try_build(&clock()).expect_err("RFC 6761 reserves the name").to_string();
     assert!(
@@ -250,7 +257,7 @@ fn timeout_above_a_day_is_refused() {
     let error = config.check(&clock()).expect_err("is too long").to_string();
     assert!(error.contains("86400000"), "{error}");
     assert_eq!(config.facts(), [("Actuator".to_owned(), "udp://arm:9000".to_owned())]);
-    let unknown =
+    let error =
         toml::from_str::<ActuatorConfig>("kind = 'socket'\naddress = 'arm'").expect_err("has no port");
-    assert!(unknown.to_string().contains("write udp://host:port"), "{unknown}");
+    assert!(error.to_string().contains("write udp://host:port"), "{error}");
 }

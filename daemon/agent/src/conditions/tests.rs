@@ -55,7 +55,7 @@ impl HostFiles {
 }
 
 #[test]
-fn empty_tree_has_no_bad_grades() {
+fn empty_tree_has_only_good_and_unknown_grades() {
     let host_files = HostFiles(tempfile::tempdir().expect("a folder"));
     let findings = inspect_host(&host_files.settings(), "robot");
     assert!(findings.iter().all(|condition| condition.grade <= Grade::Unknown), "{findings:?}");
@@ -121,6 +121,7 @@ fn zone_is_graded_by_distance_to_passive_trip_point() {
 fn raspberry_pi_distinguishes_current_from_past_throttling() {
     let host_files = HostFiles::new();
     let file = "sys/devices/platform/soc/soc:firmware/get_throttled";
+    // The bits are hexadecimal: 5 are the bits 0 and 2, 50000 the same bits of the past.
     for (bits, grade, part) in [
         ("0", Grade::Good, "none"),
         ("50000", Grade::Doubtful, "under-voltage, throttled since"),
@@ -151,6 +152,7 @@ fn own_threads_are_no_competing_load() {
         host_files
             .write_file(&format!("proc/self/task/{id}/stat"), &format!("{id} (peernetd (R) x) {state} 1 1"));
     };
+    // The fourth field counts: 2 of 512 threads are runnable. The load averages before this field do not count.
     host_files.write_file("proc/loadavg", "0.10 0.20 0.30 2/512 4711");
     write_own_thread(1, "R");
     write_own_thread(2, "R");
@@ -181,6 +183,7 @@ fn stolen_time_and_cpu_quota_are_reported() {
             && host_files.findings_about("CPU quota").is_empty()
     );
     assert!(host_files.only_finding_about("machine").1.contains("container (docker)"));
+    // The 20 is the stolen time. The 500 is the time of guests, which is already in the 600.
     host_files.write_file("proc/stat", "cpu  600 0 300 80 0 0 0 20 500 0");
     host_files.write_file("sys/fs/cgroup/system.slice/docker-1.scope/cpu.max", "150000 100000");
     assert_eq!(host_files.only_finding_about("stolen time").0, Grade::Doubtful, "2 % of the time was stolen");
@@ -220,7 +223,7 @@ fn host_service_of_container_manager_is_no_container() {
 
 #[test]
 fn virtual_machine_is_recognised_without_x86_flag() {
-    let finding_for = |files: &[(&str, &str)]| {
+    let grade_and_is_virtual = |files: &[(&str, &str)]| {
         let host_files = HostFiles::new();
         host_files.write_file("proc/cpuinfo", "Features\t: fp asimd");
         files.iter().for_each(|(file, content)| host_files.write_file(file, content));
@@ -229,19 +232,25 @@ fn virtual_machine_is_recognised_without_x86_flag() {
     };
     let (vendor, product) = ("sys/class/dmi/id/sys_vendor", "sys/class/dmi/id/product_name");
     let model = "proc/device-tree/model";
-    assert_eq!(finding_for(&[]), (Grade::Unknown, false), "there is no sign");
-    assert_eq!(finding_for(&[(vendor, "Ampere")]), (Grade::Unknown, false));
-    assert_eq!(finding_for(&[(vendor, "QEMU"), (product, "KVM Virtual Machine")]), (Grade::Unknown, true));
+    assert_eq!(grade_and_is_virtual(&[]), (Grade::Unknown, false), "there is no sign");
+    assert_eq!(grade_and_is_virtual(&[(vendor, "Ampere")]), (Grade::Unknown, false));
     assert_eq!(
-        finding_for(&[(vendor, "Microsoft Corporation"), (product, "Virtual Machine")]),
+        grade_and_is_virtual(&[(vendor, "QEMU"), (product, "KVM Virtual Machine")]),
         (Grade::Unknown, true)
     );
-    assert_eq!(finding_for(&[(vendor, "Amazon EC2"), (product, "m6g.large")]), (Grade::Unknown, true));
-    assert_eq!(finding_for(&[(vendor, "Amazon EC2"), (product, "m6g.metal")]).0, Grade::Good);
-    assert_eq!(finding_for(&[(model, "Raspberry Pi 4 Model B")]).0, Grade::Good);
-    assert_eq!(finding_for(&[(model, "linux,dummy-virt")]), (Grade::Unknown, true));
     assert_eq!(
-        finding_for(&[(model, "board"), ("proc/device-tree/hypervisor/compatible", "xen")]),
+        grade_and_is_virtual(&[(vendor, "Microsoft Corporation"), (product, "Virtual Machine")]),
+        (Grade::Unknown, true)
+    );
+    assert_eq!(
+        grade_and_is_virtual(&[(vendor, "Amazon EC2"), (product, "m6g.large")]),
+        (Grade::Unknown, true)
+    );
+    assert_eq!(grade_and_is_virtual(&[(vendor, "Amazon EC2"), (product, "m6g.metal")]).0, Grade::Good);
+    assert_eq!(grade_and_is_virtual(&[(model, "Raspberry Pi 4 Model B")]).0, Grade::Good);
+    assert_eq!(grade_and_is_virtual(&[(model, "linux,dummy-virt")]), (Grade::Unknown, true));
+    assert_eq!(
+        grade_and_is_virtual(&[(model, "board"), ("proc/device-tree/hypervisor/compatible", "xen")]),
         (Grade::Unknown, true)
     );
 }
@@ -274,7 +283,7 @@ fn missing_folder_is_inspected_on_its_future_disk() {
 fn install_iw(host_files: &HostFiles, output: &str) {
     use std::os::unix::fs::PermissionsExt;
     let path = host_files.0.path().join("iw");
-    // Renamed into place, because a file that a fork of another thread holds open for writing could not be executed.
+    // The rename replaces the program in one step.
     let new_file = host_files.0.path().join("iw.new");
     fs::write(&new_file, format!("#!/bin/sh\n[ \"$1 $3 $4\" = 'dev get power_save' ] && echo '{output}'\n"))
         .expect("written");

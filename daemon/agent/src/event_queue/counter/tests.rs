@@ -8,7 +8,7 @@ fn at(nanos: i64) -> WallTime {
     WallTime::from_unix_nanos(nanos)
 }
 
-/// Returns a file in place of a spool, and its folder.
+/// Creates a file in place of a spool. Returns its folder and the identity of the file.
 fn spool() -> (TempDir, CountOwner) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("spool.sqlite");
@@ -18,7 +18,7 @@ fn spool() -> (TempDir, CountOwner) {
 }
 
 #[test]
-fn another_process_reads_what_was_counted() {
+fn counts_are_read_from_file_by_name() {
     let (_folder, owner) = spool();
     let (counter, pipeline) =
         (EventCounter::create(&owner).expect("shared memory"), "line".parse::<Slug>().ok());
@@ -32,6 +32,7 @@ fn another_process_reads_what_was_counted() {
     let sent = |number| SentUnspooled { process: 7, number, batched: 4, reported_drops: 1, events: 5 };
     let slots = MAX_SENT_UNSPOOLED as u64;
     (1..=slots + 1).for_each(|number| counter.record_sent_unspooled(sent(number)));
+    // The slot of a batch is its number modulo the number of slots. The last batch overwrites batch 1.
     let sent = [slots, slots + 1].into_iter().chain(2..slots).map(sent).collect();
     let run = |run, events, last| CountedRun { run, pipeline: pipeline.clone(), events, last: at(last) };
     let mut counted_events = read(&name, &owner).expect("readable");
@@ -94,27 +95,27 @@ fn runs_beyond_capacity_are_counted_in_total() {
 
 #[test]
 fn file_without_process_and_spool_is_removed() {
-    let (_own_folder, own_owner) = spool();
+    let (_caller_folder, caller_spool) = spool();
     let (folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
     let name = counter.name().expect("a file");
     let file_exists = || Path::new(SHARED_MEMORY).join(&name).exists();
     drop(folder);
-    remove_abandoned(&own_owner, &[]);
+    remove_abandoned(&caller_spool, &[]);
     assert!(file_exists(), "a process still counts in the file");
     drop(counter);
-    remove_abandoned(&own_owner, &[]);
+    remove_abandoned(&caller_spool, &[]);
     assert!(!file_exists());
 }
 
 #[test]
 fn file_of_existing_spool_is_kept() {
-    let (_own_folder, own_owner) = spool();
+    let (_caller_folder, caller_spool) = spool();
     let (_folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
     let name = counter.name().expect("a file");
     drop(counter);
-    remove_abandoned(&own_owner, &[]);
+    remove_abandoned(&caller_spool, &[]);
     assert!(
         read(&name, &owner).is_some(),
         "the agent of the existing spool needs the file at its next start"
@@ -128,7 +129,7 @@ fn file_of_existing_spool_is_kept() {
 #[test]
 fn files_of_unknown_spool_or_name_are_kept() {
     let (folder, owner) = spool();
-    let (_own_folder, own_owner) = spool();
+    let (_caller_folder, caller_spool) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
     let name = counter.name().expect("a file");
     drop(counter);
@@ -142,8 +143,11 @@ fn files_of_unknown_spool_or_name_are_kept() {
     let copy = Path::new(SHARED_MEMORY).join(format!("{name}.kept"));
     fs::copy(&path, &copy).expect("copied");
     drop(folder);
-    remove_abandoned(&own_owner, &[]);
+    remove_abandoned(&caller_spool, &[]);
     assert!(path.exists() && copy.exists());
-    assert!(read(&name, &own_owner).is_some(), "the spool that names the file can read the file");
+    assert!(
+        read(&name, &caller_spool).is_some(),
+        "without the identity of a spool, the name of the file is enough"
+    );
     fs::remove_file(path).and_then(|()| fs::remove_file(copy)).expect("removed");
 }
