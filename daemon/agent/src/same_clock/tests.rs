@@ -1,4 +1,4 @@
-//! Tests of the proof with real sockets.
+//! Tests of the proof that two processes read one clock, with real sockets.
 
 use std::io::{ErrorKind, Read, Write};
 use std::os::linux::net::SocketAddrExt;
@@ -33,8 +33,9 @@ fn faulty_clock() -> SharedClock {
     Arc::new(FaultyClock::new(clock, identity, faults))
 }
 
-fn session(last: u8) -> SessionId {
-    serde_json::from_str(&format!("\"f81d4fae-7dec-11d0-a765-00a0c91e6b{last:02x}\"")).expect("a UUID")
+/// Returns the id of the session of this number.
+fn session(number: u8) -> SessionId {
+    serde_json::from_str(&format!("\"f81d4fae-7dec-11d0-a765-00a0c91e6b{number:02x}\"")).expect("a UUID")
 }
 
 fn hello(clock: &SharedClock, clock_socket: Option<ClockSocketName>) -> SessionHello {
@@ -67,8 +68,13 @@ async fn receive_result(proofs: &mut mpsc::Receiver<Result<(), NotProven>>) -> R
     tokio::time::timeout(WAIT_TIMEOUT, proofs.recv()).await.expect("in time").expect("the task lives")
 }
 
-fn start_responder(hello: &SessionHello, number: u8, clock: &SharedClock) -> Option<AbortOnDropHandle<()>> {
-    let responder = ClockResponder::connect(hello, session(number), clock)?;
+/// Starts the cloud's end in the session of this number.
+fn start_responder(
+    hello: &SessionHello,
+    session_number: u8,
+    clock: &SharedClock,
+) -> Option<AbortOnDropHandle<()>> {
+    let responder = ClockResponder::connect(hello, session(session_number), clock)?;
     Some(AbortOnDropHandle::new(tokio::spawn(responder.answer())))
 }
 

@@ -7,7 +7,8 @@ use peernet_test_ports::free_port;
 
 use crate::config::{ClaimSource, ClockConfig};
 
-/// Returns the path of a program of the unpacked package, or of the system.
+/// Returns the path of a program of chrony: from the package that `deploy/install-tools.sh test` unpacks, or of the
+/// system.
 fn program(name: &str) -> PathBuf {
     let tools = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.venv-tools/chrony/usr");
     let folders = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];
@@ -59,6 +60,7 @@ impl Chronyd {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let command_port = free_port();
         let path = |name: &str| folder.path().join(name).display().to_string();
+        // `bindcmdaddress /` disables the Unix socket for commands.
         let configuration = format!(
             "{lines}port {ntp_port}\nbindaddress 127.0.0.1\ncmdport {command_port}\nbindcmdaddress /\n\
              bindcmdaddress 127.0.0.1\npidfile {}\n",

@@ -1,7 +1,7 @@
 //! Tests of the whole module, with real clocks, real daemons and a clock that the test moves.
 
 mod chronyd;
-mod disturbed;
+mod injected_faults;
 mod real_chrony;
 
 use std::sync::Arc;

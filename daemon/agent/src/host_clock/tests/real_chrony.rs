@@ -18,8 +18,8 @@ async fn wait_for_first_answer(published: &mut watch::Receiver<PeerClock>) -> Pe
 #[tokio::test]
 async fn interval_contains_known_bias_and_not_its_opposite() {
     let server = Chronyd::server();
-    // chrony adds `offset` to its measurement of a server with the same clock: it assumes that true time is 50 ms
-    // ahead of the clock, or behind it.
+    // chrony adds `offset` to its measurement of a server with the same clock. chrony then assumes that true time is
+    // 50 ms ahead of the clock, or 50 ms behind the clock.
     for (offset_s, error) in [(0.050, Span::from_millis(-50)), (-0.050, Span::from_millis(50))] {
         let client = Chronyd::client(&server, offset_s);
         let clock = system_clock();
@@ -31,7 +31,11 @@ async fn interval_contains_known_bias_and_not_its_opposite() {
         let contains = |error: Span| claim.error.lo <= error && error <= claim.error.hi;
         assert!(contains(error), "{error} is not in {:?}", claim.error);
         assert!(!contains(-error), "{} is in {:?}", -error, claim.error);
-        assert!(contains(Span::ZERO), "a clock that is slewed passes through zero: {:?}", claim.error);
+        assert!(
+            contains(Span::ZERO),
+            "the claim stays true while chrony slews the error to zero: {:?}",
+            claim.error
+        );
         assert!(claim.error.width() < Span::from_millis(80), "{:?}", claim.error);
     }
 }
@@ -39,7 +43,7 @@ async fn interval_contains_known_bias_and_not_its_opposite() {
 #[tokio::test]
 async fn daemon_that_follows_no_server_claims_nothing() {
     let (server, unsynchronised) = (Chronyd::server(), Chronyd::without_server());
-    // The server answers commands once a client is synchronised to it.
+    // A client that is synchronised to the server shows that the server answers.
     let _client = Chronyd::client(&server, 0.0);
     let expected = [(&server, "chrony, local reference only"), (&unsynchronised, "chrony, not synchronised")];
     for (daemon, text) in expected {

@@ -6,6 +6,8 @@ use peernet_networks::RawClock;
 use super::*;
 
 const MS: i64 = 1_000_000;
+/// Argument of [`LinkClockState::handle_probe_result`].
+const IS_AUTHENTICATED: bool = true;
 const MESSAGE_DELAY: MessageDelay = MessageDelay { raw: Span::ZERO, bits: None };
 const MESSAGE_DELAYS: [MessageDelay; 2] = [MESSAGE_DELAY, MESSAGE_DELAY];
 
@@ -13,7 +15,7 @@ fn at(millis: i64) -> WallTime {
     WallTime::from_unix_nanos(1_000_000 * MS + millis * MS)
 }
 
-/// Returns the stamp of the edge's clocks at that time.
+/// Returns the stamp of the edge's clocks at `at(millis)`.
 fn now(millis: i64) -> Stamp {
     Stamp { wall: at(millis), raw: RawTime::from_wall(at(millis)), ..Stamp::default() }
 }
@@ -86,8 +88,12 @@ fn nonempty_second_is_reported_once_when_over() {
             assert!(bounds.lo <= Span::from_millis(1) && Span::from_millis(1) <= bounds.hi, "{delay:?}");
         }
     }
-    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(700));
-    let _ = clock_state.handle_probe_result(&ProbeResult::Answered(exchange(700, 5000)), true, now(704));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, IS_AUTHENTICATED, now(700));
+    let _ = clock_state.handle_probe_result(
+        &ProbeResult::Answered(exchange(700, 5000)),
+        IS_AUTHENTICATED,
+        now(704),
+    );
     assert_eq!(
         clock_state.latest_sample(&network(), now(800)).up.map(|up| up.count),
         Some(3),
@@ -113,7 +119,7 @@ fn nonempty_second_is_reported_once_when_over() {
 }
 
 #[test]
-fn step_of_peer_begins_relation_period_and_is_named() {
+fn step_of_cloud_begins_relation_period_and_is_reported() {
     let mut clock_state = clock_state();
     for sent in [0, 100, 200] {
         let _ = clock_state.judge(&network(), &exchange(sent, 0), MESSAGE_DELAYS, now(sent + 4));
@@ -136,6 +142,7 @@ fn step_of_peer_begins_relation_period_and_is_named() {
     let (_, changes) = clock_state.judge(&network(), &after, MESSAGE_DELAYS, now(404));
     let restart = changes.restart.expect("reported");
     assert!((restart.edge_stepped, restart.cloud_stepped) == (false, true), "{restart:?}");
+    // The relation may not know the size of the step.
     if let Some(movement) = restart.movement {
         assert!((movement - Span::from_seconds(3)).abs() < Span::from_millis(10), "{movement}");
     }
@@ -144,6 +151,7 @@ fn step_of_peer_begins_relation_period_and_is_named() {
     assert_ne!(changes.samples[0].relation_period, before);
     assert_eq!(changes.samples[0].upper, Some(after.exchange));
 
+    // The cloud repeats its announcement, which contains no further step.
     let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(250).raw);
     let later = ExchangeObservation { cloud_epoch: Some(1), ..exchange(1100, 3000) };
     assert_eq!(
@@ -181,6 +189,7 @@ fn claims_after_step_do_not_reach_earlier_period() {
     // The edge's clock is set back by three seconds, and chrony knows the size of the step at once.
     clock_state.handle_edge_announcement(announcement_with_claim(-3000, 1), now(2200).raw);
     assert_eq!(clock_state.latest_sample(&network(), now(2200)).offset, None);
+    // The second that the step interrupted is closed early. Its sample has the end of this second.
     let changes = clock_state.advance_second(now(2200));
     let [sample] = &changes.samples[..] else { panic!("{changes:?}") };
     assert_eq!((sample.relation_period, sample.at, &sample.offset), (before, at(6000), &None));
@@ -196,11 +205,13 @@ fn relation_learns_only_the_step_from_interrupted_probe() {
         let _ = clock_state.judge(&network(), &exchange(millis, 0), MESSAGE_DELAYS, now(millis + 4));
     }
     assert!(clock_state.latest_sample(&network(), now(300)).offset.is_some());
-    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(300));
-    let _ = clock_state.handle_probe_result(&ProbeResult::ClockInterrupted(1), true, now(304));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, IS_AUTHENTICATED, now(300));
+    let _ = clock_state.handle_probe_result(&ProbeResult::ClockInterrupted(1), IS_AUTHENTICATED, now(304));
     assert_eq!(clock_state.latest_sample(&network(), now(305)).offset, None);
-    let changes = clock_state.handle_probe_result(&ProbeResult::ClockInterrupted(1), true, now(306));
+    let changes =
+        clock_state.handle_probe_result(&ProbeResult::ClockInterrupted(1), IS_AUTHENTICATED, now(306));
     assert!(changes.restart.is_none(), "{changes:?}");
+    // The edge's clock was set forward by 3 s, so the cloud's clock is 3 s behind.
     let after_step = |millis| ExchangeObservation { edge_epoch: 1, ..exchange(millis, -3000) };
     // The relation cannot exclude that this exchange was in flight during the step.
     let _ = clock_state.judge(&network(), &after_step(400), MESSAGE_DELAYS, now(404));
@@ -244,7 +255,7 @@ fn networks_of_pair_share_relation_but_not_delays() {
         let _ = clock_state.judge(&network(), &exchange(sent, 0), MESSAGE_DELAYS, now(sent + 4));
     }
     let _ = clock_state.judge(&udp_network, &exchange(300, 0), MESSAGE_DELAYS, now(304));
-    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(310));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, IS_AUTHENTICATED, now(310));
     let upload_count = |network| clock_state.latest_sample(network, now(400)).up.map(|up| up.count);
     assert_eq!((upload_count(&network()), upload_count(&udp_network)), (Some(3), Some(1)));
 
@@ -271,20 +282,22 @@ fn networks_of_pair_share_relation_but_not_delays() {
     };
     assert_eq!(networks(clock_state.settle_sessions(now(1300))), [network()]);
     assert_eq!(networks(clock_state.advance_second(now(2001))), std::slice::from_ref(&udp_network));
-    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(2100));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, IS_AUTHENTICATED, now(2100));
     clock_state.leave(&udp_network);
     assert_eq!(networks(clock_state.finish(now(2200))), [udp_network]);
 }
 
 #[test]
-fn ended_network_is_sampled_for_two_more_seconds() {
+fn ended_network_is_sampled_for_two_seconds() {
     let (mut clock_state, udp_network) = (clock_state(), "zmq-udp".parse::<NetworkName>().expect("a name"));
     clock_state.join(&udp_network);
     clock_state.leave(&udp_network);
     let mut sample_count = |second: i64| {
-        let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(1_000 * second + 100));
+        let _ =
+            clock_state.handle_probe_result(&ProbeResult::Sent, IS_AUTHENTICATED, now(1_000 * second + 100));
         clock_state.advance_second(now(1_000 * (second + 1) + 1)).samples.len()
     };
+    // The first of the two seconds is the second in which the session of the network ended.
     assert_eq!([0, 1, 2, 3].map(&mut sample_count), [2, 2, 1, 1]);
 }
 
@@ -292,17 +305,17 @@ fn ended_network_is_sampled_for_two_more_seconds() {
 fn samples_of_ended_network_include_all_its_probes() {
     let (mut clock_state, udp_network) = (clock_state(), "zmq-udp".parse::<NetworkName>().expect("a name"));
     clock_state.join(&udp_network);
-    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(900));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, IS_AUTHENTICATED, now(900));
     let mut changes = vec![clock_state.advance_second(now(1_001))];
-    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(1_100));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, IS_AUTHENTICATED, now(1_100));
     clock_state.leave(&network());
     // The second ends before the link's task counts the unanswered probes.
     changes.push(clock_state.advance_second(now(2_001)));
-    let _ = clock_state.handle_probe_result(&ProbeResult::Lost, true, now(2_002));
-    let _ = clock_state.handle_probe_result(&ProbeResult::Lost, true, now(2_003));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Lost, IS_AUTHENTICATED, now(2_002));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Lost, IS_AUTHENTICATED, now(2_003));
     changes.push(clock_state.settle_sessions(now(2_004)));
     changes.push(clock_state.advance_second(now(3_001)));
-    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, true, now(3_100));
+    let _ = clock_state.handle_probe_result(&ProbeResult::Sent, IS_AUTHENTICATED, now(3_100));
     changes.push(clock_state.advance_second(now(4_001)));
 
     let probe_counts = |network: &NetworkName| {
@@ -318,26 +331,30 @@ fn samples_of_ended_network_include_all_its_probes() {
 fn probe_with_late_answer_counts_as_lost_only() {
     let mut clock_state = clock_state();
     for result in [ProbeResult::Sent, ProbeResult::Lost, ProbeResult::Late] {
-        let _ = clock_state.handle_probe_result(&result, true, now(100));
+        let _ = clock_state.handle_probe_result(&result, IS_AUTHENTICATED, now(100));
     }
     let probes = clock_state.latest_sample(&network(), now(200)).probes;
     assert_eq!((probes.sent, probes.answered, probes.lost, probes.refused), (1, 0, 1, 0));
 }
 
 #[test]
-fn cloud_wall_step_restarts_relation_only_if_related() {
+fn cloud_wall_step_restarts_only_relation_to_wall_clock() {
     for clocks in [RelatedClocks::Raw, RelatedClocks::RawToWall] {
-        let is_related = clocks == RelatedClocks::RawToWall;
+        let is_wall_related = clocks == RelatedClocks::RawToWall;
         let mut clock_state = clock_state_of(clocks);
         for sent in [0, 100, 200] {
             let _ = clock_state.judge(&network(), &exchange(sent, 0), MESSAGE_DELAYS, now(sent + 4));
         }
         // A cloud of an earlier release announces nothing about its free-running clock.
-        let raw = announcement(0, None).raw.filter(|_| !is_related);
+        let raw = announcement(0, None).raw.filter(|_| !is_wall_related);
         let stepped = PeerClock { epoch: 1, raw, ..PeerClock::default() };
         let changes = clock_state.handle_cloud_announcement(stepped.clone(), now(250).raw);
-        assert_eq!(changes.is_cloud_wall_set, !is_related);
-        assert_eq!(clock_state.latest_sample(&network(), now(260)).offset.is_none(), is_related, "{clocks}");
+        assert_eq!(changes.is_cloud_wall_set, !is_wall_related);
+        assert_eq!(
+            clock_state.latest_sample(&network(), now(260)).offset.is_none(),
+            is_wall_related,
+            "{clocks}"
+        );
         assert!(
             !clock_state.handle_cloud_announcement(stepped, now(270).raw).is_cloud_wall_set,
             "reported once"
@@ -360,8 +377,8 @@ fn raw_delay_is_difference_of_wall_clocks() {
 fn sample_has_basis_and_end_of_second() {
     let mut clock_state = clock_state();
     let _ = clock_state.judge(&network(), &exchange(300, 0), MESSAGE_DELAYS, now(304));
-    // `advance_second` is called 80 ms late, after the wall clock was slewed: 900 ms of the wall clock were 890 ms of
-    // the free-running clock.
+    // `advance_second` is called 80 ms late. Before the call the wall clock was slewed: it has advanced by 10 ms more
+    // than the free-running clock.
     let late = Stamp { raw: now(1_080).raw - Span::from_millis(10), ..now(1_080) };
     let changes = clock_state.advance_second(late);
     let [sample] = &changes.samples[..] else { panic!("one second: {changes:?}") };
@@ -407,7 +424,8 @@ fn observed_stamps_are_judged_without_learning() {
     let sum = up_delay.and_then(|up| up.value).zip(down_delay.and_then(|down| down.value));
     let sum = sum.map(|(up, down)| up + down).expect("both have a value");
     assert!((sum - Span::from_millis(35)).abs() < Span::from_micros(5), "{sum}");
-    // The subscription on this host received the message 40 ms late, 10 ms after the cloud.
+    // `sender` has the stamps of the edge's own subscription, which received the message 40 ms late: 10 ms after the
+    // cloud.
     let mut late = up;
     late.sender.raw = late.sender.raw + Span::from_millis(40);
     let [negative, _] = clock_state.judge_stamps(&late, None);
@@ -437,6 +455,7 @@ fn observed_stamps_of_another_epoch_are_stepped() {
     let _ = clock_state.handle_cloud_announcement(announcement(1, None), now(400).raw);
     assert_eq!(verdicts(&clock_state, 0, 0), stepped, "the stamps were made before the step");
     let (mut up, _) = stamps_of_messages(320, 0, 1);
+    // A stamp without an epoch may precede the step.
     up.sender.epoch = None;
     assert_eq!(clock_state.judge_stamps(&up, None)[0].map(|delay| delay.verdict), Some(Verdict::Stepped));
 }
@@ -462,6 +481,7 @@ fn suspected_jump_begins_relation_period_and_is_reported_once() {
         assert!(changes.restart.is_none() && changes.excess_skew.is_none(), "{changes:?}");
         periods.insert(clock_state.latest_sample(&network(), now(sent + 9)).relation_period);
     }
+    // The second jump is not reported, because jumps are reported at most once a minute.
     let [jump] = jumps[..] else { panic!("{jumps:?}") };
     assert!(
         (jump.movement - Span::from_millis(8)).abs() < Span::from_millis(1) && jump.unreported == 0,
