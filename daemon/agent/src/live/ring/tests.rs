@@ -8,6 +8,7 @@ use peernet_logger::{HostId, Measure, Recorder, stage};
 
 use super::*;
 
+/// Returns a tree whose upload takes `millis` milliseconds.
 fn tree(millis: i64) -> Tree {
     let clock =
         Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
@@ -20,23 +21,29 @@ fn tree(millis: i64) -> Tree {
     log.finish()
 }
 
+/// Records an iteration that is not warm-up and that ends in the second `at`.
+fn record_after_warm_up(ring: &mut Ring, at: i64, outcome: &Outcome, tree: &Tree) {
+    let is_warm_up = false;
+    ring.record(at, outcome, is_warm_up, tree);
+}
+
 #[test]
 fn sent_second_is_repeated_only_after_change() {
     let mut ring = Ring::default();
-    ring.record(10, &Outcome::Ok, false, &tree(4));
-    ring.record(11, &Outcome::Ok, false, &tree(6));
-    ring.record(11, &Outcome::Timeout(String::new()), false, &tree(500));
+    record_after_warm_up(&mut ring, 10, &Outcome::Ok, &tree(4));
+    record_after_warm_up(&mut ring, 11, &Outcome::Ok, &tree(6));
+    record_after_warm_up(&mut ring, 11, &Outcome::Timeout(String::new()), &tree(500));
 
     let (seconds, sent) = ring.changed_seconds();
     assert_eq!(seconds.iter().map(|second| second.at).collect::<Vec<_>>(), [11, 10]);
     assert_eq!((seconds[0].counts.ok, seconds[0].counts.timeout), (1, 1));
     let (name, upload) = &seconds[0].values[0];
     assert_eq!((name.as_str(), upload.count(), upload.moments.mean), ("upload", 1, 0.006));
-    assert_eq!(seconds[0].bounds[0].1.moments.max, 0.0, "one clock: the bound is exact");
+    assert_eq!(seconds[0].bounds[0].1.moments.max, 0.0, "the interval of a delay on one clock has no width");
     assert_eq!(seconds[0].verdicts, [("upload".into(), "ok".into(), 1)]);
 
     assert_eq!(ring.changed_seconds().0.len(), 2, "not marked as sent, so they are returned again");
-    ring.record(11, &Outcome::Ok, false, &tree(8));
+    record_after_warm_up(&mut ring, 11, &Outcome::Ok, &tree(8));
     ring.mark_sent(&sent);
     let (seconds, _) = ring.changed_seconds();
     assert_eq!((seconds.len(), seconds[0].at, seconds[0].counts.ok), (1, 11, 2));
@@ -51,10 +58,10 @@ fn second_without_answers_shows_that_deadline_exists() {
         tree.add(peernet_logger::NodeId::ROOT, "deadline-missed".into(), Span::ZERO, measure);
         tree
     };
-    ring.record(10, &Outcome::Ok, false, &with_deadline(0.0));
-    ring.record(10, &Outcome::Ok, false, &with_deadline(1.0));
-    ring.record(11, &Outcome::Timeout(String::new()), false, &with_deadline(1.0));
-    ring.record(12, &Outcome::Timeout(String::new()), false, &tree(4));
+    record_after_warm_up(&mut ring, 10, &Outcome::Ok, &with_deadline(0.0));
+    record_after_warm_up(&mut ring, 10, &Outcome::Ok, &with_deadline(1.0));
+    record_after_warm_up(&mut ring, 11, &Outcome::Timeout(String::new()), &with_deadline(1.0));
+    record_after_warm_up(&mut ring, 12, &Outcome::Timeout(String::new()), &tree(4));
     let deadline_summary = |second: &Second| {
         let summary = second.values.iter().find(|(name, _)| name == "deadline-missed");
         summary.map(|(_, summary)| (summary.count(), summary.moments.mean))
@@ -71,7 +78,7 @@ fn skipped_starts_of_unanswered_iteration_are_counted() {
     let mut timed_out = tree(4);
     let measure = Measure::Value(5.0, peernet_logger::Unit::NONE);
     timed_out.add(peernet_logger::NodeId::ROOT, "skipped-starts".into(), Span::ZERO, measure);
-    ring.record(10, &Outcome::Timeout(String::new()), false, &timed_out);
+    record_after_warm_up(&mut ring, 10, &Outcome::Timeout(String::new()), &timed_out);
     let second = &ring.changed_seconds().0[0];
     assert_eq!(second.values.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["skipped-starts"]);
     assert_eq!(second.values[0].1.moments.mean, 5.0);
@@ -80,9 +87,12 @@ fn skipped_starts_of_unanswered_iteration_are_counted() {
 #[test]
 fn result_of_episode_that_ends_in_warm_up_is_counted() {
     let mut ring = Ring::default();
-    ring.record(9, &Outcome::Ok, true, &tree(4));
+    let is_warm_up = true;
+    ring.record(9, &Outcome::Ok, is_warm_up, &tree(4));
     assert_eq!(ring.changed_seconds().0, [], "warm-up has no statistics");
-    let iteration = |number: u64, is_success: bool| {
+    // Each episode has one step. Only episode 2 succeeds, and only its step is not warm-up.
+    let iteration = |number: u64| {
+        let (is_success, is_warm_up) = (number == 2, number != 2);
         let mut tree = tree(4);
         for (name, value) in [(EPISODE_SUCCESS, f64::from(u8::from(is_success))), (EPISODE_RETURN, -3.0)] {
             let measure = Measure::Value(value, peernet_logger::Unit::NONE);
@@ -93,13 +103,12 @@ fn result_of_episode_that_ends_in_warm_up_is_counted() {
             number,
             episode: number as u32,
             step: 0,
-            warm_up: !is_success,
+            warm_up: is_warm_up,
             outcome: Outcome::Ok,
             tree,
         }
     };
-    // Episodes 1 and 3 end in their first step, which is warm-up.
-    let iterations = [1, 2, 3].map(|number| iteration(number, number == 2));
+    let iterations = [1, 2, 3].map(iteration);
     for iteration in &iterations {
         ring.record(10, &iteration.outcome, iteration.warm_up, &iteration.tree);
     }
@@ -132,7 +141,7 @@ fn stage_of_several_nodes_equals_column_of_results() {
     tree.add(root, stage::SEND_QUEUE, Span::ZERO, timer(1));
     tree.add(root, stage::SEND_QUEUE, Span::ZERO, timer(2));
     let mut ring = Ring::default();
-    ring.record(10, &Outcome::Ok, false, &tree);
+    record_after_warm_up(&mut ring, 10, &Outcome::Ok, &tree);
     let second = &ring.changed_seconds().0[0];
     let iteration = peernet_stream::Iteration {
         run: peernet_logger::RunId::random(),
@@ -154,7 +163,7 @@ fn stage_of_several_nodes_equals_column_of_results() {
 #[test]
 fn delays_without_value_are_counted_and_not_averaged() {
     let mut ring = Ring::default();
-    ring.record(10, &Outcome::Ok, false, &tree(4));
+    record_after_warm_up(&mut ring, 10, &Outcome::Ok, &tree(4));
     let mut inconsistent = tree(0);
     let upload = inconsistent.find(&["upload"]).expect("recorded").0;
     let delay = OneWayDelay {
@@ -166,8 +175,9 @@ fn delays_without_value_are_counted_and_not_averaged() {
     if let Some(Measure::Transit(transit)) = inconsistent.measure_mut(upload) {
         transit.delay = Some(delay);
     }
-    ring.record(10, &Outcome::Ok, false, &inconsistent);
-    ring.record(10, &Outcome::Ok, false, &tree(-1));
+    record_after_warm_up(&mut ring, 10, &Outcome::Ok, &inconsistent);
+    // The delay is negative, because the clock was set back. Its verdict is `stepped`.
+    record_after_warm_up(&mut ring, 10, &Outcome::Ok, &tree(-1));
 
     let second = &ring.changed_seconds().0[0];
     assert_eq!(second.counts.ok, 3);
@@ -184,7 +194,7 @@ fn delays_without_value_are_counted_and_not_averaged() {
 fn updates_and_memory_are_bounded_without_reader() {
     let mut ring = Ring::default();
     for at in 0..1000 {
-        ring.record(at, &Outcome::Ok, false, &tree(1));
+        record_after_warm_up(&mut ring, at, &Outcome::Ok, &tree(1));
     }
     assert_eq!(ring.seconds.len(), MAX_SECONDS);
     let mut sent_times = Vec::new();
@@ -207,9 +217,9 @@ fn updates_and_memory_are_bounded_without_reader() {
 fn repeated_seconds_of_wall_clock_are_not_summed() {
     let mut ring = Ring::default();
     for at in 4990..=5000 {
-        ring.record(at, &Outcome::Ok, false, &tree(1));
+        record_after_warm_up(&mut ring, at, &Outcome::Ok, &tree(1));
     }
-    ring.record(4999, &Outcome::Ok, false, &tree(1));
+    record_after_warm_up(&mut ring, 4999, &Outcome::Ok, &tree(1));
     assert_eq!(
         ring.seconds.len(),
         11,
@@ -218,9 +228,10 @@ fn repeated_seconds_of_wall_clock_are_not_summed() {
     let counts_by_second = |ring: &Ring| {
         ring.seconds.iter().map(|second| (second.at, second.to_message().counts.ok)).collect::<Vec<_>>()
     };
-    ring.record(4995, &Outcome::Ok, false, &tree(1));
-    ring.record(4996, &Outcome::Ok, false, &tree(1));
+    // The wall clock is set back. The seconds from 4995 on are removed and begin again.
+    record_after_warm_up(&mut ring, 4995, &Outcome::Ok, &tree(1));
+    record_after_warm_up(&mut ring, 4996, &Outcome::Ok, &tree(1));
     assert_eq!(counts_by_second(&ring), (4990..=4996).map(|at| (at, 1)).collect::<Vec<_>>());
-    ring.record(1400, &Outcome::Ok, false, &tree(1));
+    record_after_warm_up(&mut ring, 1400, &Outcome::Ok, &tree(1));
     assert_eq!(counts_by_second(&ring), [(1400, 1)]);
 }

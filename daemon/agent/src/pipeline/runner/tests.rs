@@ -172,7 +172,9 @@ async fn outcomes_after_reconnect(requesting_run: impl FnOnce(RunId) -> RunId) -
     )
     .expect("a sensor that can be opened");
     let description = crate::pipeline::describe_planned(&pipeline.placement);
-    let mut run = Run::start(&pipeline, description, (Vec::new(), Vec::new()), false, &context, &live_state);
+    let (facts, conditions, is_continuation) = (Vec::new(), Vec::new(), false);
+    let mut run =
+        Run::start(&pipeline, description, (facts, conditions), is_continuation, &context, &live_state);
 
     let start = Start { intended: clock.mono(), skipped: 0 };
     let (log, started_at) = iteration::start(&clock, context.host.id, start.intended);
@@ -184,6 +186,7 @@ async fn outcomes_after_reconnect(requesting_run: impl FnOnce(RunId) -> RunId) -
     );
     resources.pending_sample =
         Some(PendingSample { run: requesting_run(run.id()), start, started_at, sample });
+    // A pipeline gets a new loop after a reconnect. The new loop takes the sample that has arrived.
     drop(PipelineLoop::new(&mut resources, &mut run, &context));
     assert!(resources.pending_sample.is_none());
     run.end(EndReason::Stopped, &context);

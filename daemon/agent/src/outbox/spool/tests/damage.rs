@@ -20,6 +20,7 @@ async fn invalid_database_is_quarantined_and_replaced() {
     .expect("written");
     let OpenSpool { mut file, state, quarantined, .. } = spool_folder.open().await.expect("opens");
     let quarantined = quarantined.expect("is quarantined");
+    // The number is the time of the tests' clock in seconds.
     assert_eq!(quarantined.new_path, spool_folder.folder.path().join("spool.sqlite.damaged-5"));
     assert!(quarantined.reason.contains("spool.sqlite"), "{}", quarantined.reason);
     assert!(
@@ -45,7 +46,9 @@ async fn file_of_another_program_is_kept() {
     let spool_folder = SpoolFolder::new();
     let notes = spool_folder.folder.path().join("notes");
     fs::write(&notes, "not for you").expect("written");
-    let error = OpenSpool::open(&notes, host(), false, &clock()).await.expect_err("no spool").to_string();
+    let is_default_path = false;
+    let error =
+        OpenSpool::open(&notes, host(), is_default_path, &clock()).await.expect_err("no spool").to_string();
     assert!(error.contains("notes is not a spool") && error.contains("[spool] file"), "{error}");
     assert_eq!(fs::read(&notes).expect("the file exists"), b"not for you");
 

@@ -89,6 +89,8 @@ async fn error_says_that_folder_cannot_be_created() {
     let spool_folder = SpoolFolder::new();
     fs::write(spool_folder.folder.path().join("file"), b"").expect("written");
     let path = spool_folder.folder.path().join("file").join("spool.sqlite");
-    let error = OpenSpool::open(&path, host(), true, &clock()).await.expect_err("no folder").to_string();
+    let is_default_path = true;
+    let error =
+        OpenSpool::open(&path, host(), is_default_path, &clock()).await.expect_err("no folder").to_string();
     assert!(error.contains("cannot create") && error.contains("[spool] file"), "{error}");
 }

@@ -118,7 +118,8 @@ async fn newest_sent_batch_of_each_process_survives_reopening() {
     file.append(&written_batches[..2], &totals_of_first).await.expect("appends");
     file.append(&[], &totals_of_process(5, 2).1).await.expect("appends");
     file.append(&written_batches[2..4], &totals_of_second).await.expect("appends");
-    file.append(&written_batches[4..], &totals(18)).await.expect("appends without a connection");
+    // Without a connection the totals have no newest sent batch. The file keeps the earlier ones.
+    file.append(&written_batches[4..], &totals(18)).await.expect("appends");
     file.close().await.expect("closes");
     let (mut file, state) = spool_folder.open_undamaged().await;
     assert_eq!(state.newest_sent, [second, first]);
@@ -127,6 +128,7 @@ async fn newest_sent_batch_of_each_process_survives_reopening() {
     }
     file.delete_through(6, written_batches[5].chain).await.expect("deletes");
     file.close().await.expect("closes");
+    // The deletion keeps the newest sent batches of 64 processes, those with the largest numbers.
     let newest_sent = spool_folder.open_undamaged().await.1.newest_sent;
     assert!(
         newest_sent.len() == 64 && newest_sent.iter().all(|newest_sent| newest_sent.number == 6),
@@ -152,7 +154,8 @@ async fn spool_in_use_and_spool_of_other_host_are_refused() {
     assert!(error.contains("another agent uses") && error.contains("spool.sqlite"), "{error}");
     drop(file.close().await);
     let other_host = HostId::from_bytes([8; 16]);
-    let error = OpenSpool::open(&spool_folder.path(), other_host, true, &clock())
+    let is_default_path = true;
+    let error = OpenSpool::open(&spool_folder.path(), other_host, is_default_path, &clock())
         .await
         .expect_err("the spool of another host")
         .to_string();

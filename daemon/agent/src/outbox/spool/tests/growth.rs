@@ -39,9 +39,10 @@ async fn file_size_follows_content_and_shrinks_after_backlog() {
 }
 
 #[tokio::test]
-async fn sqlite_settings_keep_durability_promise() {
+async fn new_spool_has_required_sqlite_settings() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
+    // SQLite returns 2 for `INCREMENTAL` and 1 for `NORMAL`.
     for (pragma, expected) in [("auto_vacuum", "2"), ("journal_mode", "wal"), ("synchronous", "1")] {
         let query = format!("SELECT CAST({pragma} AS TEXT) FROM pragma_{pragma}");
         let value: String = sqlx::query_scalar(sqlx::AssertSqlSafe(query))

@@ -1,4 +1,4 @@
-//! Tests of the losses of a killed process.
+//! Tests of the losses of a killed process. A test drops the file and the counter in place of the kill.
 
 use peernet_logger::{RunId, Slug};
 use peernet_stream::{KILLED_REASON, SentUnspooled, SubmittedEvents};
@@ -90,6 +90,8 @@ async fn unspooled_batches_stay_unresolved_until_aggregator_answers() {
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
     assert_eq!(state.unresolved.as_ref(), Some(&unresolved));
     assert_eq!((state.totals.dropped, state.unreported.len()), (1, 1));
+    // The aggregator answers that it has stored batch 3, and with it 8 of the first 10 events. Two of these events and
+    // the event of the second process are lost.
     let mut lost = state.unreported[0].clone();
     lost.count = 3;
     let resolved = Totals { dropped: 3, unreported: Some(vec![lost.clone()]), ..state.totals };

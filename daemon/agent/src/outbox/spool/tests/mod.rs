@@ -41,7 +41,8 @@ impl SpoolFolder {
     }
 
     async fn open(&self) -> Result<OpenSpool, SpoolError> {
-        OpenSpool::open(&self.path(), host(), true, &clock()).await
+        let is_default_path = true;
+        OpenSpool::open(&self.path(), host(), is_default_path, &clock()).await
     }
 
     /// Opens a spool that must not be damaged.

@@ -34,8 +34,8 @@ pub(super) fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) ->
         serves: None,
         models: Vec::new(),
     };
-    let mut state_machine =
-        Sending::new(SendingConfig::default(), description, peernet_stream::HostSecret::random(), 1, state);
+    let (secret, process) = (peernet_stream::HostSecret::random(), 1);
+    let mut state_machine = Sending::new(SendingConfig::default(), description, secret, process, state);
     let now: Stamp = clock.stamp();
     events.iter().for_each(|event| state_machine.offer(event, now));
     state_machine.flush(now.wall);
