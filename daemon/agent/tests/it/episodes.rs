@@ -4,7 +4,8 @@ use peernet_stream::{Iteration, Outcome, PipelineState};
 
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, value};
 
-/// Sensors and actuators of the tests. With `Arm`, every other episode succeeds in its third step.
+/// Sensors and actuators of the tests. With `Arm`, every other episode succeeds in its third step. The second reset of
+/// `FailingReset` fails. `AdvanceReporter` reports the latest advance of `Simulation` as reward.
 const SYSTEM: &str = "
 class Sensor:
     def __init__(self): self.episode, self.step = 0, 0
@@ -22,7 +23,7 @@ class Arm:
         ended = self.episode % 2 == 0 and answer['step'] >= 3
         return {'episode_ended': ended, 'success': ended, 'reward': 0.5}
 
-class Loose(Sensor):
+class FailingReset(Sensor):
     def reset(self):
         super().reset()
         if self.episode == 2: raise RuntimeError('no arm')
@@ -42,7 +43,7 @@ class Simulation(Sensor):
     def sample(self):
         return dict(super().sample(), advances=self.advances)
 
-class Follower:
+class AdvanceReporter:
     def act(self, answer):
         assert len(answer['advances']) == answer['step'] - 1, answer
         if answer['advances']: return {'reward': answer['advances'][-1]}
@@ -145,8 +146,8 @@ async fn reset_waits_for_iterations_in_flight() {
     let episodes: Vec<_> =
         results(&iterations).iter().map(|(episode, success, _)| (*episode, *success)).collect();
     assert_eq!(episodes, [(0, 0.0), (1, 1.0), (2, 0.0), (3, 1.0)]);
-    // Samples that were taken before the third action ended the episode belong to this episode. Their answers are not
-    // acted on.
+    // The third action ends episode 1. Samples that were taken before still belong to episode 1, and their answers are
+    // not acted on.
     let superseded = |iteration: &&Iteration| value(&iteration.tree, "superseded") == Some(1.0);
     let not_acted_on: Vec<_> =
         iterations.iter().filter(superseded).filter(|iteration| iteration.episode == 1).collect();
@@ -156,7 +157,7 @@ async fn reset_waits_for_iterations_in_flight() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn failed_reset_fails_one_iteration_and_its_episode() {
     let keys = "episode_steps = 3\nlimit = { episodes = 3 }\nwarm_up = { iterations = 0, steps = 1 }";
-    let iterations = run("kind = 'echo'", ("Loose", "Arm"), keys).await;
+    let iterations = run("kind = 'echo'", ("FailingReset", "Arm"), keys).await;
     assert_eq!(positions(&iterations), [(0, 0), (0, 1), (0, 2), (1, 0), (2, 0), (2, 1), (2, 2)]);
     let Outcome::Failed(reason) = &iterations[3].outcome else { panic!("{:?}", iterations[3].outcome) };
     assert!(reason.starts_with("cannot reset the sensor for an episode: RuntimeError: no arm"), "{reason}");
@@ -202,15 +203,15 @@ async fn only_sensors_and_actuators_with_reset_are_reset() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn simulation_is_advanced_by_total_of_last_iteration() {
+async fn simulation_is_advanced_by_total_of_previous_iteration() {
     let keys = "episode_steps = 4\nlimit = { episodes = 4 }\nwarm_up = { iterations = 0 }";
-    let iterations = run("kind = 'echo'", ("Simulation", "Follower"), keys).await;
+    let iterations = run("kind = 'echo'", ("Simulation", "AdvanceReporter"), keys).await;
     let steps = |episode, steps: u32| (0..steps).map(move |step| (episode, step));
     // In the third episode the simulation fails before the third step, so this episode ends with a failed iteration.
     let expected: Vec<_> = steps(0, 4).chain(steps(1, 4)).chain(steps(2, 3)).chain(steps(3, 4)).collect();
     assert_eq!(positions(&iterations), expected);
     for pair in iterations.windows(2) {
-        let (last, next) = (&pair[0], &pair[1]);
+        let (previous, next) = (&pair[0], &pair[1]);
         if (next.episode, next.step) == (2, 2) {
             let reason = next.outcome.reason().expect("the iteration failed");
             let text = "RuntimeError: unstable";
@@ -227,13 +228,13 @@ async fn simulation_is_advanced_by_total_of_last_iteration() {
             assert_eq!(advanced, None, "a reset begins a new simulation");
             continue;
         }
-        let total = value(&last.tree, "total").expect("a total");
+        let total = value(&previous.tree, "total").expect("a total");
         assert!(
             (advanced.expect("the simulation was advanced") - total).abs() < 1e-6,
             "{advanced:?} after {total}"
         );
         let start = |iteration: &Iteration| iteration.tree.anchors()[0].wall;
-        let pause = (start(next) - start(last)).seconds() - total;
+        let pause = (start(next) - start(previous)).seconds() - total;
         assert!(pause >= 0.05, "advancing, which takes 50 ms, is outside of both iterations: {pause}");
     }
 }
@@ -251,7 +252,7 @@ async fn open_loop_advances_simulation_before_each_sample() {
                 "limit = {{ total = 6 }}\nwarm_up = {{ iterations = 0 }}\ntimeout_ms = 300\n\
                  load = {{ mode = '{load}', hz = 40.0 }}\nmax_in_flight = {max_in_flight}"
             );
-            let iterations = run(model, ("Simulation", "Follower"), &keys).await;
+            let iterations = run(model, ("Simulation", "AdvanceReporter"), &keys).await;
             let is_timeout = |iteration: &Iteration| matches!(iteration.outcome, Outcome::Timeout(_));
             assert_eq!(
                 iterations.iter().filter(|iteration| is_timeout(iteration)).count(),
@@ -259,11 +260,11 @@ async fn open_loop_advances_simulation_before_each_sample() {
                 "{iterations:#?}"
             );
             for pair in iterations.windows(2) {
-                let (last, next) = (&pair[0], &pair[1]);
+                let (previous, next) = (&pair[0], &pair[1]);
                 if !is_timeout(next) {
                     assert_adds_up(next);
                     assert_eq!(next.outcome, Outcome::Ok);
-                    let total = value(&last.tree, "total").expect("a total");
+                    let total = value(&previous.tree, "total").expect("a total");
                     let advanced = value(&next.tree, "reward").expect("the simulation was advanced");
                     assert!((advanced - total).abs() < 1e-6, "{load}: {advanced} after {total}");
                 }

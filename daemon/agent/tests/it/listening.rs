@@ -32,7 +32,7 @@ async fn each_address_is_served_within_its_own_limits() {
 
     let tables = pipeline("first", first) + &pipeline("second", second);
     // The edge's clock has another name, so that probes are sent as between two hosts.
-    let edge = TestAgent::start_with("edge", None, config(&tables), "edge").await;
+    let edge = TestAgent::start_with_clock_name("edge", None, config(&tables), "edge").await;
     edge.until(|live| {
         let answered = |second: &peernet_stream::Second| second.counts.ok > 0;
         live.pipelines.iter().all(|pipeline| pipeline.seconds.iter().any(answered))
@@ -64,7 +64,7 @@ async fn probes_are_answered_at_every_address() {
     let cloud = TestAgent::start("cloud", None, &tables).await;
     for address in cloud.running.serve_addresses() {
         let tables = config(&pipeline("line", address));
-        let edge = TestAgent::start_with("edge", None, tables, "edge").await;
+        let edge = TestAgent::start_with_clock_name("edge", None, tables, "edge").await;
         let live =
             edge.until(|live| live.links.iter().any(|link| link.latest_sample.probes.answered > 0)).await;
         let Probing::On { address: probed, .. } = &live.links[0].probing else { panic!("{:?}", live.links) };

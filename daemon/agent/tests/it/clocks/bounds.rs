@@ -11,10 +11,10 @@ use crate::harness::{Aggregator, TestAgent, assert_adds_up, clock, config, fault
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_delay_is_bounded_from_first_exchange_on() {
     let aggregator = Aggregator::start().await;
-    let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
+    let cloud = TestAgent::start_with_clock_name("cloud", None, config(CLOUD), "cloud").await;
     let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 250 }";
     let tables = config(&pipeline("line", &cloud, load));
-    let edge = TestAgent::start_with("edge", Some(&aggregator.address), tables, "edge").await;
+    let edge = TestAgent::start_with_clock_name("edge", Some(&aggregator.address), tables, "edge").await;
     let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
 
     assert_eq!(received_events.iterations().len(), 250);
@@ -35,6 +35,7 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
         else {
             panic!("{:?}", iteration.tree)
         };
+        // A sample of `pipeline()` has 20,000 bytes.
         let bits = 8.0 * (20000.0 + value(&iteration.tree, "upload-logger-bytes").unwrap_or_default());
         assert!((seconds * rate - bits).abs() < 1.0);
     }
@@ -74,7 +75,7 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
     let mut verdicts = 0;
     for second in seconds.values() {
         verdicts += second.verdicts.iter().map(|(_, _, count)| count).sum::<u64>();
-        // Half the widths of the bounds, and their lower and upper ends.
+        // Each delay has three summaries: half the width of its interval, the lower end, and the upper end.
         let bound_names =
             ["", "-lo", "-hi"].map(|end| ["upload", "download"].map(|delay| format!("{delay}{end}")));
         for name in bound_names.as_flattened() {
@@ -88,14 +89,14 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn wrong_clock_does_not_change_delays() {
-    let correct_clock = |name| async move { (None, clock(name)) };
+    let correct_clock = |name| (None, clock(name));
     let ahead = faults_from_now_on(Span::from_seconds(1), 40.0);
     let behind = faults_from_now_on(Span::from_seconds(-1), -40.0);
     let wrong_clock =
         |name: &'static str, faults: &ClockFaults| (Some(faults.clone()), faulty_clock(name, faults.clone()));
     for ((edge_faults, edge_clock), (cloud_faults, cloud_clock)) in [
-        (correct_clock("edge").await, wrong_clock("cloud", &ahead)),
-        (wrong_clock("edge", &behind), correct_clock("cloud").await),
+        (correct_clock("edge"), wrong_clock("cloud", &ahead)),
+        (wrong_clock("edge", &behind), correct_clock("cloud")),
     ] {
         let aggregator = Aggregator::start().await;
         let cloud = TestAgent::start_on(cloud_clock, "cloud", None, config(CLOUD)).await;

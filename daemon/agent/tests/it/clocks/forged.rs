@@ -56,16 +56,16 @@ async fn relay_data(listener: TcpListener, cloud: SocketAddr) {
 /// Forwards probes at once and forges each answer.
 async fn relay_probes(edge_side: UdpSocket, reflector: SocketAddr, forged: Arc<AtomicUsize>) {
     let cloud_side = UdpSocket::bind("127.0.0.2:0").await.expect("a port");
-    let (mut request, mut answered) = ([0; 2048], [0; 2048]);
+    let (mut request_buffer, mut answer_buffer) = ([0; 2048], [0; 2048]);
     let mut edge = None;
     loop {
         tokio::select! {
-            Ok((length, from)) = edge_side.recv_from(&mut request) => {
+            Ok((length, from)) = edge_side.recv_from(&mut request_buffer) => {
                 edge = Some(from);
-                cloud_side.send_to(&request[..length], reflector).await.expect("loopback takes it");
+                cloud_side.send_to(&request_buffer[..length], reflector).await.expect("loopback takes it");
             }
-            Ok((length, _)) = cloud_side.recv_from(&mut answered) => {
-                let answer = &mut answered[..length];
+            Ok((length, _)) = cloud_side.recv_from(&mut answer_buffer) => {
+                let answer = &mut answer_buffer[..length];
                 forge(answer);
                 forged.fetch_add(1, Ordering::Relaxed);
                 let edge = edge.expect("a probe precedes each answer");
@@ -75,10 +75,11 @@ async fn relay_probes(edge_side: UdpSocket, reflector: SocketAddr, forged: Arc<A
     }
 }
 
-/// Changes an answer so that the cloud's clocks seem to be ahead by [`ADDED`]: in both layouts of a base packet, and
-/// in the stamps of its free-running clock.
+/// Changes an answer so that the cloud's clocks seem to be ahead by [`ADDED`]. Changes the stamps of the wall clock,
+/// whose positions depend on the layout of the base packet, and the stamps of the free-running clock.
 fn forge(answer: &mut [u8]) {
     let ntp = (ADDED.nanos() << 32) / 1_000_000_000;
+    // The authenticated layout has zeros here (RFC 8762, section 4.3.2).
     let is_unauthenticated = answer[4..12] != [0; 8];
     for index in if is_unauthenticated { [4, 16] } else { [16, 32] } {
         let stamp: [u8; 8] = answer[index..index + 8].try_into().expect("eight bytes");
@@ -94,12 +95,14 @@ fn forge(answer: &mut [u8]) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn forged_answers_to_probes_reach_no_delay() {
+async fn delays_do_not_depend_on_forged_probe_answers() {
     let aggregator = Aggregator::start().await;
     let edge_side = UdpSocket::bind("127.0.0.2:0").await.expect("a port");
     let port = edge_side.local_addr().expect("bound").port();
+    // The edge sends its probes to the host of the data, 127.0.0.2, and to the port that the cloud announces. This port
+    // on 127.0.0.2 belongs to `edge_side`; on 127.0.0.1 it belongs to the cloud's reflector.
     let tables = config(&format!("{CLOUD}[probes]\nport = {port}\n"));
-    let cloud = TestAgent::start_with("cloud", None, tables, "cloud").await;
+    let cloud = TestAgent::start_with_clock_name("cloud", None, tables, "cloud").await;
     let address: SocketAddr = cloud.address().trim_start_matches("tcp://").parse().expect("an address");
     let data = TcpListener::bind("127.0.0.2:0").await.expect("a port");
     let relayed_address = format!("tcp://{}", data.local_addr().expect("bound"));
@@ -111,7 +114,8 @@ async fn forged_answers_to_probes_reach_no_delay() {
 
     let load = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 16\nlimit = { iterations = 300 }";
     let table = pipeline("line", &cloud, load).replace(&cloud.address(), &relayed_address);
-    let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&table), "edge").await;
+    let edge =
+        TestAgent::start_with_clock_name("edge", Some(&aggregator.address), config(&table), "edge").await;
     let is_refused = |probing: &Probing| {
         let Probing::Unanswered { reason: Some(reason), .. } = probing else { return false };
         reason.contains("not authenticated by the key") && reason.ends_with(" refused)")

@@ -15,17 +15,19 @@ struct Cloud {
     listener: Listener,
     host: HostId,
     clock: SharedClock,
+    /// Identifies the process.
     instance: u64,
-    probes: Option<u16>,
+    /// Port of the reflector that answers the probes of the edge.
+    probe_port: Option<u16>,
 }
 
 impl Cloud {
-    async fn start(host: HostId, instance: u64, probes: Option<u16>) -> Self {
+    async fn start(host: HostId, instance: u64, probe_port: Option<u16>) -> Self {
         let clock = clock("cloud");
         let address = "tcp://127.0.0.1:0".parse().expect("an address");
         let settings = SessionSettings::default();
         let listener = Listener::bind(&address, settings, host, clock.clone()).await;
-        Self { listener: listener.expect("a free port"), host, clock, instance, probes }
+        Self { listener: listener.expect("a free port"), host, clock, instance, probe_port }
     }
 
     fn pipeline(&self, name: &str) -> String {
@@ -57,7 +59,7 @@ impl Cloud {
             device: "cpu".to_owned(),
             facts: Vec::new(),
             host_clock: PeerClock::default(),
-            probes: self.probes,
+            probes: self.probe_port,
             instance: self.instance,
             probe_key: None,
             conditions: Vec::new(),
@@ -89,7 +91,7 @@ async fn answers_of_another_process_are_refused_and_reported() {
     let reflecting = tokio::spawn(reflector.run(stop.clone()));
 
     let mut cloud = Cloud::start(HostId::random(), 1, Some(port)).await;
-    let edge = TestAgent::start_with("edge", None, config(&cloud.pipeline("line")), "edge").await;
+    let edge = TestAgent::start_with_clock_name("edge", None, config(&cloud.pipeline("line")), "edge").await;
     let open = cloud.next_open().await;
     cloud.accept(open);
     let cloud = cloud.keep_open();
@@ -121,8 +123,8 @@ async fn restarted_cloud_does_not_join_link_of_hanging_session() {
     let host = HostId::random();
     let mut old_cloud = Cloud::start(host, 1, None).await;
     let mut new_cloud = Cloud::start(host, 2, None).await;
-    let lines = config(&format!("{}{}", old_cloud.pipeline("first"), new_cloud.pipeline("second")));
-    let edge = TestAgent::start_with("edge", None, lines, "edge").await;
+    let tables = config(&format!("{}{}", old_cloud.pipeline("first"), new_cloud.pipeline("second")));
+    let edge = TestAgent::start_with_clock_name("edge", None, tables, "edge").await;
     let open = old_cloud.next_open().await;
     old_cloud.accept(open);
     let old_cloud = old_cloud.keep_open();
@@ -136,6 +138,7 @@ async fn restarted_cloud_does_not_join_link_of_hanging_session() {
     new_cloud.accept(open);
     let new_cloud = new_cloud.keep_open();
     let live = edge.until(has_pipeline("second")).await;
+    // The link of the new process has replaced the link of the old process.
     let [link] = &live.links[..] else { panic!("{:?}", live.links) };
     assert_eq!(link.pipelines.len(), 1, "{link:?}");
 

@@ -12,10 +12,11 @@ use crate::harness::{Aggregator, TestAgent, config};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn pipelines_to_one_cloud_share_link_until_last_ends() {
-    let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
+    let cloud = TestAgent::start_with_clock_name("cloud", None, config(CLOUD), "cloud").await;
     let short = pipeline("short", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 50 }");
     let long = pipeline("long", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 150 }");
-    let edge = TestAgent::start_with("edge", None, config(&format!("{short}{long}")), "edge").await;
+    let edge =
+        TestAgent::start_with_clock_name("edge", None, config(&format!("{short}{long}")), "edge").await;
     let names = |pipelines: &[Slug]| pipelines.iter().map(ToString::to_string).collect::<Vec<_>>();
 
     let live = edge.until(|live| live.links.iter().any(|link| link.pipelines.len() == 2)).await;
@@ -59,7 +60,7 @@ async fn same_clock_is_recognised_and_probed_rarely() {
 async fn each_network_of_pair_has_all_probe_results() {
     let aggregator = Aggregator::start().await;
     let listen = "[serve]\nlisten = ['tcp://127.0.0.1:0', 'udp://127.0.0.1:0']\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
-    let cloud = TestAgent::start_with("cloud", None, config(listen), "cloud").await;
+    let cloud = TestAgent::start_with_clock_name("cloud", None, config(listen), "cloud").await;
     let [tcp, udp] = cloud.running.serve_addresses() else {
         panic!("two addresses: {:?}", cloud.running.serve_addresses())
     };
@@ -70,14 +71,15 @@ async fn each_network_of_pair_has_all_probe_results() {
              load = {{ mode = 'rate', hz = 50.0 }}\n"
         )
     };
-    // No probe is answered without the key, so many are in flight when a session ends.
+    // Only the edge has the key, so no probe is answered, and many probes are in flight when a session ends.
     let folder = tempfile::tempdir().expect("a folder");
     let key = folder.path().join("key");
     std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
     std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("this user owns the file");
     let probes = format!("[probes]\nrate_hz = 50.0\nkey_file = '{}'\n", key.display());
     let tables = format!("{probes}{}{}", pipeline("first", tcp), pipeline("second", udp));
-    let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
+    let edge =
+        TestAgent::start_with_clock_name("edge", Some(&aggregator.address), config(&tables), "edge").await;
     edge.until(|live| {
         live.links.len() == 2 && live.links.iter().all(|link| link.latest_sample.probes.lost > 0)
     })
@@ -93,8 +95,8 @@ async fn each_network_of_pair_has_all_probe_results() {
             sent += sample.probes.sent;
             answered_or_lost += sample.probes.answered + sample.probes.lost;
         }
-        // About a hundred probes are in flight at the end (2 s at 50 Hz). A few probes were sent in the second before one
-        // of the sessions began.
+        // About a hundred probes are in flight at the end (2 s at 50 Hz). A few probes were sent in the second before
+        // one of the sessions began.
         assert!(
             sent > 50 && sent.abs_diff(answered_or_lost) < 10,
             "{network}: {sent} sent, {answered_or_lost} answered or lost"

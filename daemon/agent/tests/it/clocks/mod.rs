@@ -1,7 +1,7 @@
 //! Tests with two hosts and two clocks: the intervals of delays.
 //!
-//! The agents share this machine's clock under different names, so the truth is known but the estimator does not
-//! use it: the raw difference, minus the injected error of a clock, is the delay.
+//! The agents share this machine's clock under different names. The tests therefore know the true delay: the raw
+//! difference, minus the injected error of a clock. The estimator does not know that the clocks are one.
 
 mod bounds;
 mod forged;
@@ -18,8 +18,8 @@ use peernet_stream::Iteration;
 use crate::harness::TestAgent;
 
 const CLOUD: &str = "[serve]\nlisten = 'tcp://127.0.0.1:0'\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
-/// Number of exchanges at the beginning of a link that may be too few for a good verdict, although their delays have
-/// bounds.
+/// Number of the first iterations of a run whose delays may have the verdict `Stale`, because the link has had too few
+/// exchanges. These delays have bounds, too.
 const MAX_STALE_AT_START: u64 = 5;
 const DELAY_NAMES: [&str; 2] = ["upload", "download"];
 

@@ -23,9 +23,12 @@ async fn delays_are_bounded_by_data_without_probes() {
     {
         let aggregator = Aggregator::start().await;
         let cloud =
-            TestAgent::start_with("cloud", None, config(&format!("{CLOUD}{cloud_keys}")), "cloud").await;
+            TestAgent::start_with_clock_name("cloud", None, config(&format!("{CLOUD}{cloud_keys}")), "cloud")
+                .await;
         let tables = format!("{edge_keys}{}", pipeline("line", &cloud, LOAD));
-        let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
+        let edge =
+            TestAgent::start_with_clock_name("edge", Some(&aggregator.address), config(&tables), "edge")
+                .await;
         edge.until(|live| {
             live.links.iter().any(|link| matches!(&link.probing, Probing::Off(text) if text.contains(reason)))
         })
@@ -64,14 +67,20 @@ async fn probes_are_answered_only_with_shared_key() {
     std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("this user owns the file");
     let probes_with_key = format!("[probes]\nkey_file = '{}'\n", key.display());
     // Without the key an edge gets no answer, as with a firewall.
-    let cloud =
-        TestAgent::start_with("cloud", None, config(&format!("{CLOUD}{probes_with_key}")), "cloud").await;
+    let cloud = TestAgent::start_with_clock_name(
+        "cloud",
+        None,
+        config(&format!("{CLOUD}{probes_with_key}")),
+        "cloud",
+    )
+    .await;
     let load = "load = { mode = 'rate', hz = 20.0 }";
     let tables = |keys: &str| config(&format!("{keys}{}", pipeline("line", &cloud, load)));
     let edge_without_key =
-        TestAgent::start_with("edge_without_key", None, tables(""), "edge_without_key").await;
+        TestAgent::start_with_clock_name("edge_without_key", None, tables(""), "edge_without_key").await;
     let edge_with_key =
-        TestAgent::start_with("edge_with_key", None, tables(&probes_with_key), "edge_with_key").await;
+        TestAgent::start_with_clock_name("edge_with_key", None, tables(&probes_with_key), "edge_with_key")
+            .await;
 
     let live = edge_with_key
         .until(|live| live.links.iter().any(|link| link.latest_sample.probes.answered > 0))
@@ -97,10 +106,11 @@ async fn key_only_at_edge_is_named_as_reason() {
     std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("this user owns the file");
     let probes_with_key = format!("[probes]\nkey_file = '{}'\n", key.display());
     let aggregator = Aggregator::start().await;
-    let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
+    let cloud = TestAgent::start_with_clock_name("cloud", None, config(CLOUD), "cloud").await;
     let tables =
         format!("{probes_with_key}{}", pipeline("line", &cloud, "load = { mode = 'rate', hz = 20.0 }"));
-    let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
+    let edge =
+        TestAgent::start_with_clock_name("edge", Some(&aggregator.address), config(&tables), "edge").await;
     let names_key = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("same key"));
     edge.until(|live| live.links.iter().any(|link| names_key(&link.probing))).await;
     edge.stop().await.expect("stops well");
@@ -133,11 +143,12 @@ async fn occupied_probe_port_is_error_only_if_configured() {
 
     // Two clouds on one address: at least one of them takes a port other than the default.
     let clouds = [
-        TestAgent::start_with("first", None, config(CLOUD), "first").await,
-        TestAgent::start_with("second", None, config(CLOUD), "second").await,
+        TestAgent::start_with_clock_name("first", None, config(CLOUD), "first").await,
+        TestAgent::start_with_clock_name("second", None, config(CLOUD), "second").await,
     ];
-    let lines = clouds.iter().zip(["to-first", "to-second"]).map(|(cloud, name)| pipeline(name, cloud, ""));
-    let edge = TestAgent::start_with("edge", None, config(&lines.collect::<String>()), "edge").await;
+    let tables = clouds.iter().zip(["to-first", "to-second"]).map(|(cloud, name)| pipeline(name, cloud, ""));
+    let edge =
+        TestAgent::start_with_clock_name("edge", None, config(&tables.collect::<String>()), "edge").await;
     let live = edge
         .until(|live| {
             live.links.len() == 2 && live.links.iter().all(|link| link.latest_sample.round_trip.is_some())

@@ -41,13 +41,13 @@ fn start_stamp_suite(address: SocketAddr) -> ForeignReflector {
 
 /// Starts a cloud, and an edge that names a reflector for it.
 async fn start_with_reflector(reflector: SocketAddr) -> (TestAgent, TestAgent) {
-    let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
+    let cloud = TestAgent::start_with_clock_name("cloud", None, config(CLOUD), "cloud").await;
     let load = "load = { mode = 'rate', hz = 20.0 }\nlimit = { iterations = 100000 }";
     let tables = format!(
         "[probes]\nreflectors = {{ cloud = 'udp://{reflector}' }}\n{}",
         pipeline("line", &cloud, load)
     );
-    let edge = TestAgent::start_with("edge", None, config(&tables), "edge").await;
+    let edge = TestAgent::start_with_clock_name("edge", None, config(&tables), "edge").await;
     (edge, cloud)
 }
 

@@ -23,6 +23,7 @@ fn step_soon(by: Span) -> ClockFaults {
 /// needed because a clock that is set back shows the same time twice.
 fn true_time(faults: Option<&ClockFaults>, shown: WallTime, near: WallTime) -> WallTime {
     let Some(faults) = faults else { return shown };
+    // Near the step, one candidate has the error before the step, the other the error after the step.
     let moment = Span::from_millis(400);
     let candidates = [near - moment, near + moment].map(|at| shown - faults.wall_error_at(at));
     candidates.into_iter().min_by_key(|at| (*at - near).abs()).expect("there are two candidates")
@@ -37,6 +38,7 @@ fn count_good_delays(
 ) -> usize {
     let mut good = 0;
     for iteration in received_events.iterations() {
+        // The stamps differ by more than a second only after the step, which is 3 s.
         let min_raw_difference = Span::from_seconds(1);
         let (sent, received, up) = transit(iteration, "upload");
         let (departed, returned, down) = transit(iteration, "download");
@@ -93,11 +95,11 @@ async fn wall_clock_set_during_run_changes_no_delay() {
             .until(|received_events| count_good_delays(received_events, edge_faults, cloud_faults) >= 200)
             .await;
 
+        // Incidents about the edge's own clock have no peer.
         let link_steps = |received_events: &ReceivedEvents| {
             let steps = received_events.incidents(IncidentKind::ClockStep).into_iter().cloned();
             steps.filter(|incident| incident.peer.is_some()).collect::<Vec<_>>()
         };
-        // Incidents about the edge's own clock have no peer.
         let set_back_count = |received_events: &ReceivedEvents| {
             let all = received_events.incidents(IncidentKind::ClockStep).into_iter();
             all.filter(|incident| incident.text.contains("wall clock was set back by 3.000 s")).count()
@@ -133,7 +135,8 @@ async fn step_is_announced_to_idle_peers() {
             .await;
     // One sample now and the next in an hour, and no probes.
     let load = "load = { mode = 'rate', hz = 0.0003 }\n[probes]\nsend = false";
-    let edge = TestAgent::start_with("edge", None, config(&pipeline("line", &cloud, load)), "edge").await;
+    let edge =
+        TestAgent::start_with_clock_name("edge", None, config(&pipeline("line", &cloud, load)), "edge").await;
     let epoch = |live: &LiveUpdate| live.links.first().and_then(|link| Some(link.cloud.as_ref()?.epoch));
     let live = edge.until(|live| live.links.iter().any(|link| link.latest_sample.offset.is_some())).await;
     assert_eq!(epoch(&live), Some(0));

@@ -35,7 +35,7 @@ pub(crate) fn faulty_clock(name: &str, faults: ClockFaults) -> SharedClock {
     Arc::new(FaultyClock::new(system, identity, faults))
 }
 
-/// Returns the configuration of these tables, without `[agent]`.
+/// Returns the configuration of these tables. [`TestAgent`] sets the name, the state directory and the aggregator.
 pub(crate) fn config(tables: &str) -> AgentConfig {
     toml::from_str(tables).unwrap_or_else(|error| panic!("{error}\n{tables}"))
 }
@@ -43,11 +43,12 @@ pub(crate) fn config(tables: &str) -> AgentConfig {
 impl TestAgent {
     /// Starts an agent on the system's clock.
     pub(crate) async fn start(name: &str, aggregator: Option<&str>, tables: &str) -> Self {
-        Self::start_with(name, aggregator, config(tables), "system").await
+        Self::start_with_clock_name(name, aggregator, config(tables), "system").await
     }
 
-    /// Starts an agent on a clock of a given name.
-    pub(crate) async fn start_with(
+    /// Starts an agent on this machine's clock under the name `clock_name`. Agents whose clocks have different names
+    /// relate their clocks like two hosts.
+    pub(crate) async fn start_with_clock_name(
         name: &str,
         aggregator: Option<&str>,
         config: AgentConfig,
@@ -67,12 +68,12 @@ impl TestAgent {
         Self::try_start(clock, name, aggregator, config, state).await.expect("starts")
     }
 
-    /// Starts an agent on the system's clock with the state directory of an earlier agent.
+    /// Starts the agent `edge` on the system's clock with a state directory, which an earlier agent may have used.
     pub(crate) async fn start_in(state: StateDir, aggregator: &str, config: AgentConfig) -> Self {
         Self::try_start(clock("system"), "edge", Some(aggregator), config, state).await.expect("starts")
     }
 
-    /// Does the same as [`start_in`](Self::start_in), but returns an error if the start fails.
+    /// Starts an agent on this clock with a state directory. Returns an error if the start fails.
     pub(crate) async fn try_start(
         clock: SharedClock,
         name: &str,

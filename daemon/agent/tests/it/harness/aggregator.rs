@@ -29,7 +29,7 @@ pub(crate) struct ReceivedEvents {
     pub(crate) live_updates: Vec<LiveUpdate>,
     /// Mark of each stream.
     marks: HashMap<StreamId, HighWaterMark>,
-    /// Streams of the hellos, in this order.
+    /// Stream of each accepted hello, in the order of arrival.
     pub(crate) streams: Vec<StreamId>,
     /// Batches that were reported as missing.
     pub(crate) missing_batches: Vec<MissingBatches>,
@@ -291,7 +291,8 @@ impl AggregatorState {
         now: MonoTime,
     ) -> Vec<ToAgent> {
         let body = codec::decode_batch_body(Bytes::clone(frame)).expect("a whole batch");
-        match self.receiving.handle_batch(&head, true, now) {
+        let is_intact = true;
+        match self.receiving.handle_batch(&head, is_intact, now) {
             Arrival::Accept => {
                 received_events.events.extend(codec::decode_events(&body, head.events).expect("events"));
                 self.store(received_events, head.stream, head.into()).into_iter().collect()
