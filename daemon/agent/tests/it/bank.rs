@@ -9,7 +9,8 @@ use crate::harness::{Aggregator, TestAgent};
 const SERVE: &str = "[serve]\nlisten = 'tcp://127.0.0.1:0'\n";
 const ECHO: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n";
 
-fn demo() -> PathBuf {
+/// Returns the folder of the demo's model and pictures.
+fn demo_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/quality-control")
 }
 
@@ -20,7 +21,7 @@ fn model_folder() -> tempfile::TempDir {
         std::fs::create_dir(folder.path().join(name)).expect("made");
         for file in ["model.onnx", "model.toml"] {
             let to = folder.path().join(name).join(file);
-            std::os::unix::fs::symlink(demo().join(file), to).expect("linked");
+            std::os::unix::fs::symlink(demo_folder().join(file), to).expect("linked");
         }
     }
     folder
@@ -32,7 +33,7 @@ fn pipeline(cloud: &TestAgent, placement: &str) -> String {
         "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'images', path = {:?} }}\n\
          placement = {{ kind = 'remote', peer = '{}'{placement} }}\n\
          warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = 3 }}\n",
-        demo().join("pictures"),
+        demo_folder().join("pictures"),
         cloud.address()
     )
 }
@@ -114,7 +115,7 @@ async fn peer_gets_named_model_on_allowed_device() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn replaced_model_is_incident_and_loaded_models_are_counted() {
+async fn unloaded_model_is_incident_and_loaded_models_are_counted() {
     let aggregator = Aggregator::start().await;
     let folder = model_folder();
     let bank = format!("{SERVE}[bank]\nfolders = [{:?}]\nmost_loaded = 1\n", folder.path());

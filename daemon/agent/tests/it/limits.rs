@@ -52,6 +52,7 @@ async fn environment_of_program_is_set_and_recorded_without_values() {
     assert!(received_events.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
     let first_configuration = received_events.run_starts()[0].configuration.clone();
     assert_eq!(first_configuration.matches("API_KEY = \"(not told)\"").count(), 2, "{first_configuration}");
+    // The sensor's command itself contains `hunter2`.
     assert!(!first_configuration.replace("= hunter2 ]", "").contains("hunter"), "{first_configuration}");
     agent.stop().await.expect("stops well");
 }
@@ -112,8 +113,9 @@ async fn episodes_are_numbered_and_a_duration_ends_the_run() {
         );
     }
     // Every intended start is within the duration, counted from the first start that is not warm-up.
-    let start = |number: usize| iterations[number].tree.anchors()[0].wall;
-    let first = (0..iterations.len()).filter(|n| !iterations[*n].warm_up).map(start).min().expect("measured");
+    let start = |index: usize| iterations[index].tree.anchors()[0].wall;
+    let first =
+        (0..iterations.len()).filter(|index| !iterations[*index].warm_up).map(start).min().expect("measured");
     let last = (0..iterations.len()).map(start).max().expect("measured");
     assert!((last - first).seconds() < 0.2505, "{}", last - first);
     agent.stop().await.expect("stops well");

@@ -4,12 +4,13 @@ use peernet_stream::{Iteration, Outcome};
 
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, assert_contiguous, value};
 
-fn slow_pipeline(inference_ms: u32, model: &str, pipeline: &str) -> String {
+/// Returns a pipeline with a model that sleeps, and with further keys of both tables.
+fn slow_pipeline(inference_ms: u32, model_keys: &str, pipeline_keys: &str) -> String {
     format!(
         "[[model]]\nname = 'slow'\nkind = 'sleep'\npreprocessing_ms = 0\npostprocessing_ms = 0\n\
-         inference_ms = {inference_ms}\n{model}\n\
+         inference_ms = {inference_ms}\n{model_keys}\n\
          [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 10 }}\n\
-         placement = {{ kind = 'local', model = 'slow' }}\nwarm_up = {{ iterations = 0 }}\n{pipeline}"
+         placement = {{ kind = 'local', model = 'slow' }}\nwarm_up = {{ iterations = 0 }}\n{pipeline_keys}"
     )
 }
 
@@ -88,7 +89,7 @@ async fn late_answer_is_timeout_and_run_continues() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn equal_seeds_give_equal_poisson_starts() {
-    let mut gaps = Vec::new();
+    let mut intervals = Vec::new();
     for _ in 0..2 {
         let aggregator = Aggregator::start().await;
         let pipeline = "load = { mode = 'poisson', hz = 50.0, seed = 5 }\nmax_in_flight = 64\n\
@@ -101,12 +102,16 @@ async fn equal_seeds_give_equal_poisson_starts() {
             received_events.iterations().iter().map(|it| it.tree.anchors()[0].wall).collect();
         starts.sort();
         let tens_of_micros = |pair: &[peernet_clock::WallTime]| ((pair[1] - pair[0]).seconds() * 1e5).round();
-        gaps.push(starts.windows(2).map(tens_of_micros).collect::<Vec<_>>());
+        intervals.push(starts.windows(2).map(tens_of_micros).collect::<Vec<_>>());
         agent.stop().await.expect("stops well");
     }
     // Starts that come due while a pipeline is set up are skipped, so one of the runs may begin later in the schedule.
+    // At least 12 intervals are compared.
     let are_alike = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 5.0);
     let is_continuation =
         |a: &[f64], b: &[f64]| (0..=a.len() - 12).any(|skipped| are_alike(&a[skipped..], b));
-    assert!(is_continuation(&gaps[0], &gaps[1]) || is_continuation(&gaps[1], &gaps[0]), "{gaps:?}");
+    assert!(
+        is_continuation(&intervals[0], &intervals[1]) || is_continuation(&intervals[1], &intervals[0]),
+        "{intervals:?}"
+    );
 }

@@ -52,6 +52,7 @@ async fn midnight_begins_run_without_warm_up() {
     assert_eq!((runs.len(), ended.len()), (2, 1));
     assert_eq!((ended[0].run, ended[0].reason.as_str()), (runs[0].run, "finished"));
     assert!(ended[0].ended <= runs[1].started);
+    // The default warm-up has five iterations.
     for (run, warm_up) in [(runs[0].run, 5), (runs[1].run, 0)] {
         let of_run =
             || received_events.iterations().into_iter().filter(move |iteration| iteration.run == run);

@@ -224,9 +224,9 @@ async fn connections_ended_without_aggregator_are_counted() {
         aggregator.until(|received_events| connection_texts(received_events).len() == 1).await;
     let reported = &connection_texts(&received_events)[0];
     assert!(reported.contains("1 connection to a cloud ended in the meantime"), "{reported}");
+    // The live update begins a new count, so the number is not reported again.
     aggregator.until(|received_events| !received_events.live_updates.is_empty()).await;
 
-    // A number that was reported is not reported again.
     let aggregator = Aggregator::restart(aggregator.stop().await).await;
     let received_events =
         aggregator.until(|received_events| connection_texts(received_events).len() == 2).await;

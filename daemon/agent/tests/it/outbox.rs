@@ -6,6 +6,7 @@ use peernet_stream::IncidentKind;
 
 use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguous};
 
+/// Returns a pipeline with the default warm-up, whose five iterations a limit of iterations does not count.
 fn pipeline(keys: &str) -> String {
     format!(
         "[agent]\nbatch_delay_ms = 20\n[[model]]\nname = 'echo'\nkind = 'echo'\n\

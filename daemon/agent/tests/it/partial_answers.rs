@@ -4,9 +4,9 @@ use peernet_stream::{Iteration, Outcome};
 
 use crate::harness::{Aggregator, TestAgent, value};
 
-/// Models that yield many more partial answers than may be unread. The partial answers of `Fitting` fill the send
-/// queue; the partial answers of `Oversized` are larger than a message. `Stalling` sends three partial answers, and
-/// then takes longer than the time limit.
+/// `Fitting` and `Oversized` yield many more partial answers than may be unread. The partial answers of `Fitting` fill
+/// the send queue; the partial answers of `Oversized` are larger than a message. `Stalling` sends three partial
+/// answers, and then takes longer than the time limit.
 const MODELS: &str = "
 class Fitting:
     def infer(self, x):

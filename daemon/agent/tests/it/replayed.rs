@@ -2,7 +2,7 @@
 
 use crate::harness::{Aggregator, TestAgent, assert_adds_up};
 
-const LINE: &str = "
+const TABLES: &str = "
 [[model]]
 name = 'echo'
 kind = 'echo'
@@ -27,7 +27,7 @@ limit = { iterations = 3 }
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn run_states_that_its_latencies_are_drawn() {
     let aggregator = Aggregator::start().await;
-    let edge = TestAgent::start("edge", Some(&aggregator.address), LINE).await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), TABLES).await;
     let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     let run = received_events.run_starts()[0];
     let fact = |name: &str| run.facts.iter().find(|(known, _)| known == name).map(|(_, text)| text.as_str());

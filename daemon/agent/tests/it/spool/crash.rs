@@ -13,6 +13,7 @@ use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguo
 async fn spool_of_killed_agent_is_delivered_exactly_once() {
     let (address, received_events) = address_without_aggregator().await;
     let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
+    // The first agent creates the id of the host, which all further agents must keep.
     let agent = TestAgent::start("edge", Some(&address), "").await;
     let host = agent.running.live_update().host;
     let state = agent.stop_and_keep().await.expect("stops well");

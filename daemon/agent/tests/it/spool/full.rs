@@ -31,7 +31,7 @@ async fn newest_events_are_dropped_counted_and_replaced_by_gap() {
     let numbers: Vec<u64> = received_events.iterations().iter().map(|iteration| iteration.number).collect();
     let newest = received_events.iterations().into_iter().max_by_key(|iteration| iteration.number);
     let newest = newest.expect("iterations were stored");
-    // The spool may be full again when the agent stops: nothing is stored after that gap.
+    // The spool may be full again when the agent stops. Then gaps count iterations after the newest stored iteration.
     let began = newest.tree.wall_start(&newest.tree.nodes()[0]).expect("the root has a start");
     let after_newest = |gap: &&&Gap| of_run(gap) && gap.from > began;
     let later: u64 = received_events.gaps().iter().filter(after_newest).map(|gap| gap.count).sum();

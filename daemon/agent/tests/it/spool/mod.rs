@@ -14,7 +14,7 @@ use sqlx::{ConnectOptions, Connection};
 
 use crate::harness::{Aggregator, StateDir, config};
 
-/// Returns a pipeline with small iterations.
+/// Returns the configuration of an agent with a pipeline of small samples.
 fn pipeline(keys: &str) -> AgentConfig {
     config(&format!(
         "[agent]\nbatch_delay_ms = 20\nbatch_nodes = 500\n[[model]]\nname = 'echo'\nkind = 'echo'\n\

@@ -27,6 +27,7 @@ async fn events_are_sent_from_memory_while_file_is_missing() {
 
     std::fs::rename(&moved_file, &file).expect("moved back");
     agent.until(|live| live.accounting.trouble.is_none()).await;
+    // The condition is true at once, so this is the current number.
     let before = aggregator.until(|_| true).await.iterations().len();
     aggregator.until(|received_events| received_events.iterations().len() >= before + 50).await;
     let state = agent.stop_and_keep().await.expect("stops well");
