@@ -18,9 +18,10 @@ fn pair(at: Span, ahead: Span, gap: Span) -> PairedReading {
 }
 
 #[test]
-fn step_exceeds_uncertainty_of_readings() {
+fn difference_within_reading_uncertainty_is_no_step() {
     let calm = Span::from_nanos(80);
     let mut steps = StepWatch::default();
+    // Returns the number of steps so far.
     let compare = |steps: &mut StepWatch, millis, ahead, gap| {
         steps.compare(pair(Span::from_millis(millis), ahead, gap))
     };
@@ -51,15 +52,21 @@ fn interrupted_read_is_repeated() {
     let mut reads = [50, 40, 2, 1].into_iter().map(|gap| pair(Span::ZERO, Span::ZERO, micros(gap)));
     let best = PairedReading::read_uninterrupted(|| reads.next().expect("another reading"));
     assert_eq!(best.after - best.before, micros(2));
+    // If all readings are interrupted, the clocks are read eight times. The ninth reading is not taken.
     let mut interrupted_reads =
         [50, 40, 30, 90, 20, 60, 70, 80, 10].into_iter().map(|gap| pair(Span::ZERO, Span::ZERO, micros(gap)));
     let best = PairedReading::read_uninterrupted(|| interrupted_reads.next().expect("another reading"));
     assert_eq!(best.after - best.before, micros(20));
 }
 
-/// Returns the disturbances that a watch reports. `readings_at` returns the readings at a tenth of a second.
-fn disturbances_of(ppm: f64, seconds: i64, readings_at: impl Fn(i64) -> Readings) -> Vec<Disturbance> {
-    let mut watch = ClockWatch::new(ppm);
+/// Returns the disturbances that a watch with a drift limit of `max_drift_ppm` reports. `readings_at` returns the
+/// readings at a tenth of a second.
+fn disturbances_of(
+    max_drift_ppm: f64,
+    seconds: i64,
+    readings_at: impl Fn(i64) -> Readings,
+) -> Vec<Disturbance> {
+    let mut watch = ClockWatch::new(max_drift_ppm);
     (0..seconds * 10).flat_map(|tenth| watch.compare(readings_at(tenth))).collect()
 }
 

@@ -29,6 +29,8 @@ fn judge_across_step(
         for (delay, truth) in [(up, trip.up), (down, trip.down)] {
             let is_trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
             assert!(!is_trusted || contains(&delay, truth), "{delay:?} {truth} at {}", trip.end);
+            // An exchange that ends within 2 ms of the step may have stamps from before the step. It shows no
+            // recovery.
             if is_trusted && trip.end > 10.002e9 {
                 recovery_time.get_or_insert(trip.end / 1e9 - 10.0);
             }
@@ -48,8 +50,9 @@ fn reported_step_starts_new_window_at_once() {
                 ExchangeObservation { edge_epoch, cloud_epoch: Some(cloud_epoch), ..trip.observation() }
             });
             assert_eq!(relation.exchange_counts().restarts, 1);
-            // After a clock was set back by some seconds, it takes as many seconds to know which exchanges began after
-            // the step.
+            // Exchanges are excluded by their stamps on the edge. After a step of some seconds, stamps from after the
+            // step can be within the reach of the exclusion, which is 2 s for a step of the edge. After a larger step,
+            // no stamp is within the reach.
             let max_recovery_time =
                 if by.abs() < Span::from_seconds(10) { by.abs().seconds().min(2.0) + 0.3 } else { 0.3 };
             assert!(recovery_time.is_some_and(|after| after < max_recovery_time), "{by} {recovery_time:?}");
@@ -69,7 +72,7 @@ fn unannounced_step_is_accepted_after_agreement() {
 }
 
 #[test]
-fn first_exchange_after_step_states_its_size() {
+fn first_exchange_after_step_states_step_size() {
     let host_clocks = with_cloud_step(STEP);
     let mut relation = relation_with_history(&host_clocks);
     let mut sizes = Vec::new();
@@ -94,12 +97,13 @@ fn exchange_spanning_cloud_step_is_refused() {
         cloud_elapsed: Some(trip.exchange.replied - trip.exchange.received + Span::from_micros(by)),
         ..trip.observation()
     };
+    // The relation tolerates a difference of 50 µs between the cloud's clock and its monotonic clock.
     for by in [60, -60] {
         assert_eq!(relation.learn(&observation_with_step(by)), LearnResult::Refused(Refusal::Stepped));
     }
     assert_eq!(all_intervals(&relation), before);
     assert_eq!(relation.learn(&observation_with_step(40)), LearnResult::Accepted);
-    // A clock with an injected drift of 100 ppm, for ten seconds.
+    // In ten seconds, a cloud's clock with an injected drift of -100 ppm loses 1 ms. This is no step.
     let long_trip = host_clocks.trip(11e9, 300e3, 10e9, 300e3);
     let elapsed = long_trip.exchange.replied - long_trip.exchange.received;
     let drifted = ExchangeObservation {
@@ -109,7 +113,8 @@ fn exchange_spanning_cloud_step_is_refused() {
     assert_eq!(relation.learn(&drifted), LearnResult::Accepted);
 }
 
-/// The step is too small for the comparison with the monotonic clock, and the epoch was read after the stamps.
+/// The step is too small for the comparison with the monotonic clock, so only the epoch shows the step. The epoch was
+/// read after the stamps, so even the exchange that reports the step may have been sent before the step.
 #[test]
 fn exchange_sent_before_step_report_is_refused() {
     for (host_clocks, edge_epoch, cloud_epoch) in
@@ -170,6 +175,7 @@ fn lower_epoch_is_refused_until_restart_is_assumed() {
         ..host_clocks.trip(f64::from(n) * 1e8, 3e4, 1e5, 3e4).observation()
     };
     (0..5).for_each(|n| assert_eq!(relation.learn(&observation_of(n, 7)), LearnResult::Accepted));
+    // Two lower epochs in a row may come from late answers.
     for n in 5..20 {
         let epoch = if n % 3 == 0 { 7 } else { 6 };
         let learn_result = relation.learn(&observation_of(n, epoch));
@@ -179,6 +185,8 @@ fn lower_epoch_is_refused_until_restart_is_assumed() {
     // The agent of the cloud was restarted, so its epochs begin at 0 again.
     let learn_results: Vec<LearnResult> = (20..40).map(|n| relation.learn(&observation_of(n, 0))).collect();
     assert_eq!(relation.exchange_counts().restarts, 1);
+    // The eighth answer in a row with a lower epoch shows the restart and is itself refused. The ninth answer starts a
+    // new window.
     assert!(matches!(learn_results[8], LearnResult::Restarted(_)), "{learn_results:?}");
     assert!(learn_results[9..].iter().all(|learn_result| *learn_result == LearnResult::Accepted));
 }

@@ -9,7 +9,7 @@ fn unrelated_clocks_have_no_offset() {
 }
 
 #[test]
-fn shared_clock_gives_exact_delays_despite_step() {
+fn shared_clock_gives_exact_delays_until_step() {
     let mut relation = Relation::new(RelationSettings::default());
     relation.set_same_clock(true);
     assert!(relation.is_same_clock());
@@ -37,7 +37,7 @@ fn shared_clock_gives_exact_delays_despite_step() {
 }
 
 #[test]
-fn exchanges_check_proof_of_one_clock() {
+fn exchanges_contradict_wrong_proof_of_same_clock() {
     let mut relation = Relation::new(RelationSettings::default());
     relation.set_same_clock(true);
     for trip in
@@ -127,7 +127,7 @@ fn large_possible_asymmetry_yields_limited_verdict() {
     let judged = last.expect("some exchanges are not lost");
     assert_eq!((judged.up.verdict, judged.down.verdict), (Verdict::Limited, Verdict::Limited));
     let width = judged.up.bounds.expect("bounds").width();
-    assert!(width < Span::from_millis(47), "{width} is little more than the shortest round trip");
+    assert!(width < Span::from_millis(47), "{width} is not close to the shortest round trip, which is 45 ms");
 }
 
 #[test]
@@ -140,7 +140,7 @@ fn offset_states_age_and_number_of_exchanges() {
     assert_eq!(offset.exchanges, relation.exchange_counts().accepted);
     let age = offset.age.expect("the clocks are related");
     assert!(Span::from_seconds(2) <= age && age < Span::from_seconds(3), "{age}");
-    assert!((offset.skew_ppm.expect("ten seconds") - 10.0).abs() < 5.0);
+    assert!((offset.skew_ppm.expect("the exchanges of ten seconds have a skew") - 10.0).abs() < 5.0);
     assert!(offset.bounds.contains(offset.estimate));
     assert!(relation.memory_bytes() > 0);
 }

@@ -1,4 +1,4 @@
-//! Effect of a violated assumption on intervals, and its duration.
+//! The effect of a violated assumption on intervals, and how long the effect lasts.
 
 use super::*;
 
@@ -7,17 +7,17 @@ const WINDOW: f64 = 10.0;
 /// Observed effect of a violated assumption.
 #[derive(Debug, Default)]
 struct ViolationEffect {
-    /// Number of `ok` or `limited` delays that are outside their intervals.
+    /// Number of `ok` or `limited` delays whose interval does not contain the true delay.
     wrong_delays: u32,
     judged_delays: u32,
     /// Seconds from the violation to the last wrong delay.
-    last_wrong_delay: f64,
+    seconds_to_last_wrong_delay: f64,
     /// Seconds from the violation to the last `stale` delay.
-    last_stale_delay: f64,
+    seconds_to_last_stale_delay: f64,
     /// Seconds from the violation to the first violated limit, and that limit.
     violated_limit: Option<(f64, ViolatedLimit)>,
     /// Seconds from the violation to the first suspected jump.
-    first_jump: Option<f64>,
+    seconds_to_first_jump: Option<f64>,
     /// `true` if a limit was violated at the end.
     violates_limit_at_end: bool,
     jumps: u32,
@@ -49,13 +49,13 @@ fn observe_violation_at(
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
             effect.judged_delays += 1;
             if delay.verdict == Verdict::Stale {
-                effect.last_stale_delay = after;
+                effect.seconds_to_last_stale_delay = after;
             }
             let is_trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
             if is_trusted && !contains(&delay, truth) {
                 assert!(after >= 0.0, "{delay:?} {truth} at {}", trip.end);
                 effect.wrong_delays += 1;
-                effect.last_wrong_delay = after;
+                effect.seconds_to_last_wrong_delay = after;
             }
         }
         if let Some(limit) = relation.violated_limit() {
@@ -63,7 +63,7 @@ fn observe_violation_at(
         }
         if matches!(judged.learn_result, LearnResult::Jumped(_)) {
             effect.jumps += 1;
-            effect.first_jump.get_or_insert(after);
+            effect.seconds_to_first_jump.get_or_insert(after);
         }
     }
     effect.violates_limit_at_end = relation.violates_limit();
@@ -89,17 +89,18 @@ fn drifting(ppm: f64) -> HostClocks {
 /// minutes the exchanges prove that the limit is exceeded.
 #[test]
 fn excess_drift_on_long_path_is_proven() {
+    // `proven_after` is `None` if the test is too short for the proof.
     for (ppm, proven_after) in
         [(51.0, None), (75.0, None), (100.0, Some(950.0)), (150.0, Some(500.0)), (-100.0, Some(950.0))]
     {
         let effect =
             observe_violation(&drifting(ppm), path(5.0, 40.0, 1.0), free_running_limit(50.0), (0.0, 1_100.0));
         assert_eq!(effect.wrong_delays, 0, "{ppm}: {effect:?}");
-        let violated_limit =
+        let noticed_after =
             effect.violated_limit.filter(|(_, limit)| *limit == ViolatedLimit::Drift).map(|(after, _)| after);
-        assert_eq!(violated_limit.is_some(), proven_after.is_some(), "{ppm}: {effect:?}");
+        assert_eq!(noticed_after.is_some(), proven_after.is_some(), "{ppm}: {effect:?}");
         assert!(
-            violated_limit <= proven_after && effect.violates_limit_at_end == violated_limit.is_some(),
+            noticed_after <= proven_after && effect.violates_limit_at_end == noticed_after.is_some(),
             "{ppm}: {effect:?}"
         );
     }
@@ -109,7 +110,10 @@ fn excess_drift_on_long_path_is_proven() {
 fn excess_drift_on_short_path_is_noticed_within_window() {
     for ppm in [75.0, 100.0, 150.0] {
         let effect = observe_violation(&drifting(ppm), Path::VETH, free_running_limit(50.0), (0.0, 300.0));
-        assert!(effect.last_wrong_delay < WINDOW && effect.violates_limit_at_end, "{ppm}: {effect:?}");
+        assert!(
+            effect.seconds_to_last_wrong_delay < WINDOW && effect.violates_limit_at_end,
+            "{ppm}: {effect:?}"
+        );
         assert!(
             matches!(effect.violated_limit, Some((after, ViolatedLimit::Drift)) if after < WINDOW),
             "{ppm}: {effect:?}"
@@ -133,15 +137,18 @@ fn unannounced_jump_is_suspected_by_first_exchanges() {
                 free_running_limit(200.0),
                 (30.0, 90.0),
             );
-            // A jump of 39 ms moves the middle of an exchange with a short wait by more than the wait explains. A jump
-            // of 10 ms does so only for an exchange without a wait.
+            // Waiting on the network moves the middle of an exchange's bounds by half of the waiting time. A jump of
+            // 39 ms exceeds this movement even if the exchange waited for a short time. A jump of 10 ms shows only in
+            // an exchange that did not wait.
             let latest_suspicion = if jitter > 1.0 && millis.abs() < 39 { 5.0 } else { 0.5 };
             assert!(
-                effect.first_jump.is_some_and(|after| after < latest_suspicion),
+                effect.seconds_to_first_jump.is_some_and(|after| after < latest_suspicion),
                 "{delays:?} {jump}: {effect:?}"
             );
             assert!(
-                effect.last_wrong_delay < 0.5 && effect.jumps == 1 && effect.violated_limit.is_none(),
+                effect.seconds_to_last_wrong_delay < 0.5
+                    && effect.jumps == 1
+                    && effect.violated_limit.is_none(),
                 "{delays:?} {jump}: {effect:?}"
             );
         }
@@ -166,14 +173,15 @@ fn edge_jump_is_suspected_with_exchanges_in_flight() {
                 free_running_limit(200.0),
                 (30.0, 90.0),
             );
-            // 3 ms are within the jitter. A jump larger than the round trip contradicts the band and is a step.
+            // Waiting may explain a jump of 3 ms. On the path with a round trip of 1 ms, the larger jumps contradict
+            // the band and are steps.
             let is_suspected = delays.0 > 1.0 && millis.abs() >= 15;
             let in_time = |after: f64| after < 0.1;
             assert!(
-                !is_suspected || effect.first_jump.is_some_and(in_time),
+                !is_suspected || effect.seconds_to_first_jump.is_some_and(in_time),
                 "{delays:?} {jitter} {jump}: {effect:?}"
             );
-            assert!(in_time(effect.last_wrong_delay), "{delays:?} {jitter} {jump}: {effect:?}");
+            assert!(in_time(effect.seconds_to_last_wrong_delay), "{delays:?} {jitter} {jump}: {effect:?}");
         }
     }
 }
@@ -198,7 +206,7 @@ fn shorter_path_is_not_suspected_as_jump() {
 
 /// Covers random paths, jumps and changes of rate.
 #[test]
-fn violated_assumption_spoils_intervals_for_one_window() {
+fn violated_assumption_spoils_at_most_one_window() {
     let mut longest: f64 = 0.0;
     for seed in 0..300 {
         let mut random = RandomSource::new(seed);
@@ -218,9 +226,9 @@ fn violated_assumption_spoils_intervals_for_one_window() {
             false => HostClocks { edge: change(host_clocks.edge), ..host_clocks },
         };
         let effect = observe_violation(&host_clocks, path, free_running_limit(200.0), (30.0, 60.0));
-        assert!(effect.last_wrong_delay <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
-        assert!(effect.last_stale_delay <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
-        longest = longest.max(effect.last_wrong_delay);
+        assert!(effect.seconds_to_last_wrong_delay <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
+        assert!(effect.seconds_to_last_stale_delay <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
+        longest = longest.max(effect.seconds_to_last_wrong_delay);
     }
     assert!(longest > 0.1, "nothing was violated: {longest}");
 }
@@ -229,7 +237,7 @@ fn violated_assumption_spoils_intervals_for_one_window() {
 /// and the other exchanges fit both the time before the change and the time after it.
 #[test]
 fn suspicion_after_change_of_rate_ends_with_window() {
-    let mut last_stale_delay: f64 = 0.0;
+    let mut seconds_to_last_stale_delay: f64 = 0.0;
     for seed in 0..100 {
         let host_clocks = drifting(0.0);
         let host_clocks =
@@ -244,12 +252,12 @@ fn suspicion_after_change_of_rate_ends_with_window() {
                 relation.judge(&host_clocks.trip(begin, up.floor(), 1e5, down.floor()).observation());
             let after = begin / 1e9 - 30.0;
             if judged.up.verdict == Verdict::Stale && after > 0.0 {
-                last_stale_delay = last_stale_delay.max(after);
+                seconds_to_last_stale_delay = seconds_to_last_stale_delay.max(after);
             }
         }
     }
-    assert!(last_stale_delay > 1.0, "nothing was suspected: {last_stale_delay}");
-    assert!(last_stale_delay <= WINDOW, "{last_stale_delay}");
+    assert!(seconds_to_last_stale_delay > 1.0, "nothing was suspected: {seconds_to_last_stale_delay}");
+    assert!(seconds_to_last_stale_delay <= WINDOW, "{seconds_to_last_stale_delay}");
 }
 
 #[test]
@@ -300,7 +308,9 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
             (relation.delay(Direction::Down, exchange.replied, exchange.returned), trip.down),
         ] {
             assert!(spans_the_jump || contains(&delay, truth), "{delay:?} {truth} at {}", trip.end);
+            // An interval of one window is about 40 ms wide. An interval above 60 ms is the hull of both windows.
             hulls += u32::from(delay.bounds.is_some_and(|bounds| bounds.width() > Span::from_millis(60)));
+            // Delays are `limited` for one window of 10 s after a suspected jump.
             let is_near_suspected_jump = (30.3e9..39.5e9).contains(&trip.end);
             assert!(!is_near_suspected_jump || delay.verdict == Verdict::Limited, "{delay:?}");
         }

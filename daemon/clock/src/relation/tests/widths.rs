@@ -28,10 +28,12 @@ fn host_clocks() -> HostClocks {
     HostClocks { edge: clock(Span::ZERO), cloud: clock(Span::from_seconds(5)) }
 }
 
+/// Returns settings for wall clocks. The change of their drift has no limit.
 fn wall_limit(max_drift_ppm: f64) -> RelationSettings {
     RelationSettings { clocks: RelatedClocks::Wall, max_drift_ppm, ..RelationSettings::default() }
 }
 
+/// Returns settings for free-running clocks. The change of their drift is limited, too.
 fn free_running_limit(max_drift_ppm: f64) -> RelationSettings {
     RelationSettings { clocks: RelatedClocks::Raw, ..wall_limit(max_drift_ppm) }
 }
@@ -50,13 +52,13 @@ fn limit_of_drift_change_narrows_intervals_under_jitter() {
 
 /// A four times higher limit of drift does not widen intervals if the change of the drift is limited, too.
 #[test]
-fn higher_drift_limit_does_not_widen_quiet_path() {
+fn higher_drift_limit_widens_no_intervals() {
     let host_clocks = host_clocks();
-    let (width_before, error_before, _) = measure(Path::VETH, wall_limit(50.0), &host_clocks);
+    let (low_limit_width, low_limit_error, _) = measure(Path::VETH, wall_limit(50.0), &host_clocks);
     let (width, error, jumps) = measure(Path::VETH, free_running_limit(200.0), &host_clocks);
     assert!(
-        width <= width_before && error <= error_before && error < 0.001,
-        "{width} {width_before} {error}"
+        width <= low_limit_width && error <= low_limit_error && error < 0.001,
+        "{width} {low_limit_width} {error}"
     );
     assert_eq!(jumps, 0);
 }

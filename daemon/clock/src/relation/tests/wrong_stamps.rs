@@ -13,6 +13,7 @@ proptest! {
             let mut wrong_observation = host_clocks.trip(10e9 + n as f64 * 1e7, 3e4, 1e5, 3e4).observation();
             wrong_observation.exchange.received = RawTime::from_nanos(received);
             wrong_observation.exchange.replied = RawTime::from_nanos(replied);
+            // Only an impossible exchange has an epoch here: a new epoch of a possible exchange ends the window.
             wrong_observation.cloud_epoch = Some(epoch).filter(|_| received > replied);
             let judged = relation.judge(&wrong_observation);
             prop_assert!(matches!(judged.learn_result, LearnResult::Refused(_)));
@@ -25,7 +26,7 @@ proptest! {
     #[test]
     fn arbitrary_stamps_never_panic(
             stamps: [i64; 4],
-            apart: [u32; 6],
+            shifts: [u32; 6],
             uncertainty: i64,
             elapsed: Option<i64>,
             epoch: u32,
@@ -42,8 +43,8 @@ proptest! {
         for clocks in [RelatedClocks::Wall, RelatedClocks::Raw] {
             let settings = RelationSettings { clocks, ..RelationSettings::default() };
             let mut relation = Relation::new(settings);
-            for apart in apart.map(|nanos| Span::from_nanos(i64::from(nanos) << 28)) {
-                let exchange = Exchange { sent: sent + apart, returned: returned + apart, ..observation.exchange };
+            for shift in shifts.map(|nanos| Span::from_nanos(i64::from(nanos) << 28)) {
+                let exchange = Exchange { sent: sent + shift, returned: returned + shift, ..observation.exchange };
                 relation.judge(&observation);
                 relation.judge(&ExchangeObservation { exchange, ..observation });
                 relation.delay(Direction::Down, returned, sent);
@@ -62,6 +63,7 @@ proptest! {
         for (n, trip) in quiet_path.trips(&host_clocks, (10.0, 30.0), 20.0, &mut random).iter().enumerate() {
             honest_relation.learn(&trip.observation());
             deceived_relation.learn(&trip.observation());
+            // Three of four correct exchanges are followed by a wrong exchange.
             if n % 4 < 3 {
                 let mut wrong_observation = host_clocks.trip(trip.end, 3e4, 1e5, 3e4).observation();
                 wrong_observation.exchange.received = wrong_observation.exchange.received + Span::from_nanos(by as i64);
@@ -92,6 +94,8 @@ fn repeated_wrong_exchange_counts_once() {
 fn wide_exchange_does_not_end_suspicion() {
     let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
     let mut relation = relation_with_history(&before);
+    // Every second exchange is wide and agrees with both offsets. The fourth narrow exchange (`n` is 6) proves the
+    // step.
     let learn_results: Vec<LearnResult> = (0..8)
         .map(|n| {
             let one_way = if n % 2 == 0 { 3e4 } else { 5e6 };
@@ -196,7 +200,8 @@ fn suspicion_ends_with_window_if_nothing_refutes_it() {
     for n in 1..=120 {
         let seconds = 10.0 + f64::from(n) / 10.0;
         let judged = relation.judge(&before.trip(seconds * 1e9, 5e6, 1e5, 5e6).observation());
-        // The last exchange with a short round trip before the suspect returned at 9.5 s.
+        // The suspect is from 10 s. It contradicts exchanges with short round trips. The last of these exchanges
+        // returned at 9.5 s and leaves the window of 10 s at 19.5 s. The suspect leaves the window at 20 s.
         assert!(seconds < 20.2 || is_trusted(&judged), "{seconds} s: {judged:?}");
         assert!(seconds > 19.4 || !is_trusted(&judged), "{seconds} s: {judged:?}");
     }
