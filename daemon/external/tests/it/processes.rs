@@ -80,6 +80,7 @@ fn end_by_requested_signal_counts_as_requested() {
     let clock = clock();
     for (script, is_as_requested) in [
         ("echo here; exec sleep 600", true),
+        // A shell reports the end by SIGTERM as exit status 143 (128 + 15).
         ("trap 'exit 143' TERM; echo here; while :; do sleep 0.01; done", true),
         ("trap 'exit 3' TERM; echo here; while :; do sleep 0.01; done", false),
         // The script sends the signal to itself before the request to end.
@@ -104,12 +105,12 @@ fn assert_children_end_with_host(end: impl FnOnce(&mut std::process::Child)) {
         .expect("it starts");
     let output = BufReader::new(host.stdout.take().expect("a pipe"));
     let mut watched_children = output.lines().map_while(Result::ok).filter_map(|line| {
-        let (_, number) = line.split_once("left ")?;
+        let (_, number) = line.split_once("child process ")?;
         Some(WatchedChild::new(number))
     });
     let children = [
-        watched_children.next().expect("the pipeline"),
-        watched_children.next().expect("the process that ignores signals"),
+        watched_children.next().expect("the child in a shell pipeline"),
+        watched_children.next().expect("the child that ignores signals"),
     ];
     end(&mut host);
     host.wait().expect("it was started");
@@ -134,8 +135,9 @@ fn host() {
     let script = "sleep 600 | cat & echo $!; (trap '' HUP TERM; sleep 600) & echo $!; read -r _; sleep 600";
     let mut process = shell(script, &clock);
     for _ in 0..2 {
-        println!("left {}", read_line(&mut process, &clock).expect("a number"));
+        println!("child process {}", read_line(&mut process, &clock).expect("a number"));
     }
     io::stdin().read_to_end(&mut Vec::new()).expect("a pipe");
+    // If the process were dropped, the drop would end the children. The end of the host must be enough.
     std::mem::forget(process);
 }

@@ -149,12 +149,13 @@ fn closed_output_is_reported() {
             ),
             "{error}"
         );
+        // PEERNet kills the program, so the signal says nothing about the program.
         assert!(!error.contains("SIG"), "{error}");
     }
     for error in first_errors("read -r line; exec >&-; cat > /dev/null; exit 3") {
         assert!(error.contains("closed its standard output and ended with exit status 3"), "{error}");
     }
-    // The program has written the beginning of a line.
+    // The output ends within a line, because the program ends. The error states only the end of the program.
     for error in first_errors("read -r line; printf 'value x'; exit 3") {
         assert!(error.contains("the process ended with exit status 3"), "{error}");
     }
@@ -174,6 +175,7 @@ fn shell_does_not_hide_end_of_single_program() {
         for error in first_errors(&line) {
             assert!(error.contains(expected_part), "{error}");
         }
+        // The shell stays to run the second command. It reports the signal of the program as exit status 139.
         let compound_line = format!("{line}; exit $?");
         if expected_part.contains("signal") {
             for error in first_errors(&compound_line) {
@@ -231,11 +233,13 @@ fn error_quotes_output_outside_of_framing() {
     let mut program = start(Role::Model, "head -c 100000 /dev/zero | tr '\\0' x; cat", LONG_TIMEOUT_MS);
     let error = program.call(Request::Sample(&payload_sample())).expect_err("an endless line");
     let text = error.to_string();
+    // The program may write before or after the request.
     assert!(text.contains("bytes") || text.contains("without a request"), "{text}");
 }
 
 #[test]
 fn extra_reply_is_reported_at_next_call() {
+    // The program gives two replies to each request: `answer 1` with the byte a, and `answer 1` with the byte b.
     let mut program = start(
         Role::Sensor,
         "while read -r line; do printf 'answer 1\\naanswer 1\\nb'; done",

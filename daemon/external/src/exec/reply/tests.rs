@@ -48,13 +48,14 @@ fn error(role: Role, output_text: &str) -> String {
 }
 
 #[test]
-fn answer_is_one_line_and_its_bytes() {
+fn answer_is_header_line_and_announced_bytes() {
     let answer = reply(Role::Model, "answer 13 application/json\n{\"label\":\"a\"}");
     let ReplyOutcome::Parts(parts) = answer.outcome else { panic!("is an answer") };
     assert_eq!(
         (&parts[0].description.media, parts[0].bytes.as_ref()),
         (&MediaType::Json, &b"{\"label\":\"a\"}"[..])
     );
+    // A line may end with a carriage return before the line feed.
     let ReplyOutcome::Parts(parts) = reply(Role::Sensor, "answer 2\r\n\n\n").outcome else {
         panic!("is an answer")
     };
@@ -88,7 +89,7 @@ fn notes_before_answer_are_returned() {
 }
 
 #[test]
-fn actuator_reports_feedback_before_it_is_done() {
+fn feedback_lines_precede_done_line() {
     let notes = reply(Role::Actuator, "reward -0.5\nsuccess 1\nepisode-ended\ndone\n").notes;
     assert_eq!((notes.reward, notes.success, notes.episode_ended), (Some(-0.5), Some(true), true));
     for (output_text, expected_part) in [

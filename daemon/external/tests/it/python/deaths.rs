@@ -63,6 +63,7 @@ fn killed_process_is_reported_and_restarted() {
     let first_id = process_id(&mut model);
     let waits = module.folder.path().join("waits");
     mknodat(CWD, &waits, FileType::Fifo, Mode::RWXU, 0).expect("a pipe");
+    // The file is a named pipe, so the read waits until the call of the model opens the file.
     let killer = thread::spawn(move || {
         fs::read(waits).expect("the model opens the pipe");
         kill(first_id);
@@ -130,7 +131,7 @@ fn failed_start_reports_reason() {
 }
 
 #[test]
-fn failed_restart_is_retried_later() {
+fn failed_restart_delays_next_restart() {
     let source = "
 import os
 class Own:

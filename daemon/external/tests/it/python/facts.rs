@@ -85,7 +85,10 @@ class Own:
     );
     let libraries = libraries(&facts);
     assert!(libraries.iter().any(|library| library.starts_with("numpy 1") || library.starts_with("numpy 2")));
-    assert!(facts.iter().all(|(name, _)| name != "Model imports"), "{facts:?}");
+    assert!(
+        facts.iter().all(|(name, _)| name != "Model imports"),
+        "a fact says that the list of files is incomplete: {facts:?}"
+    );
 }
 
 #[test]

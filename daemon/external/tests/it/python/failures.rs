@@ -154,6 +154,7 @@ fn hanging_call_ends_at_timeout() {
     let mut model = module.model();
     let message = failure(&mut model, &[bytes(b"hang")]);
     assert!(message.contains("within 0.5 s") && message.contains("timeout_ms"), "{message}");
+    // The short timeout also holds for the next call, which therefore may fail. It must not hang.
     model.call(&[bytes(b"on")]);
 }
 

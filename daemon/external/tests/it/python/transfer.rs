@@ -1,4 +1,4 @@
-//! Transfer of values between the two processes: sizes, times and the end of the process.
+//! Transfer of values between PEERNet and a Python process: sizes, times and the end of the Python process.
 
 use std::fs;
 use std::path::Path;
@@ -35,6 +35,7 @@ class Own:
     def infer(self, x): return [b'small', x * 3, bytearray(4096), x]
 ";
     let mut model = Module::new(source, "own::Own").model();
+    // Values of at least 4,096 bytes are passed in shared memory, shorter values in the pipe.
     for length in [4095, 4096, 700_000, 10] {
         let content = vec![length as u8; length];
         let part = Part { description: Description::bytes(), bytes: content.clone().into() };
@@ -81,7 +82,7 @@ fn steps_lie_within_call_in_order() {
         .chain(steps.iter().flat_map(|step| [step.1, step.2]))
         .chain([ended_at])
         .collect();
-    assert!(stamps.is_sorted(), "the worker has the clock of this process: {stamps:?}");
+    assert!(stamps.is_sorted(), "the worker and this process read the same clock: {stamps:?}");
 }
 
 #[test]

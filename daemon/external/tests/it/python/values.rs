@@ -13,9 +13,8 @@ class Own:
     def sample(self): return next(self.values)
 ";
 
-fn sensor_value(values: &str, pickle: bool) -> Vec<Part> {
-    let mut module = Module::new(&format!("{SENSOR}\nVALUES = [{values}]"), "own::Own");
-    module.config.pickle = pickle;
+fn sensor_value(values: &str) -> Vec<Part> {
+    let module = Module::new(&format!("{SENSOR}\nVALUES = [{values}]"), "own::Own");
     let mut sensor = module.sensor();
     let parts = value(&mut sensor, &[]);
     assert!(sensor.call(&[]).result.expect("it ends well").is_none(), "there is one value");
@@ -23,7 +22,7 @@ fn sensor_value(values: &str, pickle: bool) -> Vec<Part> {
 }
 
 fn single_part(values: &str) -> (Description, Vec<u8>) {
-    let mut parts = sensor_value(values, false);
+    let mut parts = sensor_value(values);
     assert_eq!(parts.len(), 1, "{values} is one part");
     let part = parts.remove(0);
     (part.description, part.bytes.to_vec())
@@ -91,7 +90,7 @@ fn pictures_come_as_pixels() {
 
 #[test]
 fn each_value_of_tuple_is_one_part() {
-    let parts = sensor_value("(numpy.zeros(3, 'u1'), b'xy', 'depth')", false);
+    let parts = sensor_value("(numpy.zeros(3, 'u1'), b'xy', 'depth')");
     let media: Vec<_> = parts.iter().map(|part| part.description.media.clone()).collect();
     assert_eq!(media, [MediaType::Tensor, MediaType::Bytes, MediaType::Text]);
 }
@@ -122,6 +121,7 @@ class Model:
 
 #[test]
 fn configured_form_of_pictures_reaches_model() {
+    // The answer is the type of the value, followed by its `size` if it has one.
     let type_source = "
 class Own:
     def infer(self, x): return '%s.%s' % (type(x).__module__, type(x).__qualname__) + str(getattr(x, 'size', ''))
