@@ -115,6 +115,7 @@ fn run_has_six_histograms_of_original_program() {
     }
     let caption = std::fs::read_to_string(folder.path().join("upload-time-caption.txt")).expect("read");
     assert!(caption.contains("n = 54 · left out: 5 warm-up, 1 failed"), "{caption}");
+    // This file is the SVG of the last histogram, which shows the throughput of downloads.
     assert!(std::fs::read_to_string(&files[21]).expect("read").contains("no values"));
     let with_total = run_with_total(20.0);
     let files = of_run(&with_total.record, &with_total.rows, folder.path()).expect("written");

@@ -31,7 +31,7 @@ fn logarithmic_positions_stay_within_scale() {
     assert_eq!(
         texts(Scale::logarithmic((0.029, 0.092)), 5),
         ["0.04", "0.06", "0.08"],
-        "with fewer than three powers of ten, the ticks are evenly spaced"
+        "1, 2 and 5 times the powers of ten give fewer than three ticks, so the ticks are evenly spaced"
     );
     assert_eq!(
         texts(Scale::logarithmic((1e-9, 1e9)), 5).len(),

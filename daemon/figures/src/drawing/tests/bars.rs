@@ -96,7 +96,7 @@ fn stacked(bars: Vec<(&str, [f64; 3], Option<f64>)>) -> Stacked {
     }
 }
 
-/// Returns the areas of a stage in the plot, without the sample in the legend.
+/// Returns the areas of a stage in the plot, without the swatch in the legend.
 fn areas(svg: &str, stage: &str) -> Elements {
     let mut areas = Elements::of(svg, "rect").with("fill", &fill_colour(stage));
     areas.0.remove(0);

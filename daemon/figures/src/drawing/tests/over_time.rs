@@ -25,19 +25,21 @@ fn warm_up_episodes_and_failures_are_marked() {
     for text in ["total (band: range)", "upload", "warm-up", "failed (3)", "new episode", "Latency, ms"] {
         assert!(has_text(&svg, text), "{text} in {:?}", texts(&svg));
     }
-    // The sample in the legend, and the first five of 99 seconds.
+    // Two areas are shaded: the swatch in the legend, and the first five of 99 seconds. The plot is about 228 points
+    // wide.
     let shade = Elements::of(&svg, "rect").with("fill", "#e8ebef");
     assert_eq!(shade.0.len(), 2, "{svg}");
     assert!((shade.numbers("width")[1] - 228.0 * 5.0 / 99.0).abs() < 1.5, "{:?}", shade.numbers("width"));
-    // The sample in the legend, and two crosses for three failed iterations, because two of them share a column.
+    // There are the swatch in the legend and two crosses for three failed iterations. Two of the iterations are so
+    // close that they share a cross.
     assert_eq!(Elements::of(&svg, "path").with("stroke", "#9b1620").0.len(), 3, "{svg}");
     assert_valid_file(&svg);
 }
 
 #[test]
 fn figure_of_100000_iterations_is_small_file() {
-    let late = |i: u32| if i == 77_777 { 0.5 } else { 0.05 + f64::from(i % 97) * 1e-4 };
-    let figure = time_series((0..100_000).map(|i| (f64::from(i) * 1e-2, late(i))).collect());
+    let latency = |i: u32| if i == 77_777 { 0.5 } else { 0.05 + f64::from(i % 97) * 1e-4 };
+    let figure = time_series((0..100_000).map(|i| (f64::from(i) * 1e-2, latency(i))).collect());
     let svg = figure.svg();
     assert!(svg.len() < 100_000, "{}", svg.len());
     assert!(texts(&svg).iter().any(|text| text.starts_with("1 beyond 6")), "{:?}", texts(&svg));

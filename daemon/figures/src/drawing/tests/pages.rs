@@ -31,7 +31,7 @@ fn lengths_and_scaling_are_drawn_on_page() {
     let lengths =
         Lengths { title, x: unit, y: Unit::milliseconds("Inference"), stage, points, line: None, notes };
     let html = page::plot(&lengths.figure().plots[0], "joint", "a description");
-    assert_valid_for_page(&html.replace("fill-opacity=\"", ""));
+    assert_valid_for_page(&html);
     assert!(html.contains("class=\"over\"") && html.contains("class=\"beside\""), "{html}");
     assert!(html.contains("<path class=\"f-inference\""), "{html}");
     let value = |bytes: f64| Value {
@@ -73,9 +73,10 @@ fn stack_values_are_labelled_if_they_fit() {
             Label::new(middle, format!("{:.1}", to - from), stage(name).text()).anchored(Anchor::Middle);
         items.push(Item::Text(label.with_max_width(scale.at(to) - scale.at(from))));
     }
+    let has_caps = [true; 2];
     items.extend(Orientation::Horizontal.whisker(
         [0.3, 0.4].map(|at| At::new(at, 0.5)),
-        [true; 2],
+        has_caps,
         4.0,
         &Style::whisker(),
     ));

@@ -27,7 +27,7 @@ fn many_values_are_a_shape_and_few_values_are_points() {
     // The two shapes have hundreds of corners.
     let shapes = Elements::of(&svg, "path").0.into_iter().filter(|path| path["d"].len() > 300);
     assert_eq!(shapes.count(), 2, "{svg}");
-    // Nine points, a sample in the legend, and two medians, each with a rim.
+    // There are nine points, a swatch in the legend, and two medians, each with a rim.
     assert_eq!(Elements::of(&svg, "circle").0.len(), 9 + 1 + 2 * 2, "{svg}");
     for text in ["2.50 ×", "model-0", "model-1", "local", "remote", "Inference, ms"] {
         assert!(has_text(&svg, text), "{text} in {:?}", texts(&svg));

@@ -46,7 +46,7 @@ fn horizontal_line_is_drawn_unless_too_far_from_values() {
     let figure = scaling(Some((1e9, 0.0)), None);
     let svg = figure.svg();
     let discs = Elements::of(&svg, "circle").numbers("cy");
-    // The first disc is the sample in the legend. The other discs are a decade apart, and the line is a decade above
+    // The first disc is the swatch in the legend. The other discs are a decade apart, and the line is a decade above
     // the last.
     let decade = discs[2] - discs[3];
     let ys = line_ys(&svg);
@@ -115,7 +115,7 @@ fn each_configuration_is_numbered_point() {
     {
         assert!(has_text(&svg, text), "{text} in {:?}", texts(&svg));
     }
-    // Name, accuracy, median, 95th percentile.
+    // A line of the table has the number, the name, the accuracy, the median and the 95th percentile.
     let texts = texts(&svg);
     assert!(texts.windows(5).any(|line| line == ["2", "m", "80.0", "40.0", "60.0"]), "{texts:?}");
     let count = |number: &str| texts.iter().filter(|text| *text == number).count();

@@ -43,7 +43,7 @@ fn axis_ticks_are_measured_edge_counts() {
 }
 
 #[test]
-fn curves_differ_by_mark_and_line() {
+fn curves_differ_by_dash_pattern() {
     let curve = |factor: f64| [1, 2, 3].map(|edges| point(edges, factor * edges as f64, Some(0.9))).to_vec();
     let figure =
         sharing(vec![("s", curve(0.01)), ("m", curve(0.02)), ("l", curve(0.03)), ("xl", curve(0.04))]);

@@ -192,7 +192,7 @@ fn negative_values_have_different_positions() {
 }
 
 #[test]
-fn axis_begins_at_zero_unless_squeezed() {
+fn axis_begins_at_zero_unless_values_are_close() {
     let first_tick_and_title = |values: &[f64]| {
         let axis =
             BinnedAxis::from_zero([&summary(values.iter().copied())].into_iter(), Unit::symbol("B", 1.0));

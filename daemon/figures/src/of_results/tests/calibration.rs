@@ -77,6 +77,7 @@ fn assert_equal_figures(
             (&drawn.series[0], &drawn.explanations, &drawn.title),
             (&calibrated.series[0], &calibrated.explanations, &calibrated.title)
         );
+        // Only the payload study has a note on the number of messages, which is the first.
         assert_eq!(drawn.notes[1..], calibrated.notes);
     }
     drawn
@@ -96,13 +97,13 @@ fn payload_study_equals_calibration() {
         |number| number > 40,
     );
     assert_eq!(unbounded[0].series[0].values[0].bounds, None);
-    // The delays vary more than they grow with the size, so they determine no rate. A delay that does not grow has no
-    // line.
+    // The delays vary more than they grow with the size, so they determine no rate.
     let noisy = assert_equal_figures(
         |number, size_index| [0.2, 0.21, 0.19, 0.22][size_index] * 1e-3 + variation(number),
         |_| true,
     );
     assert_eq!((noisy[1].series[0].line, noisy[1].notes.len()), (None, 2));
+    // A delay that does not grow with the size has no line.
     let not_growing = assert_equal_figures(
         |number, size_index| [0.2, 0.2, 0.2, 0.1][size_index] * 1e-3 + variation(number),
         |_| true,
