@@ -170,6 +170,7 @@ fn worker_that_ignores_cancellation_is_logged_once() {
         logged.push(blockage.check(pool.name()));
         clock.advance(Span::from_millis(600));
     }
+    // The first check notices the blockage. The third check is 1.2 s later, which exceeds the grace period of 1 s.
     assert_eq!(logged, [false, false, true, false]);
     let (next, done) = job_with_receiver("next");
     pool.submit(next).expect("has room");

@@ -95,7 +95,7 @@ pub(in crate::model::onnx) fn small_card_with(from: &str, to: &str) -> Result<Ca
 
 #[test]
 fn card_is_read_with_its_defaults() {
-    let card = small_card_with("", "").expect("the card is valid");
+    let card = Card::parse(SMALL).expect("the card is valid");
     let Task::Classification(output) = &card.task else { panic!("{:?}", card.task) };
     assert_eq!(output.listed_class_count(), 2, "all classes are listed, because there are fewer than five");
     let picture = card.picture().expect("the input is a picture");
