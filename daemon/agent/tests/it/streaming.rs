@@ -14,16 +14,17 @@ use crate::harness::{Aggregator, TestAgent, value};
 /// Number of chunks of an answer.
 const CHUNKS: usize = 5;
 
-/// Reads a request to its end. Returns `None` if the client has closed the connection.
+/// Reads a request to its end, and returns its first line, such as `POST /v1/chat/completions HTTP/1.1`. Returns `None`
+/// if the client has closed the connection.
 fn read_request(stream: &mut BufReader<TcpStream>) -> Option<String> {
-    let (mut first, mut length) = (String::new(), 0);
+    let (mut first_line, mut length) = (String::new(), 0);
     loop {
         let mut line = String::new();
         if stream.read_line(&mut line).ok()? == 0 {
             return None;
         }
-        if first.is_empty() {
-            first.clone_from(&line);
+        if first_line.is_empty() {
+            first_line.clone_from(&line);
         }
         if let Some((name, value)) = line.split_once(':')
             && name.eq_ignore_ascii_case("content-length")
@@ -36,7 +37,7 @@ fn read_request(stream: &mut BufReader<TcpStream>) -> Option<String> {
     }
     let mut body = vec![0; length];
     stream.read_exact(&mut body).ok()?;
-    Some(first)
+    Some(first_line)
 }
 
 /// Starts a server of chat completions that sends [`CHUNKS`] chunks and then `end`, the end of the stream. If `end` is
@@ -53,9 +54,9 @@ fn serve(listener: TcpListener, end: Option<&'static str>) -> (SocketAddr, Recei
             let report_closing = report_closing.clone();
             thread::spawn(move || {
                 let mut stream = BufReader::new(stream);
-                let Some(request) = read_request(&mut stream) else { return };
+                let Some(request_line) = read_request(&mut stream) else { return };
                 let mut output = stream.get_ref().try_clone().expect("a descriptor is free");
-                if !request.starts_with("POST") {
+                if !request_line.starts_with("POST") {
                     let _ = output.write_all(b"HTTP/1.1 404 Not Found\r\ncontent-length: 0\r\n\r\n");
                     return;
                 }
@@ -111,6 +112,7 @@ async fn pipeline_waits_for_server_of_its_model() {
     let (_, _closings) = serve(TcpListener::bind(address).expect("the port is still free"), Some(end));
     let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
     assert!(received_events.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
+    // The unreachable server is reported once, as a disconnection before the run.
     assert_eq!(
         (received_events.iterations().len(), received_events.incidents(IncidentKind::Disconnected).len()),
         (2, 1)
@@ -163,7 +165,7 @@ async fn timeout_at_edge_stops_language_model() {
     let closing = tokio::task::spawn_blocking(move || closings.recv().expect("the server runs"));
     tokio::time::timeout(std::time::Duration::from_secs(8), closing)
         .await
-        .expect("the model still waits for its server")
+        .expect("the connection to the server is closed in time")
         .expect("does not panic");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");

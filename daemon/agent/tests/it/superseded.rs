@@ -69,23 +69,24 @@ async fn answers_that_wait_for_actuator_stay_in_order() {
     }
 }
 
-/// Writes an ONNX model that answers with its input, a row of four bytes for each sample of a batch, and its card.
+/// Writes an ONNX model and its card. The model answers with its input, a row of four bytes for each sample of a batch.
 fn write_identity(folder: &std::path::Path) {
-    /// Returns a field of a protocol buffer (onnx.proto3) with contents.
+    /// Returns the field `number` of a protocol buffer (onnx.proto3) with bytes as contents.
     fn field(number: u8, contents: &[u8]) -> Vec<u8> {
         let length = u8::try_from(contents.len()).expect("short");
         [&[number << 3 | 2, length], contents].concat()
     }
-    let number = |field: u8, value: u8| vec![field << 3, value];
+    // A field of a protocol buffer with an integer.
+    let integer = |number: u8, value: u8| vec![number << 3, value];
     let text = |number: u8, text: &str| field(number, text.as_bytes());
-    let shape = [field(1, &text(2, "batch")), field(1, &number(1, 4))].concat();
+    let shape = [field(1, &text(2, "batch")), field(1, &integer(1, 4))].concat();
     // The type of the elements is uint8.
-    let tensor = field(2, &field(1, &[number(1, 2), field(2, &shape)].concat()));
+    let tensor = field(2, &field(1, &[integer(1, 2), field(2, &shape)].concat()));
     let value = |name: &str| [text(1, name), tensor.clone()].concat();
     let node = [text(1, "x"), text(2, "y"), text(4, "Identity")].concat();
     let graph =
         [field(1, &node), text(2, "identity"), field(11, &value("x")), field(12, &value("y"))].concat();
-    let model = [number(1, 8), field(7, &graph), field(8, &number(2, 13))].concat();
+    let model = [integer(1, 8), field(7, &graph), field(8, &integer(2, 13))].concat();
     std::fs::write(folder.join("model.onnx"), model).expect("written");
     let card = "name = 'identity'\ntask = 'tensors'\n[input]\nname = 'x'\ndtype = 'uint8'\nshape = [1, 4]\n\
                 [output]\nname = 'y'\ndtype = 'uint8'\nshape = [1, 4]\n";
@@ -96,8 +97,8 @@ fn write_identity(folder: &std::path::Path) {
 async fn answers_of_one_batch_are_acted_on_in_order() {
     let folder = tempfile::tempdir().expect("a folder");
     write_identity(folder.path());
-    // The wait of a batch is a multiple of the period, so that the last sample often arrives while the batch is
-    // computed.
+    // The wait of a batch is a multiple of the period of the samples, so that a new sample often arrives while the
+    // batch is computed.
     let tables = format!(
         "[[model]]\nname = 'identity'\nkind = 'onnx'\npath = {:?}\nbatch = {{ max_size = 8, max_wait_ms = 60.0 }}\n\
          [[pipeline]]\nname = 'line'\n\

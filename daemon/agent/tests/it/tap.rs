@@ -9,7 +9,8 @@ use tokio_util::sync::CancellationToken;
 
 use crate::harness::{VERSION, clock, config};
 
-const LINE: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
+/// Configuration of a pipeline and its model.
+const PIPELINE_TABLES: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
     [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 10 }\n\
     placement = { kind = 'local', model = 'echo' }\nwarm_up = { iterations = 0 }\n";
 
@@ -17,13 +18,13 @@ const LINE: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
 async fn unreadable_host_secret_is_refused_before_anything_starts() {
     let state = tempfile::tempdir().expect("a folder");
     std::fs::write(state.path().join("host-secret"), "my notes").expect("written");
-    let mut config = config(LINE);
+    let mut config = config(PIPELINE_TABLES);
     config.agent.name = Some("edge".parse().expect("a name"));
     config.agent.state_dir = state.path().to_owned();
     config.agent.aggregator = Some("tcp://127.0.0.1:9".parse().expect("an address"));
     let (tap, mut events) = mpsc::channel(1000);
-    let started =
-        Agent::start_with_tap(config, VERSION, clock("system"), CancellationToken::new(), tap, None).await;
+    let (stop, results) = (CancellationToken::new(), None);
+    let started = Agent::start_with_tap(config, VERSION, clock("system"), stop, tap, results).await;
     let error = started.expect_err("the file contains no secret");
     assert!(matches!(error, StartError::Identity(_)) && error.to_string().contains("host-secret"), "{error}");
     assert_eq!(events.recv().await, None, "no pipeline ran");
@@ -33,13 +34,13 @@ async fn unreadable_host_secret_is_refused_before_anything_starts() {
 async fn program_receives_events_and_missed_events_are_counted() {
     for capacity in [1000, 10] {
         let state = tempfile::tempdir().expect("a folder");
-        let mut config = config(LINE);
+        let mut config = config(PIPELINE_TABLES);
         config.agent.name = Some("edge".parse().expect("a name"));
         config.agent.state_dir = state.path().to_owned();
         config.pipelines[0].limit.iterations = NonZeroU64::new(100);
-        let stop = CancellationToken::new();
+        let (stop, results) = (CancellationToken::new(), None);
         let (tap, mut events) = mpsc::channel(capacity);
-        let running = Agent::start_with_tap(config, VERSION, clock("system"), stop.clone(), tap, None)
+        let running = Agent::start_with_tap(config, VERSION, clock("system"), stop.clone(), tap, results)
             .await
             .expect("starts");
         while running.live_update().pipelines[0].state != PipelineState::Finished {

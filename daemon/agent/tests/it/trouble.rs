@@ -95,7 +95,7 @@ async fn cloud_learns_of_missing_iterations_at_run_end() {
         .expect("the session ends in time")
         .expect("the agent serves")
         .missed;
-    assert_eq!(missed, 10);
+    assert_eq!(missed, 10, "only the missing iterations of the first run");
     cloud.stop().await.expect("stops well");
 }
 
@@ -144,7 +144,7 @@ async fn pipeline_that_cannot_start_reports_reason_and_others_run() {
                 && received_events.incidents(IncidentKind::PipelineFailed).len() == 2
         })
         .await;
-    assert_eq!(received_events.iterations().len(), 15);
+    assert_eq!(received_events.iterations().len(), 15, "5 iterations of warm-up, and the 10 of the limit");
     assert_eq!(received_events.incidents(IncidentKind::ModelLoaded).len(), 1);
     let live = agent.running.live_update();
     let state = |name: &str| {
