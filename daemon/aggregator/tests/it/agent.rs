@@ -118,6 +118,7 @@ impl Agent {
                 if is_done(self) {
                     return;
                 }
+                // `is_done` may also depend on the state of the aggregator, so it is called at least every 50 ms.
                 let pause =
                     self.sending.deadline().map(|deadline| (deadline - self.clock.mono()).to_duration());
                 tokio::select! {

@@ -39,6 +39,7 @@ pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
         peer,
         peer_name: "cloud".parse().expect("a name"),
         at,
+        // SQLite stores this number as a negative number, because its integers are signed.
         relation_period: u64::MAX - 7,
         max_drift_ppm: 50.0,
         upper: Some(exchange(Span::from_micros(width))),

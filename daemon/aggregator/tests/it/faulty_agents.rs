@@ -57,6 +57,7 @@ async fn duplicate_missing_and_early_batches_are_distinguished() {
     let batches = [scripted_agent.next(), scripted_agent.next(), scripted_agent.next()];
     scripted_agent.socket.send_frame(batches[0].clone()).await;
     scripted_agent.expect(Reply::Unknown).await;
+    // The three batches exist already. `hello` alone would announce a stream that continues after these batches.
     let hello = scripted_agent.hello("edge");
     let hello = Hello { oldest: 1, chain_before_oldest: ChainHash::START, ..hello };
     assert!(matches!(scripted_agent.socket.greet(&hello).await, ToAgent::Welcome { stored: 0, .. }));
@@ -90,6 +91,7 @@ async fn duplicate_missing_and_early_batches_are_distinguished() {
 async fn damaged_batch_is_requested_again_then_quarantined() {
     let mut testbed = Testbed::new().await;
     let mut scripted_agent = ScriptedAgent::welcome(&testbed, "edge").await;
+    // This frame has the form of a batch from an unknown host.
     scripted_agent.socket.send_frame(vec![0xc1; 100]).await;
     scripted_agent.expect(Reply::Unknown).await;
     let first = scripted_agent.next();
@@ -142,6 +144,7 @@ async fn undecodable_batch_is_quarantined_at_once() {
         2
     );
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 1);
+    // The second batch states more events than its bytes can hold, so only the 7 events of the first batch are counted.
     assert_eq!(testbed.count("SELECT missing FROM host WHERE name = 'edge'").await, 7);
     testbed.stop().await;
 }
@@ -218,6 +221,7 @@ async fn sender_that_ignores_window_loses_nothing() {
             ToAgent::Resend { from, .. } => from,
             other => panic!("{other:?}"),
         };
+        // `frames[0]` is batch 2.
         for frame in frames.iter().skip(from as usize - 2).take(8) {
             scripted_agent.socket.send_frame(frame.clone()).await;
         }

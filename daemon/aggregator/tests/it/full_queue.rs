@@ -33,18 +33,18 @@ async fn deferred_batches_are_requested_when_queue_has_capacity() {
     let mut holder = testbed.connection().await;
     sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut holder).await.expect("locks");
     // These batches are compressed and therefore small on the network. In the queue they take the size of the
-    // decompressed events.
+    // decompressed events: 25 of these 32 batches fill the queue.
     for scripted_agent in &mut agents[..2] {
         for _ in 0..16 {
             let frame = large_batch(scripted_agent);
             scripted_agent.socket.send_frame(frame).await;
         }
     }
-    let late = agents[2].next();
+    let second_batch = agents[2].next();
     testbed.snapshot("deferred batches", |snapshot| snapshot.totals.arrivals.deferred >= 6).await;
-    let deferred = large_batch(&mut agents[2]);
-    agents[2].socket.send_frame(late.clone()).await;
-    agents[2].socket.send_frame(deferred.clone()).await;
+    let third_batch = large_batch(&mut agents[2]);
+    agents[2].socket.send_frame(second_batch.clone()).await;
+    agents[2].socket.send_frame(third_batch.clone()).await;
     testbed
         .snapshot("a deferred batch of the third agent", |snapshot| {
             snapshot
@@ -60,8 +60,8 @@ async fn deferred_batches_are_requested_when_queue_has_capacity() {
         match agents[2].socket.receive().await {
             peernet_stream::ToAgent::Resend { from, .. } => {
                 resend_requests += 1;
-                let deferred_frames = [&late, &deferred];
-                for frame in &deferred_frames[usize::try_from(from).expect("small") - 2..] {
+                let deferred_batches = [&second_batch, &third_batch];
+                for frame in &deferred_batches[usize::try_from(from).expect("small") - 2..] {
                     agents[2].socket.send_frame((*frame).clone()).await;
                 }
             }
@@ -104,6 +104,7 @@ async fn late_data_is_counted_in_buckets_of_its_time() {
         }
     }
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 300);
+    // Quantity 0 is the value of a node. Resolution 0 is the whole run.
     let wrong = testbed.count(
         "WITH width (s) AS (VALUES (1), (10), (60), (3600)), \
          truth AS (SELECT s, started_ns / 1000000000 / s * s AS bucket, count(*) AS count FROM width, iteration GROUP BY 1, 2), \
@@ -117,7 +118,7 @@ async fn late_data_is_counted_in_buckets_of_its_time() {
 }
 
 #[tokio::test]
-async fn run_is_pinned_while_aggregator_stores() {
+async fn running_aggregator_pins_and_unpins_run() {
     let mut testbed = Testbed::new().await;
     let mut agent = testbed.agent("edge").await;
     agent.offer([generate::run_started(RunId::random(), "line", generate::at(0.0))]);

@@ -108,6 +108,7 @@ pub fn iteration_at(
     add(0, stage::UPLOAD, 0, now, transit(started + now, up));
     now += Span::from_nanos(up);
     let mut cloud_time = Span::ZERO;
+    // The closure is created a second time, because it borrows `numbers`, and `up` is drawn in between.
     let mut timer = |now: &mut Span, low: i64, high: i64| {
         let span = Span::from_nanos(numbers.between(low, high));
         *now += span;

@@ -130,7 +130,7 @@ async fn hostile_clock_values_are_bounded_and_stored() {
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((1..=50).map(|n| {
         let mut iteration = generate::iteration(run, n, hosts, &mut numbers);
-        // The two hosts have different clocks, so the delay is computed again.
+        // This delay is not a delay of hosts with one clock, so `recompute` below judges it again.
         let (upload, _) = iteration.tree.find(&["upload"]).expect("measured");
         if let Some(Measure::Transit(transit)) = iteration.tree.measure_mut(upload) {
             transit.delay = Some(OneWayDelay::unsynchronised(Span::from_nanos(i64::MIN)));
@@ -216,7 +216,7 @@ async fn unnamed_run_gets_name_from_live_lane() {
         1
     );
     let snapshot = testbed
-        .snapshot("the events that were stored before", |snapshot| {
+        .snapshot("the events of both processes", |snapshot| {
             snapshot.hosts.first().is_some_and(|host| host.stored.events == 7)
         })
         .await;

@@ -123,6 +123,7 @@ async fn clock_samples_are_shown_and_stored() {
     assert_eq!((link.edge, link.connected, &link.live), (agent.id, true, &clocks::link(sample.clone())));
     assert_eq!((link.history.len(), &link.history[0].offset), (1, &sample.offset));
     assert_eq!(snapshot.hosts[0].clock, clock);
+    // The agent sends nothing more. After a few seconds of silence, its links count as disconnected.
     testbed
         .snapshot("the disconnected link", |snapshot| snapshot.links.iter().all(|link| !link.connected))
         .await;

@@ -82,7 +82,7 @@ impl TestPipeline {
 }
 
 #[tokio::test]
-async fn older_copy_is_compared_with_spools_again() {
+async fn restored_older_copy_gets_gap_for_missing_events() {
     let mut testbed = Testbed::new().await;
     let mut pipeline = TestPipeline::new(&testbed).await;
     pipeline.store(10).await;
@@ -97,7 +97,7 @@ async fn older_copy_is_compared_with_spools_again() {
     pipeline.store(5).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 15);
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 1);
-    let snapshot = testbed.snapshot("the counts of this database", |snapshot| {
+    let snapshot = testbed.snapshot("the counts of the restored copy", |snapshot| {
         snapshot.hosts.first().is_some_and(|host| host.stored.events < 50)
     });
     assert_eq!(snapshot.await.hosts.len(), 1);
@@ -125,7 +125,7 @@ async fn missing_database_is_never_created_again() {
     std::fs::write(&testbed.database, "no database at all").expect("writes");
     wait_until_not_storing(&testbed, "not a database").await;
     assert_eq!(std::fs::read(&testbed.database).expect("reads"), b"no database at all");
-    // The moved file is complete without its log.
+    // The aggregator has checkpointed its -wal file into the moved file, which is therefore complete.
     std::fs::rename(path_with_suffix(&testbed.database, "-away"), &testbed.database).expect("moves back");
     pipeline.agent.until_stored().await;
     assert_eq!(testbed.aggregator().current_readiness(), Readiness::Ready);

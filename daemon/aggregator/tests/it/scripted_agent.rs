@@ -88,7 +88,9 @@ impl ScriptedAgent {
         let events_before = self.events;
         let head = BatchHead { host, stream, process, number, previous_chain, chain, events, events_before };
         self.events = head.events_through();
-        codec::encode_batch(&head, body, number.is_multiple_of(2))
+        // Compressed and other batches alternate.
+        let compress = number.is_multiple_of(2);
+        codec::encode_batch(&head, body, compress)
     }
 
     /// Sends the next batch.

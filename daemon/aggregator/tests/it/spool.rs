@@ -64,6 +64,7 @@ impl Spool {
         match action {
             Action::Append { batches, totals } => {
                 self.batches.extend(batches.into_iter().map(|batch| (batch.number, batch)));
+                // A new entry replaces the entry of the same process.
                 self.newest_sent
                     .retain(|old| totals.newest_sent.is_none_or(|new| new.process != old.process));
                 self.newest_sent.extend(totals.newest_sent);

@@ -32,17 +32,17 @@ async fn queue_with(count: usize) -> (mpsc::Sender<PreparedWork>, mpsc::Receiver
 async fn large_group_takes_ready_work_without_waiting() {
     let (_open_sender, mut queue) = queue_with(4).await;
     let grouping = Grouping { interval: LONG, min_nodes: 2, max_nodes: 100 };
-    assert_eq!(collect_group(work_of_one_node(), &mut queue, Duration::ZERO, grouping).await.len(), 5);
+    let waited = Duration::ZERO;
+    assert_eq!(collect_group(work_of_one_node(), &mut queue, waited, grouping).await.len(), 5);
 }
 
 #[tokio::test]
 async fn small_group_waits_until_large_enough() {
     let (sender, mut queue) = queue_with(1).await;
     let grouping = Grouping { interval: LONG, min_nodes: 4, max_nodes: 100 };
+    let waited = Duration::ZERO;
     let group =
-        tokio::spawn(
-            async move { collect_group(work_of_one_node(), &mut queue, Duration::ZERO, grouping).await },
-        );
+        tokio::spawn(async move { collect_group(work_of_one_node(), &mut queue, waited, grouping).await });
     tokio::task::yield_now().await;
     assert!(!group.is_finished());
     for _ in 0..2 {
@@ -55,12 +55,14 @@ async fn small_group_waits_until_large_enough() {
 async fn group_is_committed_after_interval_however_small() {
     let (_open_sender, mut queue) = queue_with(1).await;
     let grouping = Grouping { interval: LONG, min_nodes: 100, max_nodes: 100 };
-    assert_eq!(collect_group(work_of_one_node(), &mut queue, LONG, grouping).await.len(), 2);
+    let waited = LONG;
+    assert_eq!(collect_group(work_of_one_node(), &mut queue, waited, grouping).await.len(), 2);
 }
 
 #[tokio::test]
 async fn group_is_limited_to_max_nodes() {
     let (_open_sender, mut queue) = queue_with(10).await;
     let grouping = Grouping { interval: LONG, min_nodes: 2, max_nodes: 6 };
-    assert_eq!(collect_group(work_of_one_node(), &mut queue, Duration::ZERO, grouping).await.len(), 6);
+    let waited = Duration::ZERO;
+    assert_eq!(collect_group(work_of_one_node(), &mut queue, waited, grouping).await.len(), 6);
 }

@@ -7,7 +7,8 @@ use crate::live_state::{RejectedBatches, Totals};
 fn state_after_updates(testbed: &mut Testbed, backlog: bool) -> LiveState {
     for step in 0..40 {
         let at = 0.25 * f64::from(step);
-        let second = second(at as i64, &[0.010 + 0.001 * f64::from(step % 7), 0.012], u64::from(step == 3));
+        let lost = u64::from(step == 3);
+        let second = second(at as i64, &[0.010 + 0.001 * f64::from(step % 7), 0.012], lost);
         let mut accounting = Accounting::default();
         if backlog {
             accounting = Accounting {
@@ -80,7 +81,7 @@ fn totals_include_absent_hosts_and_never_decrease() {
     assert_eq!(
         (snapshot.hosts.len(), snapshot.absent),
         (1, 1),
-        "two hosts were removed from the snapshot; one of them has stored events"
+        "`gone` and `stranger` were removed from the snapshot, and only `gone` has stored events"
     );
     let expected = |events, damaged| Totals {
         stored: StoredCounts { quarantined: 1, ..stored(events) },

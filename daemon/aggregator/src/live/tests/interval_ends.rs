@@ -34,6 +34,7 @@ fn window_has_interval_from_reported_ends() {
         let bound = &window.bounds[0];
         for interval in [bound.interval_of_median(delay), bound.interval_of_mean(delay)] {
             let interval = interval.expect("every delay has an interval");
+            // Without ends, the interval follows from the half-widths of 40 µs that `second` reports.
             let [lo, hi] = ends.unwrap_or([6e-3 - 40e-6, 6e-3 + 40e-6]);
             let are_near = |a: f64, b: f64| (a - b).abs() < 1e-9;
             assert!(are_near(interval.lo, lo) && are_near(interval.hi, hi), "{interval:?}");

@@ -21,7 +21,7 @@ const LEFT_CLEANLY: (bool, bool, PipelineState) = (false, true, PipelineState::F
 const AWAY: (bool, bool, PipelineState) = (false, false, PipelineState::Away);
 
 #[test]
-fn host_leaves_in_order_before_or_after_last_commit() {
+fn host_leaves_cleanly_before_or_after_last_commit() {
     for stored_first in [true, false] {
         let mut testbed = Testbed::new();
         testbed.live.apply(update_in_state(&testbed, 1.0, PipelineState::Running, 41), now(1.0));

@@ -156,6 +156,8 @@ fn excess_links_and_texts_are_cut_and_counted() {
     assert!(serde_json::to_string(&**shown).expect("serialises").len() < 64 * 1024);
     assert_eq!((shown.live.networks.len(), shown.live.pipelines.len()), (32, 32));
     assert!(snapshot.hosts[0].clock.text.len() <= 512 && snapshot.hosts[0].clock.text.starts_with('ä'));
+    // Five lists of 1,000 items are cut to 32: the networks and the pipelines of the link, and the steps of its two
+    // clocks and of the clock of the update.
     let left_out = 1_000 - MAX_HOST_LINKS as u64 + 5 * (1_000 - 32);
     assert_eq!(snapshot.hosts[0].live_left_out, left_out);
 }
@@ -201,5 +203,6 @@ fn impossible_clock_values_are_not_shown() {
     assert_eq!((&point.offset, point.up.expect("judged").median), (&None, None));
     let offset = shown("crowded")[0].live.latest_sample.offset.clone().expect("known");
     assert_eq!((offset.sources.len(), offset.skew_ppm), (1, None));
+    // The times of three links, and values of `inverted` and of `crowded`.
     assert_eq!(snapshot.hosts[0].live_left_out, 5);
 }

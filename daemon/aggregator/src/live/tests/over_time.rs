@@ -6,7 +6,8 @@ use peernet_statistics::Summary;
 use super::{START, Testbed, second};
 use crate::live_state::PercentileSeries;
 
-/// Returns the percentiles after these seconds, each reported at its end.
+/// Returns the percentiles of a pipeline whose second `n` has iterations with the totals `seconds[n]`. Each second is
+/// reported at its end.
 fn series(seconds: &[Vec<f64>]) -> PercentileSeries {
     let mut testbed = Testbed::new();
     for (at, totals) in seconds.iter().enumerate() {
@@ -146,12 +147,13 @@ fn transfer_speed_is_total_bytes_per_total_time() {
         assert!((up.bytes - 212_000.0).abs() < 1e-6 && transfers.down.is_none(), "{up:?}");
     }
     let ratios = pipeline.windows[1].value("upload-throughput").expect("reported").mean;
-    assert!(ratios > 8.0 * exact, "the mean of the ratios is larger than the speed: {ratios}");
+    assert!(ratios > 8.0 * exact, "the mean of the ratios is more than eight times the speed: {ratios}");
 }
 
 #[test]
 fn rate_of_new_pipeline_covers_time_since_its_start() {
     let mut testbed = Testbed::new();
+    // Half of the last second has passed, with half of its iterations.
     for at in 0..5 {
         testbed.send(at as f64 + 0.5, vec![second(at, &[0.010; 8][..if at == 4 { 4 } else { 8 }], 0)]);
     }
