@@ -1,4 +1,4 @@
-use peernet_clock::{DelaySource, Interval, Offset, OneWayDelay, Span, Verdict as Delay, WallTime};
+use peernet_clock::{DelaySource, Interval, Offset, OneWayDelay, Span, Verdict as DelayVerdict, WallTime};
 use peernet_logger::HostId;
 use peernet_stream::{NetworkName, ProbeCounts};
 
@@ -23,7 +23,7 @@ struct Link {
     raw_offset: f64,
     /// Seconds per byte squared.
     curvature: f64,
-    verdict: Delay,
+    verdict: DelayVerdict,
     source: DelaySource,
 }
 
@@ -31,7 +31,7 @@ const GOOD: Link = Link {
     estimate_error: 0.0,
     raw_offset: 1.0,
     curvature: 0.0,
-    verdict: Delay::Limited,
+    verdict: DelayVerdict::Limited,
     source: DelaySource::InBand,
 };
 
@@ -50,7 +50,7 @@ fn passage(link: Link, payload: u64, number: u64, sign: f64) -> Passage {
         EMPTY_MESSAGE_S + PER_BYTE_S * bytes + link.curvature * bytes * bytes + queueing_time(number);
     let value = true_delay + sign * link.estimate_error;
     let span = |seconds: f64| Span::from_seconds_f64(seconds);
-    let is_known = matches!(link.verdict, Delay::Ok | Delay::Limited);
+    let is_known = matches!(link.verdict, DelayVerdict::Ok | DelayVerdict::Limited);
     let bounds =
         Interval { lo: span((true_delay - HALF_WIDTH_S).max(0.0)), hi: span(true_delay + HALF_WIDTH_S) };
     let delay = OneWayDelay {
@@ -126,6 +126,7 @@ fn good_link_is_trusted_and_line_is_fitted() {
     assert!((study.verdict.max_error.expect("trusted") - HALF_WIDTH_S).abs() < 10e-6);
     for direction in study.directions() {
         let fits = direction.fits.expect("eight sizes");
+        // The intercept includes the median of the queueing time: 3.5 µs.
         for fit in [fits.medians.least_squares, fits.medians.theil_sen, fits.samples.theil_sen] {
             assert!((fit.intercept.value - EMPTY_MESSAGE_S - 3.5e-6).abs() < 4e-6, "{fit:?}");
             assert!((fit.slope.value / PER_BYTE_S - 1.0).abs() < 0.01, "{fit:?}");
@@ -159,12 +160,15 @@ fn wrong_clock_relation_is_distinguished_from_bent_line() {
 }
 
 #[test]
-fn unsuitable_sweeps_have_no_trusted_verdict() {
+fn each_kind_of_sweep_has_own_verdict() {
     let kind = |link: Link| study(sweep(link)).verdict.kind;
-    assert_eq!(kind(Link { verdict: Delay::Stepped, ..GOOD }), VerdictKind::Stepped);
-    assert_eq!(kind(Link { verdict: Delay::Inconsistent, ..GOOD }), VerdictKind::Inconsistent);
-    assert_eq!(kind(Link { verdict: Delay::Unsynchronised, ..GOOD }), VerdictKind::Unsynchronised);
-    assert_eq!(kind(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }), VerdictKind::Exact);
+    assert_eq!(kind(Link { verdict: DelayVerdict::Stepped, ..GOOD }), VerdictKind::Stepped);
+    assert_eq!(kind(Link { verdict: DelayVerdict::Inconsistent, ..GOOD }), VerdictKind::Inconsistent);
+    assert_eq!(kind(Link { verdict: DelayVerdict::Unsynchronised, ..GOOD }), VerdictKind::Unsynchronised);
+    assert_eq!(
+        kind(Link { verdict: DelayVerdict::Ok, source: DelaySource::SameClock, ..GOOD }),
+        VerdictKind::Exact
+    );
     assert_eq!(study(Vec::new()).verdict.kind, VerdictKind::Insufficient);
     let mut two_sizes = sweep(GOOD);
     two_sizes.retain(|sample| sample.payload_bytes < 5_000);
@@ -215,7 +219,7 @@ fn reasons_for_unanswered_payloads_are_counted() {
 
 #[test]
 fn same_clock_study_prints_exact_instead_of_bounds() {
-    let study = study(sweep(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }));
+    let study = study(sweep(Link { verdict: DelayVerdict::Ok, source: DelaySource::SameClock, ..GOOD }));
     let text = study.text();
     let rows: Vec<&str> = text.lines().filter(|line| line.contains("exact")).collect();
     // Lines with `exact`: a row for each size, the row of the clock bounds of each direction, and the verdict.
@@ -232,7 +236,7 @@ fn clock_sample(at: i64, relation_period: u64, ahead_ms: i64) -> ClockSample {
         bounds: Interval { lo: estimate - Span::from_micros(50), hi: estimate + Span::from_micros(50) },
         source: DelaySource::InBand,
         sources: Vec::new(),
-        verdict: Delay::Ok,
+        verdict: DelayVerdict::Ok,
         skew_ppm: None,
         exchanges: 100,
         age: None,
@@ -257,34 +261,34 @@ fn clock_sample(at: i64, relation_period: u64, ahead_ms: i64) -> ClockSample {
 }
 
 #[test]
-fn returned_peer_is_trusted_only_with_same_clock() {
+fn returned_peer_is_trusted_if_clock_is_unchanged() {
     let study = |clock_samples: &[ClockSample]| {
         Study::new(Setting { reconnections: 1, ..Setting::default() }, sweep(GOOD), clock_samples)
     };
-    let same = study(&[clock_sample(1, 7, 1_000), clock_sample(2, 7, 1_000), clock_sample(9, 8, 1_000)]);
+    let unchanged = study(&[clock_sample(1, 7, 1_000), clock_sample(2, 7, 1_000), clock_sample(9, 8, 1_000)]);
     assert_eq!(
-        (same.verdict.kind, same.clocks.steps),
+        (unchanged.verdict.kind, unchanged.clocks.steps),
         (VerdictKind::Trusted, 0),
         "{}",
-        same.verdict.sentence
+        unchanged.verdict.sentence
     );
-    assert!(same.verdict.sentence.contains("the peer went away once"), "{}", same.verdict.sentence);
-    assert!(same.verdict.sentence.contains("related again"), "{}", same.verdict.sentence);
+    assert!(unchanged.verdict.sentence.contains("the peer went away once"), "{}", unchanged.verdict.sentence);
+    assert!(unchanged.verdict.sentence.contains("related again"), "{}", unchanged.verdict.sentence);
     // Ten minutes of drift by 50 ppm are 30 ms.
     let drifted = study(&[clock_sample(1, 7, 1_000), clock_sample(601, 8, 1_029)]);
     assert_eq!(drifted.clocks.steps, 0);
-    let another = study(&[clock_sample(1, 7, 1_000), clock_sample(9, 8, 1_001)]);
-    assert_eq!((another.verdict.kind, another.clocks.steps), (VerdictKind::Stepped, 1));
+    let changed = study(&[clock_sample(1, 7, 1_000), clock_sample(9, 8, 1_001)]);
+    assert_eq!((changed.verdict.kind, changed.clocks.steps), (VerdictKind::Stepped, 1));
 }
 
 #[test]
 fn contradictory_offset_gives_no_skew() {
-    let with_skew = |second: i64, verdict: Delay, skew_ppm: f64| {
+    let with_skew = |second: i64, verdict: DelayVerdict, skew_ppm: f64| {
         let mut sample = clock_sample(second, 7, 1_000);
         sample.offset = sample.offset.map(|offset| Offset { verdict, skew_ppm: Some(skew_ppm), ..offset });
         sample
     };
-    let samples = [with_skew(1, Delay::Ok, 12.4), with_skew(2, Delay::Inconsistent, 900.0)];
+    let samples = [with_skew(1, DelayVerdict::Ok, 12.4), with_skew(2, DelayVerdict::Inconsistent, 900.0)];
     let study = Study::new(Setting::default(), sweep(GOOD), &samples);
     assert_eq!(study.clocks.skew_ppm, Some(12.4));
 }
@@ -313,6 +317,7 @@ fn text_shows_every_size_and_line() {
     ] {
         assert!(text.contains(part), "{part} is missing in\n{text}");
     }
+    // The first nine lines are the table of the sizes.
     let widest = text.lines().take(9).map(|line| line.chars().count()).max();
     assert!(widest.is_some_and(|widest| widest <= 120), "{text}");
 }

@@ -55,7 +55,8 @@ fn with_model(model: &str, device: &str, network: Option<&str>, run: Loaded) -> 
     Loaded { record, ..run }
 }
 
-fn placed(pairs: &[(&str, &str)], repeat: u32, run: Loaded) -> Loaded {
+/// Gives a run its position in an experiment: labels of axes, and a repeat.
+fn with_position(pairs: &[(&str, &str)], repeat: u32, run: Loaded) -> Loaded {
     let configuration = pairs.iter().map(|(axis, label)| ((*axis).to_owned(), (*label).to_owned())).collect();
     let position = ExperimentPosition {
         name: "teleoperation".to_owned(),
@@ -67,7 +68,7 @@ fn placed(pairs: &[(&str, &str)], repeat: u32, run: Loaded) -> Loaded {
     Loaded { record: RunRecord { experiment: Some(position), ..run.record }, ..run }
 }
 
-/// Returns the first lines of the paper's table.
+/// Returns runs with the latencies in the first lines of the paper's table.
 pub(super) fn paper() -> Vec<Loaded> {
     vec![
         with_model("policy", "orin", None, run("local", [Some(0.71), None, Some(18.55), None])),
@@ -110,6 +111,7 @@ fn stages_without_column_are_listed_below_table() {
     let mut runs = paper();
     runs[1].rows.change(|row| {
         row.values.push(("preprocessing".into(), 0.005));
+        // Such a short stage is not listed.
         row.values.push(("queue".into(), 1e-6));
         let total = row.values.iter_mut().find(|(name, _)| name == "stages-total").expect("a sum");
         total.1 += 0.005;
@@ -149,9 +151,9 @@ fn every_format_has_every_line() {
 fn only_repeats_are_pooled() {
     let lan = |folder: &str, inference: f64| run(folder, [Some(1.0), Some(5.0), Some(inference), Some(0.5)]);
     let runs = [
-        placed(&[("resize", "no"), ("network", "LAN")], 0, lan("a", 10.0)),
-        placed(&[("resize", "yes"), ("network", "LAN")], 0, lan("b", 4.0)),
-        placed(&[("resize", "no"), ("network", "LAN")], 1, lan("c", 12.0)),
+        with_position(&[("resize", "no"), ("network", "LAN")], 0, lan("a", 10.0)),
+        with_position(&[("resize", "yes"), ("network", "LAN")], 0, lan("b", 4.0)),
+        with_position(&[("resize", "no"), ("network", "LAN")], 1, lan("c", 12.0)),
     ];
     let comparison = Comparison::new(&runs);
     assert_eq!(
@@ -196,8 +198,9 @@ fn equal_configurations_are_distinguished_by_folder() {
 
 #[test]
 fn executions_of_one_experiment_are_distinguished() {
-    let mut runs = [0, 1].map(|_| placed(&[("model", "s")], 0, run("a", [Some(1.0), None, Some(2.0), None])));
-    runs[1].record.experiment.as_mut().expect("placed").id = "b2".to_owned();
+    let mut runs =
+        [0, 1].map(|_| with_position(&[("model", "s")], 0, run("a", [Some(1.0), None, Some(2.0), None])));
+    runs[1].record.experiment.as_mut().expect("a position").id = "b2".to_owned();
     let comparison = Comparison::new(&runs);
     assert_eq!(comparison.axes, ["model", "execution"]);
     assert_eq!(comparison.lines.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(), ["a1", "b2"]);
@@ -227,7 +230,8 @@ fn failed_run_is_never_the_best() {
 fn differences_are_computed_per_stage() {
     let runs = paper();
     let comparison = Comparison::new(&runs);
-    let between = |baseline, other| Differences::between_lines(&comparison, &runs, baseline, other, 5);
+    let seed = 5;
+    let between = |baseline, other| Differences::between_lines(&comparison, &runs, baseline, other, seed);
     let differences = between(1, 2);
     let stages: Vec<&str> = differences.stages.iter().map(|stage| stage.stage.as_str()).collect();
     assert_eq!(stages, ["sensing", "upload", "inference", "download", "stages-total", "total"]);
@@ -278,10 +282,12 @@ fn difference_columns_have_equal_decimals() {
 
 #[test]
 fn chosen_repeat_has_separate_line() {
-    let repeat_run =
-        |load: &str, repeat| placed(&[("load", load)], repeat, run("r", [Some(1.0), None, Some(2.0), None]));
+    let repeat_run = |load: &str, repeat| {
+        with_position(&[("load", load)], repeat, run("r", [Some(1.0), None, Some(2.0), None]))
+    };
     let runs =
         [repeat_run("a", 0), repeat_run("a", 1), repeat_run("a", 2), repeat_run("b", 0), repeat_run("b", 1)];
+    // The number is the index of the run whose repeat is chosen.
     let comparison = Comparison::with_repeats(&runs, Repeats::PooledExcept(&[1]));
     let lines: Vec<_> = comparison.lines.iter().map(|line| (line.name.clone(), line.runs.clone())).collect();
     let expected = [("a, the other repeats", vec![0, 2]), ("a, repeat 2", vec![1]), ("b", vec![3, 4])];
@@ -331,8 +337,9 @@ fn untested_line_is_reported() {
 
 /// Returns the results of one edge of a repeat.
 fn edge(name: &str, repeat: u32, folder: &str) -> Loaded {
-    let run = placed(&[], repeat, run(folder, [Some(1.0), Some(2.0), Some(3.0), Some(1.0)]));
+    let run = with_position(&[], repeat, run(folder, [Some(1.0), Some(2.0), Some(3.0), Some(1.0)]));
     let edge = HostRecord { name: name.to_owned(), ..HostRecord::default() };
+    // Format 0 would be that of results without a run.json.
     Loaded { record: RunRecord { edge, format: 1, ..run.record }, ..run }
 }
 

@@ -67,9 +67,9 @@ fn edge_beside_failed_edge_does_not_count() {
 #[test]
 fn repeat_without_run_of_edge_does_not_count() {
     let (edge, other) = (HostId::random(), HostId::random());
-    let one =
+    let run_with_two_edges =
         |repeat, edge, state, sequence| Candidate { edges: Some(2), ..run(repeat, edge, state, sequence) };
-    let alone = one(0, edge, RunState::Finished, 10);
+    let alone = run_with_two_edges(0, edge, RunState::Finished, 10);
     let missing = Some(Exclusion::EdgeMissing { measured: 1, edges: 2 });
     let copy = alone.clone();
     let second_pipeline = Candidate {
@@ -77,15 +77,19 @@ fn repeat_without_run_of_edge_does_not_count() {
         repeat: alone.repeat.clone().map(|repeat| Repeat { pipeline: "second".to_owned(), ..repeat }),
         ..alone.clone()
     };
-    let of_another_repeat = one(1, other, RunState::Finished, 10);
+    let of_another_repeat = run_with_two_edges(1, other, RunState::Finished, 10);
     let runs = [alone.clone(), copy, second_pipeline, of_another_repeat];
     assert_eq!(exclusions(&runs), vec![missing.clone(); 4]);
     // The failed edge of an earlier attempt is not the missing edge.
-    let failed = one(0, other, RunState::Failed(None), 1);
+    let failed = run_with_two_edges(0, other, RunState::Failed(None), 1);
     let unfinished = Some(Exclusion::Unfinished(RunState::Failed(None)));
     assert_eq!(exclusions(&[failed, alone.clone()]), [unfinished, missing]);
-    let together = one(0, other, RunState::Finished, 20);
-    assert_eq!(exclusions(&[alone.clone(), together]), [None, None], "few iterations need not overlap");
+    let together = run_with_two_edges(0, other, RunState::Finished, 20);
+    assert_eq!(
+        exclusions(&[alone.clone(), together]),
+        [None, None],
+        "runs with few iterations need not overlap in time"
+    );
     assert_eq!(exclusions(&[Candidate { is_named: true, ..alone.clone() }]), [None]);
     assert_eq!(
         exclusions(&[Candidate { edges: None, ..alone }]),

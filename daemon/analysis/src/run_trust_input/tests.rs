@@ -50,6 +50,7 @@ fn record_adds_findings_to_those_of_rows() {
     let mut record = RunRecord { reason: "the model crashed".into(), ..RunRecord::default() };
     record.edge.conditions = vec![governor(Grade::Doubtful)];
     record.counts.unseen = 3;
+    // `Rehearsal` is the name of a clock fault in earlier versions.
     record.facts = vec![("Rehearsal of cloud".to_owned(), "+137 ms".to_owned())];
     let report = Report::new(&TrustInput::from_run(&record, &rows(steady_totals(1005))));
     assert_eq!(report.verdict, Publish::No);
@@ -81,6 +82,7 @@ fn incomplete_run_is_reported_first() {
         let (_, text) = verdict_and_text(limit, reason);
         assert!(!text.starts_with("The run"), "{text}");
     }
+    // A run that reached less than half of its limit is too short.
     let cases = [
         (400, "stopped", Publish::WithRemarks, "The run was interrupted after 200 of 400 iterations."),
         (401, "stopped", Publish::No, "The run was interrupted after 200 of 401 iterations."),

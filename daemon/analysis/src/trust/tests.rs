@@ -10,6 +10,11 @@ use super::*;
 use crate::outcomes::Counts;
 use crate::rows::{Outcome, Row, Rows};
 
+// Indices of the values of a row of `testing::row`.
+const INFERENCE: usize = 0;
+const TOTAL: usize = 1;
+const UNATTRIBUTED: usize = 2;
+
 fn report_on(rows: &Rows) -> Report {
     Report::new(&TrustInput::from_rows(rows, &[governor(Grade::Good)]))
 }
@@ -78,14 +83,15 @@ fn drift_is_reported_with_size_and_stage() {
         .into_iter()
         .enumerate()
         .map(|(at, total)| if at < 500 { total * 1.5 } else { total });
-    let (grade, text) = {
+    let (verdict, text) = {
         let report = report_on(&rows(totals));
         (report.verdict, about(&report, "stationarity").1.to_owned())
     };
-    assert!(grade == Publish::No && text.contains("33\u{202f}% lower"), "{text}");
+    assert!(verdict == Publish::No && text.contains("33\u{202f}% lower"), "{text}");
 }
 
-/// The latency varies slowly about its mean, as with other traffic on a link. The halves differ by chance, but the mean does not drift.
+/// The latency varies slowly about its mean, as with other traffic on a link. The halves differ by chance, but the mean
+/// does not drift.
 #[test]
 fn autocorrelation_is_not_reported_as_drift() {
     let mut noise = SplitMix64::new(11);
@@ -116,7 +122,8 @@ fn short_run_has_unknown_stationarity() {
     assert_eq!(without_iterations.verdict, Publish::No, "{}", without_iterations.text());
 }
 
-/// The input is that of a dashboard for a run whose clock was corrected: two buckets of a second with iterations, months apart.
+/// The input is that of a dashboard for a run whose clock was corrected: two buckets of a second with iterations,
+/// months apart.
 #[test]
 fn run_in_two_buckets_has_unknown_stationarity() {
     let totals = steady_totals(894);
@@ -199,7 +206,7 @@ fn failed_iterations_are_counted_and_graded() {
         about(&report_on(&rows), "losses").1.to_owned()
     };
     assert_eq!(text_after(&[]), "No iteration failed.");
-    // The actuator may have failed to act, so an iteration of the outcome `failed` may have an answer.
+    // The text does not say that these iterations have no answer: if only the actuator failed, there is an answer.
     assert_eq!(
         text_after(&[Outcome::Failed, Outcome::Lost, Outcome::Timeout]),
         "3 of 100 iterations failed (3.0\u{202f}%): 1 with an error of sensor, model or actuator, 1 lost, 1 timed out."
@@ -216,8 +223,8 @@ fn unattributed_time_is_graded_by_share_and_length() {
     ] {
         let mut rows = rows((0..200).map(|_| seconds));
         rows.change(|row| {
-            row.values[0].1 = seconds * (1.0 - share);
-            row.values[2].1 = seconds * share;
+            row.values[INFERENCE].1 = seconds * (1.0 - share);
+            row.values[UNATTRIBUTED].1 = seconds * share;
         });
         let report = report_on(&rows);
         assert_eq!(about(&report, "unattributed").0, grade, "{}", report.text());
@@ -231,7 +238,7 @@ fn iterations_that_waited_for_restart_are_listed() {
         rows.change(|row| {
             if row.iteration % every == 9 {
                 row.values.push((column.to_owned().into(), seconds));
-                row.values[1].1 += seconds;
+                row.values[TOTAL].1 += seconds;
             }
         });
         report_on(&rows)
@@ -258,8 +265,8 @@ fn lateness_is_separated_from_unattributed_time() {
     for (lateness, grade) in [(0.085, Grade::Good), (0.070, Grade::Doubtful), (0.020, Grade::Bad)] {
         let mut rows = rows((0..200).map(|_| 0.2));
         rows.change(|row| {
-            row.values[0].1 = 0.2 - 0.086;
-            row.values[2].1 = 0.086;
+            row.values[INFERENCE].1 = 0.2 - 0.086;
+            row.values[UNATTRIBUTED].1 = 0.086;
             row.values.push(("lateness".into(), lateness));
         });
         let report = report_on(&rows);
@@ -282,8 +289,8 @@ fn model_restart_is_not_reported_as_unattributed_time() {
     let mut rows = rows(steady_totals(200));
     rows.change(|row| {
         if row.iteration == 21 {
-            row.values[1].1 += 2.0;
-            row.values[2].1 += 2.0;
+            row.values[TOTAL].1 += 2.0;
+            row.values[UNATTRIBUTED].1 += 2.0;
             row.values.push(("restart".into(), 2.0));
         }
     });

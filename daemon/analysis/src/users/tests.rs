@@ -189,5 +189,6 @@ fn rates_of_answers_exclude_lost_iterations() {
     let text = users.text();
     let header: Vec<&str> = text.lines().next().expect("a header").split("  ").map(str::trim).collect();
     assert!(header.contains(&"answers/s") && header.contains(&"answers/s per edge"), "{text}");
+    // The text contains neither `Iterations` nor `iterations`.
     assert!(text.contains("Answers are counted only while") && !text.contains("terations"), "{text}");
 }

@@ -36,7 +36,8 @@ fn defects_of_results_are_noted() {
     set_value(22, "upload", Some(f64::INFINITY));
     set_value(23, "sensing", Some(f64::NEG_INFINITY));
     broken.record.format = 1;
-    broken.record.counts = crate::record::Counts::from_rows(&broken.rows, 0);
+    let unseen = 0;
+    broken.record.counts = crate::record::Counts::from_rows(&broken.rows, unseen);
     broken.record.counts.ok += 4;
     let other = run("other", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
     let text = Comparison::new(&[broken, other]).text();

@@ -6,7 +6,7 @@ use super::*;
 fn sentences_name_lines_as_figures_do() {
     let configured = |resize: &str, edges: &str, millis: f64| {
         let run = run(&format!("{resize}-{edges}"), [Some(millis), None, Some(3.0), None]);
-        placed(&[("resize", resize), ("edges", edges)], 1, run)
+        with_position(&[("resize", resize), ("edges", edges)], 1, run)
     };
     let runs = [configured("yes", "1", 1.0), configured("no", "4", 2.0), configured("no", "1", 9.0)];
     let comparison = Comparison::new(&runs);

@@ -69,6 +69,7 @@ fn success_and_return_are_shown_beside_latency() {
     });
     let comparison = Comparison::new(&runs);
     let success = comparison.lines[1].actuator.success.expect("is reported");
+    // An episode counts even if its last iteration is warm-up or lost.
     let [episodes, successes] = [5, 10].map(|each| {
         runs[1]
             .rows

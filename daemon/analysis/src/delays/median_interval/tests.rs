@@ -1,5 +1,5 @@
-//! Tests that intervals from stored statistics equal the intervals from single values. Pages use stored statistics, and files
-//! have single values.
+//! Tests that intervals from stored statistics equal the intervals from single values. Pages use stored statistics, and
+//! files have single values.
 
 use peernet_statistics::Sketch;
 
@@ -14,8 +14,8 @@ fn summary(values: impl Iterator<Item = f64>) -> Summary {
 /// Delay with the ends of its interval, seconds.
 type Delay = (f64, f64, f64);
 
-/// Returns the interval of the median delay and the interval of the median throughput, both first as in a file and then as on a page. The
-/// message with the delay `delays[index]` has `bits(index)` bits.
+/// Returns the two intervals of a file and the two intervals of a page: first the interval of the median delay, then
+/// the interval of the median throughput. The message with the delay `delays[index]` has `bits(index)` bits.
 fn intervals(delays: &[Delay], bits: impl Fn(usize) -> f64) -> ([Option<(f64, f64)>; 2], [ClockInterval; 2]) {
     let throughputs = delays.iter().enumerate().map(|(index, (value, lo, hi))| {
         let rate = |seconds: f64| if seconds > 0.0 { bits(index) / seconds } else { f64::INFINITY };
@@ -101,6 +101,7 @@ fn page_interval_equals_file_with_negative_delays() {
         "{file:?} {page:?}"
     );
     assert!(page.lo < -0.7e-3);
+    // Only the interval of a negative delay has a negative lower end.
     assert_eq!(ClockInterval::from_half_width(-0.25, 0.5).ends(), (-0.75, 0.25));
     assert_eq!(ClockInterval::from_half_width(1.0, 4.0).ends(), (0.0, 5.0));
 }

@@ -72,7 +72,7 @@ fn repeated_stage_is_summed() {
     let mut tree = tree();
     add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(2))));
     add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(3))));
-    // Not every `data.csv` has columns for these stages.
+    // Stages without a fixed column are summed, too.
     for name in [stage::BATCH_WAIT, stage::BATCH_WAIT, stage::RESTART] {
         add(&mut tree, &[], name, Measure::Timer(Some(Span::from_seconds(7))));
     }
