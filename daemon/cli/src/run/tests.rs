@@ -176,7 +176,8 @@ fn inconsistent_record_is_refused_before_removal() {
         folder.save(&other).expect("writable");
         let failure = folder.load().expect_err("the record is inconsistent");
         assert!(failure.exit == Exit::Data && failure.to_string().contains("--restart"), "{failure}");
-        clear(&folder).expect("its runs are replaced one by one");
+        // The runs of a refused record are unknown, so no folder of a run is removed.
+        clear(&folder).expect("the tables and figures are removable");
         assert!(mine.exists());
     }
 }
@@ -349,19 +350,20 @@ fn exit_code_reports_failed_and_incomplete_runs() {
         record.start_run(run);
         record.end_run(run, result_with(RunStatus::Finished));
     }
-    assert!(result_of_runs(&record, &runs, false).is_ok());
+    let interrupted = false;
+    assert!(result_of_runs(&record, &runs, interrupted).is_ok());
     record.end_run(&runs[1], RunResult { exit: Some(75), ..result_with(RunStatus::Finished) });
-    let code = |record: &Record, interrupted| {
+    let failure_of = |record: &Record, interrupted| {
         result_of_runs(record, &runs, interrupted).expect_err("the runs have problems")
     };
-    assert!(code(&record, false).to_string().contains("iterations failed in 1 run"));
+    assert!(failure_of(&record, false).to_string().contains("iterations failed in 1 run"));
     record.end_run(&runs[0], result_with(RunStatus::Failed));
-    let failed = code(&record, false);
+    let failed = failure_of(&record, false);
     assert!(failed.exit == Exit::Incomplete && failed.to_string().contains("1 run failed"), "{failed}");
-    assert_eq!(code(&record, true).exit, Exit::Interrupted);
+    assert_eq!(failure_of(&record, true).exit, Exit::Interrupted);
     // A run without all figures has not failed. The exit code for missing figures takes precedence.
     record.end_run(&runs[0], RunResult { exit: Some(73), ..result_with(RunStatus::Finished) });
-    let unwritten = code(&record, false);
+    let unwritten = failure_of(&record, false);
     assert!(unwritten.exit == Exit::Unwritten, "{unwritten}");
     for text in ["iterations failed in 1 run", "not all figures are drawn for 1 run", "peernet plot"] {
         assert!(unwritten.to_string().contains(text), "{unwritten}");
@@ -416,6 +418,7 @@ fn edge_without_run_excludes_others_as_dashboard_does() {
     let paths = folder.results(&record.plan, &run);
     let failed = ProcessResult { code: Some(69), reason: None };
     let process_results = ProcessResults { results: vec![failed.clone(), failed], interrupted: false };
+    // First only one of the two edges has results, then both have.
     for path in &paths {
         write_results(path, &record.plan.experiment_position(&run, &record.id));
         let is_finished =
