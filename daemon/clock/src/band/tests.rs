@@ -99,6 +99,7 @@ proptest! {
             all_bounds.push(bounds);
             all_bounds.sort_by_key(|bounds| bounds.lower.x);
             let q = band.newest_return().expect("has exchanges").nanos();
+            // The newest exchanges bound the offset at any age.
             let first_at_any_age = all_bounds.len().saturating_sub(MIN_BOUNDING_EXCHANGES);
             let lowest_bound = |point: fn(&Bounds) -> Point, reach: i64| {
                 let is_used = |(n, bounds): &(usize, &Bounds)| *n >= first_at_any_age || point(bounds).x >= q - reach;
@@ -106,8 +107,10 @@ proptest! {
                 used.map(|(_, bounds)| point(bounds).bound_at(drift, q)).min().expect("has exchanges")
             };
             let actual = band.interval(RawTime::from_nanos(q)).expect("has exchanges").interval;
-            // The oldest slot expires when its best point does, together with points that may be younger.
+            // The band keeps only the best point of each slot of 0.5 s. When this point leaves the window, younger
+            // points of its slot are missing, so the bound may be that of a window that is shorter by a slot.
             let shortened_window = window.nanos() - 500_000_000;
+            // A lower point is an upper bound of the negated offset.
             for (point, bound) in [
                 ((|bounds| bounds.upper) as fn(&Bounds) -> Point, actual.hi.nanos()),
                 (|bounds| bounds.lower, -actual.lo.nanos()),

@@ -40,7 +40,7 @@ impl History {
     fn generate(random: &mut RandomSource) -> Self {
         let pause = if random.chance(0.4) { random.between(0.5f64.ln(), 600f64.ln()).exp() } else { 0.0 };
         let length = Span::from_seconds_f64(LENGTH + pause + 10.0);
-        // The two clocks share the limit; in a third of the histories they reach it.
+        // Each clock has half of the limit. A third of the clocks drift by this half all the time.
         let clock = |random: &mut RandomSource| {
             let offset = Span::from_nanos(random.between(-1e15, 1e15) as i64);
             let half_limit = LIMIT_PPM / 2.0;
@@ -81,6 +81,8 @@ impl History {
             while from < end {
                 let until = (from + route_change_interval).min(end);
                 trips.extend(route.trips(&host_clocks, (from, until), hz, random));
+                // From the first change on, the route alternates between `other_route` and a route whose upload takes
+                // as long as the download of `other_route`.
                 if until < end {
                     route = if route.up == other_route.up {
                         Path { up: other_route.down, ..other_route }
@@ -92,7 +94,7 @@ impl History {
             }
         }
         let restart_time = (pause_start + pause / 2.0) * 1e9;
-        // A restarted cloud answers no request that was in flight.
+        // A restarted cloud answers no request that was in flight, and receives none in the second after its restart.
         trips.retain(|trip| {
             !cloud_restarts
                 || trip.end < restart_time
@@ -101,6 +103,7 @@ impl History {
         let with_epochs =
             trips.into_iter().map(|trip| (trip, u32::from(cloud_restarts && trip.end > restart_time)));
         let mut trips: Vec<(Trip, u32)> = with_epochs.collect();
+        // Some answers become known late.
         for (trip, _) in &mut trips {
             trip.end += if random.chance(0.05) { random.exponential(5e8) } else { 0.0 };
         }
@@ -136,7 +139,8 @@ fn delays_of_generated_histories_contain_truth() {
             };
             check(judged_exchange.up, trip.up);
             check(judged_exchange.down, trip.down);
-            // Judges an earlier delay again, with the exchanges that followed it.
+            // Judges an earlier delay again, with the exchanges that followed it. After a restart of the cloud, the
+            // relation is that of its new clock.
             let earlier = n - n.min((n * 7919) % 50);
             let (earlier_trip, _) = &history.trips[earlier];
             if newest_epoch == 0 {
