@@ -6,7 +6,7 @@ use super::{answer, bank, jpeg, loaded, pictures, quality_control, run};
 /// Computes the answers for all pictures and checks that at least 97 % are right. The message of a failure lists the
 /// wrong answers.
 fn assert_97_percent(pictures: &[(Vec<u8>, String)], prepare: impl Fn(&[u8]) -> Vec<u8>) {
-    let bank = bank(&[&quality_control("")]);
+    let bank = bank(&[&quality_control()]);
     let pool = loaded(&bank, "qc");
     let mut wrong = Vec::new();
     for (index, (file, label)) in pictures.iter().enumerate() {

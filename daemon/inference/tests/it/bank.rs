@@ -9,6 +9,7 @@ use peernet_sample::{Description, Sample};
 use super::{bank, clock, loaded, quality_control, run, slug};
 
 const ECHO: &str = "name = \"echo\"\nkind = \"echo\"";
+/// A model of kind `sleep` with the name `nap`.
 const SLEEP: &str =
     "name = \"nap\"\nkind = \"sleep\"\npreprocessing_ms = 1\ninference_ms = 2\npostprocessing_ms = 1";
 
@@ -18,7 +19,7 @@ fn bytes(count: usize) -> Sample {
 
 #[test]
 fn models_are_listed_in_configured_order() {
-    let bank = bank(&[&quality_control(""), ECHO, SLEEP]);
+    let bank = bank(&[&quality_control(), ECHO, SLEEP]);
     assert_eq!(bank.names(), [slug("qc"), slug("echo"), slug("nap")]);
     assert!(bank.check().is_empty(), "{:?}", bank.check());
 }
@@ -27,7 +28,7 @@ fn models_are_listed_in_configured_order() {
 fn model_is_loaded_once_and_shared() {
     let loads = Arc::new(AtomicUsize::new(0));
     let load_counter = Arc::clone(&loads);
-    let bank = bank(&[&quality_control("")]).on_load(move |pool| {
+    let bank = bank(&[&quality_control()]).on_load(move |pool| {
         assert_eq!((pool.name().as_str(), pool.device().as_str()), ("qc", "cpu"));
         load_counter.fetch_add(1, Ordering::SeqCst);
     });
@@ -74,9 +75,11 @@ fn shutdown_does_not_wait_for_long_computation() {
     let received_at = recorder.clock().mono();
     let reply = Box::new(|_| ());
     long.submit(Job::for_whole_answer(bytes(1), recorder, received_at, reply)).expect("the queue has room");
+    // After this loop, the thread has taken the request from the queue and computes.
     while long.waiting_samples() > 0 {
         std::thread::yield_now();
     }
-    assert_eq!(bank.shutdown_within(Duration::from_millis(300)), [slug("long")]);
+    let still_computing = bank.shutdown_within(Duration::from_millis(300));
+    assert_eq!(still_computing, [slug("long")]);
     assert!(bank.shutdown_within(Duration::from_secs(60)).is_empty(), "no model is loaded any more");
 }

@@ -12,7 +12,7 @@ use peernet_logger::{HostId, Recorder, Tree};
 use peernet_sample::{ElementType, Part, Sample};
 use tokio_util::sync::CancellationToken;
 
-use super::graphs::{array, bytes, floats, models, pixels, table};
+use super::graphs::{array, bytes, floats, model_table, models, pixels};
 use super::termination::CancellableRequester;
 use super::{bank, clock, loaded, slug};
 
@@ -35,12 +35,13 @@ impl Requester for CancelledRequester {
     }
 }
 
-/// Returns a bank with a generated model that has the key `batch`.
+/// Returns a bank with a generated model that has the key `batch`. A model whose name begins with `open-` has an open
+/// batch dimension.
 fn batching_bank(name: &str, batch: &str) -> Bank {
-    bank(&[&format!("{}\nbatch = {batch}", table(name, &models().join(name)))])
+    bank(&[&format!("{}\nbatch = {batch}", model_table(name, &models().join(name)))])
 }
 
-/// Submits requests and returns their results, in their order.
+/// Submits requests. Returns their results in the order of the requests.
 fn run_all(bank: &Bank, name: &str, requests: Vec<(Vec<Part>, Arc<dyn Requester>)>) -> Vec<FinishedJob> {
     let pool = loaded(bank, name);
     let clock = clock();
@@ -107,7 +108,7 @@ fn batch_answers_each_of_its_samples() {
 }
 
 #[test]
-fn batch_starts_when_its_first_request_has_waited() {
+fn batch_starts_after_max_wait_of_first_request() {
     let bank = batching_bank("open-root", "{ max_size = 4, max_wait_ms = 20 }");
     let mut finished = run_all(&bank, "open-root", vec![uncancelled_request(row(&[4.0, 9.0, 16.0]))]);
     let done = finished.remove(0);
@@ -168,6 +169,7 @@ fn indices(numbers: [i64; 3]) -> Vec<Part> {
 #[test]
 fn run_that_library_refuses_is_repeated_for_each_sample() {
     let bank = batching_bank("table", "{ max_size = 3, max_wait_ms = 60000 }");
+    // ONNX Runtime refuses the index 5000, and with it the run of the whole batch.
     let requests = [[1, 2, 3], [4, 5_000, 6], [7, 8, 9]].map(|numbers| uncancelled_request(indices(numbers)));
     let finished = run_all(&bank, "table", requests.into());
     assert_eq!(numbers(&finished[0]), [1.0, 4.0, 9.0]);
@@ -179,6 +181,7 @@ fn run_that_library_refuses_is_repeated_for_each_sample() {
         // The refused run also took time of this iteration, but only the run with an answer has the node `batch-size`.
         assert_eq!(values(tree, "inference").len(), 2, "{tree:?}");
         assert_eq!(values(tree, "batch-size"), [1.0], "{tree:?}");
+        // A request waits for its batch to be collected, before its own run, and after its own run.
         assert_eq!(values(tree, "batch-wait").len(), 3, "{tree:?}");
     }
     // The first sample waits for the others after its own run, and the last sample waits before its own run.
@@ -197,18 +200,20 @@ fn values(tree: &Tree, name: &str) -> Vec<f64> {
 #[test]
 fn cancelled_request_does_not_hold_up_its_batch() {
     const ENDLESS: i64 = 1 << 60;
-    let count = |runs: i64| vec![array(ElementType::I64, &[1, 1], runs.to_le_bytes().to_vec())];
+    // Input of the model: the number of runs of its loop.
+    let loop_runs = |runs: i64| vec![array(ElementType::I64, &[1, 1], runs.to_le_bytes().to_vec())];
     let mut tokens: Vec<CancellationToken> = (0..8).map(|_| CancellationToken::new()).collect();
     let requester =
         |token: &CancellationToken| Arc::new(CancellableRequester(token.clone())) as Arc<dyn Requester>;
-    let mut requests = vec![(count(ENDLESS), requester(&tokens[0]))];
-    requests.extend([uncancelled_request(count(5)), uncancelled_request(count(7))]);
-    requests.extend(tokens[1..].iter().map(|token| (count(1), requester(token))));
+    let mut requests = vec![(loop_runs(ENDLESS), requester(&tokens[0]))];
+    requests.extend([uncancelled_request(loop_runs(5)), uncancelled_request(loop_runs(7))]);
+    requests.extend(tokens[1..].iter().map(|token| (loop_runs(1), requester(token))));
     let batch = format!("{{ max_size = {}, max_wait_ms = 60000 }}", requests.len());
     let bank = batching_bank("open-counter", &batch);
     let (end_sender, end_receiver) = sync_channel::<()>(0);
     let canceller = std::thread::spawn(move || {
-        // The first cancellation may come before the run is overdue. A later cancellation then ends the run.
+        // A cancellation ends the run only if the run has taken twice as long as the longest run before. The first
+        // cancellation may come too early. A later cancellation then ends the run.
         while end_receiver.recv_timeout(Duration::from_millis(500)) == Err(RecvTimeoutError::Timeout) {
             if !tokens.is_empty() {
                 tokens.remove(0).cancel();

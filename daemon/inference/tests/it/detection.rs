@@ -6,7 +6,7 @@ use peernet_inference::InferenceError;
 use peernet_sample::{MediaType, Sample};
 use serde::Deserialize;
 
-use super::graphs::{PICTURE, answer, grey_picture, model, models, table};
+use super::graphs::{PICTURE, answer, grey_picture, model, model_table, models};
 use super::{bank, demo, jpeg, loaded, run};
 
 #[derive(Debug, Deserialize)]
@@ -46,7 +46,8 @@ fn boxes_of_every_layout_equal_those_of_numpy() {
     }
 }
 
-/// Line of the `labels.csv` of the committed detector's pictures. A picture without a defect has no edges.
+/// Line of the `labels.csv` of the committed detector's pictures. The line of a picture without a defect
+/// has no edges of a box.
 #[derive(Debug, Deserialize)]
 struct LabelledDefect {
     file: String,
@@ -66,7 +67,7 @@ fn overlap(a: [f32; 4], b: [f32; 4]) -> f32 {
 #[test]
 fn committed_detector_finds_most_defects() {
     let folder = demo().with_file_name("defect-detector");
-    let bank = bank(&[&table("defects", &folder)]);
+    let bank = bank(&[&model_table("defects", &folder)]);
     let pool = loaded(&bank, "defects");
     let pictures = folder.join("pictures");
     let mut labels = csv::Reader::from_path(pictures.join("labels.csv")).expect("is committed");

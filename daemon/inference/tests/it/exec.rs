@@ -78,6 +78,7 @@ done
             "{sample}: {:?}",
             value("restart")
         );
+        // Time outside the reported stages is part of `restart`, and neither `inference` nor `ipc`.
         assert_eq!((value("inference"), value("ipc")), (inference, None), "{sample}");
         assert!(run(&pool, text(sample)).recorder.finish().find(&["restart"]).is_none());
     }
@@ -92,6 +93,7 @@ fn stages_longer_than_call_fail_one_sample() {
         matches!(&error, InferenceError::Failed { .. }) && error.to_string().contains("3600s"),
         "{error}"
     );
+    // The program answers the next sample, whatever its bytes are.
     assert!(run(&pool, jpeg(b"\xff".to_vec())).result.is_ok());
 }
 
@@ -104,7 +106,7 @@ fn missing_program_is_found_by_check_and_load() {
 }
 
 #[test]
-fn partial_lines_are_partial_answers() {
+fn partial_answers_of_program_are_sent() {
     let script = "while read -r word bytes media shape rest; do x=$(head -c \"$bytes\"); \
                   for i in 1 2 3; do printf 'partial 2 text/plain\\n%s;' \"$i\"; done; \
                   printf 'answer 4 text/plain\\n%s' done; done";

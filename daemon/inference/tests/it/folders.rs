@@ -204,13 +204,18 @@ fn failed_load_leaves_no_cache_entry() {
 }
 
 #[test]
-fn errors_of_table_name_their_key() {
+fn each_error_of_bank_table_names_its_key() {
     let root = tempfile::tempdir().expect("a folder");
     fs::write(root.path().join("file"), "").expect("written");
     let keys = "devices = ['cpu', 'gpu']\nmost_loaded = 65\nqueue = 70000";
     let errors = bank(&root.path().join("file"), keys).check_folders();
     let keys_of_errors: Vec<&str> = errors.iter().map(|(key, _)| *key).collect();
     assert_eq!(keys_of_errors, ["folders", "most_loaded", "queue", "devices"], "{errors:?}");
+}
+
+#[test]
+fn bank_without_devices_offers_no_model() {
+    let root = tempfile::tempdir().expect("a folder");
     let without_devices = config(root.path(), "devices = []");
     link_demo_model(root.path(), "plates");
     let bank = Bank::new(Vec::new(), OnnxRuntimeConfig::default(), clock()).with_folders(without_devices);

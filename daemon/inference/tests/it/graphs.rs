@@ -24,17 +24,21 @@ pub(super) fn models() -> &'static Path {
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/graphs.py");
         let output = Command::new(python).arg(script).arg(&folder).output().expect("Python is installed");
         let error = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "deploy/install-tools.sh installs what is missing: {error}");
+        assert!(
+            output.status.success(),
+            "graphs.py failed; deploy/install-tools.sh installs missing packages: {error}"
+        );
         folder
     })
 }
 
-pub(super) fn table(name: &str, folder: &Path) -> String {
+/// Returns the `[[model]]` table of the model in a folder.
+pub(super) fn model_table(name: &str, folder: &Path) -> String {
     format!("name = \"{name}\"\nkind = \"onnx\"\npath = {folder:?}")
 }
 
 pub(super) fn model(name: &str) -> Bank {
-    bank(&[&table(name, &models().join(name))])
+    bank(&[&model_table(name, &models().join(name))])
 }
 
 pub(super) fn answer(name: &str, parts: Vec<Part>) -> Result<Sample, InferenceError> {
@@ -222,24 +226,25 @@ fn mismatch_error_names_field_of_card() {
         let card = fs::read_to_string(source.join("model.toml")).expect("is written");
         assert!(card.contains(from), "{from}");
         fs::write(folder.path().join("model.toml"), card.replacen(from, to, 1)).expect("can be written");
-        let bank = bank(&[&table("changed", folder.path())]);
+        let bank = bank(&[&model_table("changed", folder.path())]);
         let error = bank.load(&slug("changed"), None).expect_err(to);
         assert!(matches!(error, LoadError::File { .. }), "{error}");
         assert!(error.to_string().contains(expected), "{to}: {error}");
     }
 }
 
-/// A file of the ONNX format begins with the tag 8 and the version of the format.
 #[test]
 fn refusal_of_newer_format_names_supported_version() {
     let folder = tempfile::tempdir().expect("can be made");
     let source = models().join("policy");
     let mut graph = fs::read(source.join("model.onnx")).expect("is written");
-    assert_eq!(graph[..2], [8, 8], "tag and version of the format");
+    // A file of the ONNX format begins with the tag 8 and the version of the format.
+    assert_eq!(graph[..2], [8, 8]);
     graph[1] = 99;
     fs::write(folder.path().join("model.onnx"), graph).expect("can be written");
     fs::copy(source.join("model.toml"), folder.path().join("model.toml")).expect("can be copied");
-    let error = bank(&[&table("newer", folder.path())]).load(&slug("newer"), None).expect_err("is newer");
+    let error =
+        bank(&[&model_table("newer", folder.path())]).load(&slug("newer"), None).expect_err("is newer");
     let text = error.to_string();
     assert!(text.contains("Unsupported model IR version: 99, max supported IR version: "), "{text}");
     assert!(text.contains("after `model.ir_version = ") && !text.contains("model.cc"), "{text}");
@@ -254,7 +259,7 @@ fn error_names_input_that_card_omits() {
     let (before, rest) = card.split_once("[[input]]\nname = \"offset\"").expect("is there");
     let (_, after) = rest.split_once("[preprocessing]").expect("is there");
     fs::write(folder.path().join("model.toml"), format!("{before}[preprocessing]{after}")).expect("written");
-    let error = bank(&[&table("changed", folder.path())])
+    let error = bank(&[&model_table("changed", folder.path())])
         .load(&slug("changed"), None)
         .expect_err("the card lacks an input");
     assert!(

@@ -47,8 +47,13 @@ fn bank(models: &[&str]) -> Bank {
     Bank::new(models.collect(), OnnxRuntimeConfig::default(), clock())
 }
 
+/// Returns the `[[model]]` table of the demo model.
+fn quality_control() -> String {
+    quality_control_with("")
+}
+
 /// Returns the `[[model]]` table of the demo model, with additional lines.
-fn quality_control(lines: &str) -> String {
+fn quality_control_with(lines: &str) -> String {
     format!("name = \"qc\"\nkind = \"onnx\"\npath = {:?}\n{lines}", demo())
 }
 

@@ -1,11 +1,11 @@
-//! Tests that need a process of their own: some load another library, and a process can load only one; one counts the
-//! threads of its process.
+//! Tests that need a process of their own. Some tests load another library, and a process can load only one library.
+//! One test counts the threads of its process.
 
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use super::{bank, loaded, quality_control};
+use super::{bank, loaded, quality_control, quality_control_with};
 
 /// Runs one of the ignored tests below in a separate process and returns its output.
 fn run_in_own_process(test: &str, library: Option<&Path>) -> String {
@@ -23,7 +23,7 @@ fn run_in_own_process(test: &str, library: Option<&Path>) -> String {
 #[test]
 #[ignore = "run by the tests below"]
 fn child_checks() {
-    for (_, error) in bank(&[&quality_control("")]).check() {
+    for (_, error) in bank(&[&quality_control()]).check() {
         println!("{error}");
     }
 }
@@ -64,7 +64,7 @@ fn build(library: &Path, source: &str) {
 #[ignore = "run by the test below"]
 fn child_counts_threads() {
     let threads = || fs::read_dir("/proc/self/task").expect("is Linux").count();
-    let bank = bank(&[&quality_control("workers = 2\nintra_threads = 3")]);
+    let bank = bank(&[&quality_control_with("workers = 2\nintra_threads = 3")]);
     assert!(bank.check().is_empty()); // loads the library, which starts a thread
     let before = threads();
     let pool = loaded(&bank, "qc");

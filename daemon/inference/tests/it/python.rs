@@ -80,7 +80,7 @@ class Count:
 class Many:
     def infer(self, x):
         for part in range(64): yield b'part'
-class Endless:
+class Large:
     def infer(self, x):
         import resource
         used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()
@@ -93,7 +93,8 @@ class Broken:
         raise ValueError('lost the thread')
 ";
 
-/// Runs an object of [`GENERATORS`]; returns the result and the partial answers that it sent.
+/// Runs an object of [`GENERATORS`]. Partial answer number `limit` cancels the request. Returns the result and the
+/// partial answers.
 fn run_generator(
     folder: &tempfile::TempDir,
     object: &str,
@@ -103,7 +104,7 @@ fn run_generator(
     let bank = bank(&[&model(folder, &format!("generators::{object}"), "")]);
     let pool = loaded(&bank, "p");
     let (result, partial_answers) = run_until_partial_answer(&pool, text("one two three"), limit);
-    // The process also serves the next sample, independent of the result of this one.
+    // The process also serves the next sample. `Broken` and `Many` fail for every sample, and the others answer it.
     assert_eq!(run(&pool, text("one two three")).result.is_ok(), !["Broken", "Many"].contains(&object));
     (result, partial_answers)
 }
@@ -131,11 +132,11 @@ fn values_that_infer_yields_are_partial_answers() {
     );
     // Bytes of 50 kB are in the shared memory, one after the other.
     let (result, partial_answers) = run_generator(&folder, "Count", 10);
-    let ends: Vec<_> = partial_answers
+    let first_bytes_and_lengths: Vec<_> = partial_answers
         .iter()
         .map(|partial| (partial.parts[0].bytes[0], partial.parts[0].bytes.len()))
         .collect();
-    assert_eq!(ends, [(0, 50_000), (b'1', 50_000)]);
+    assert_eq!(first_bytes_and_lengths, [(0, 50_000), (b'1', 50_000)]);
     assert_eq!(result.expect("answers").parts[0].bytes, r#"{"words":3}"#);
     let (result, _) = run_generator(&folder, "Many", 100);
     let advice = "at most 63 can be transferred; infer() yielded 64 values and returned none, \
@@ -151,7 +152,7 @@ fn values_that_infer_yields_are_partial_answers() {
 fn yielded_values_are_not_kept_if_value_is_returned() {
     let folder = tempfile::tempdir().expect("can be made");
     fs::write(folder.path().join("generators.py"), GENERATORS).expect("can be written");
-    let bank = bank(&[&model(&folder, "generators::Endless", "")]);
+    let bank = bank(&[&model(&folder, "generators::Large", "")]);
     let answered = run(&loaded(&bank, "p"), text("one")).result;
     assert_eq!(answered.expect("1 GiB of yielded values does not fill the memory").parts[0].bytes, "the end");
 }

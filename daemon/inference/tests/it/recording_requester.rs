@@ -14,11 +14,11 @@ use super::clock;
 /// Beginning of a partial answer that the requester refuses.
 pub(super) const REFUSED: &str = "refused";
 
-/// Requester that keeps partial answers. Its request is cancelled with a certain partial answer, or when the test
-/// cancels the token.
+/// Requester that keeps partial answers. Its request is cancelled when partial answer number `limit` arrives, or when
+/// the test cancels the token.
 struct RecordingRequester {
     partial_answers: Mutex<Vec<Sample>>,
-    /// Number of the partial answer with which the request is cancelled, counted from 1.
+    /// Number of the partial answer that cancels the request, counted from 1.
     limit: usize,
     cancellation: CancellationToken,
 }
@@ -42,8 +42,8 @@ impl Requester for RecordingRequester {
     }
 }
 
-/// Submits a sample, and cancels its request with the partial answer of the number `limit`. Returns the result and the
-/// partial answers.
+/// Submits a sample, and cancels its request when partial answer number `limit` arrives, counted from 1. Returns the
+/// result and the partial answers.
 pub(super) fn run_until_partial_answer(
     pool: &Pool,
     sample: Sample,

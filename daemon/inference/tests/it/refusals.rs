@@ -2,7 +2,7 @@ use std::fs;
 
 use peernet_inference::{Bank, LibraryError, LoadError, ModelConfig, OnnxRuntimeConfig};
 
-use super::{bank, clock, demo, loaded, quality_control, slug};
+use super::{bank, clock, demo, loaded, quality_control, quality_control_with, slug};
 
 fn load_refusal(bank: &Bank, name: &str, device: Option<&str>) -> LoadError {
     bank.load(&slug(name), device).expect_err("is refused")
@@ -10,7 +10,7 @@ fn load_refusal(bank: &Bank, name: &str, device: Option<&str>) -> LoadError {
 
 #[test]
 fn unknown_model_is_refused_with_offered_models() {
-    let two = bank(&[&quality_control(""), "name = \"echo\"\nkind = \"echo\""]);
+    let two = bank(&[&quality_control(), "name = \"echo\"\nkind = \"echo\""]);
     let error = load_refusal(&two, "qd", None);
     assert_eq!(error.to_string(), "no model named qd; this host offers qc, echo");
     let error = load_refusal(&bank(&[]), "qd", None).to_string();
@@ -19,9 +19,9 @@ fn unknown_model_is_refused_with_offered_models() {
 
 #[test]
 fn refusal_of_device_names_offered_device() {
-    let error = load_refusal(&bank(&[&quality_control("")]), "qc", Some("cuda:0")).to_string();
+    let error = load_refusal(&bank(&[&quality_control()]), "qc", Some("cuda:0")).to_string();
     assert_eq!(error, "model qc is not offered on cuda:0, only on cpu; request that device or none");
-    let error = load_refusal(&bank(&[&quality_control("device = \"gpu\"")]), "qc", None).to_string();
+    let error = load_refusal(&bank(&[&quality_control_with("device = \"gpu\"")]), "qc", None).to_string();
     assert!(error.contains("\"gpu\" is not a device") && error.contains("cuda:N"), "{error}");
 }
 
@@ -39,7 +39,7 @@ fn unsupported_device_is_refused_with_reason() {
         ("tensorrt:0", "TensorrtExecutionProvider"),
         ("openvino:CPU", "OpenVINOExecutionProvider"),
     ] {
-        let bank = bank(&[&quality_control(&format!("device = \"{device}\""))]);
+        let bank = bank(&[&quality_control_with(&format!("device = \"{device}\""))]);
         for error in bank.check().into_iter().map(|(_, error)| error).chain([load_refusal(&bank, "qc", None)])
         {
             assert!(matches!(error, LoadError::NoProvider { .. }), "{error}");
@@ -54,12 +54,12 @@ fn unsupported_device_is_refused_with_reason() {
 
 #[test]
 fn second_library_is_refused_in_one_process() {
-    let first = bank(&[&quality_control("")]);
+    let first = bank(&[&quality_control()]);
     loaded(&first, "qc");
     let folder = tempfile::tempdir().expect("can be made");
     let library = folder.path().join("libonnxruntime.so");
     fs::write(&library, "").expect("can be written");
-    let model: ModelConfig = toml::from_str(&quality_control("")).expect("is right");
+    let model: ModelConfig = toml::from_str(&quality_control()).expect("is right");
     let second = Bank::new(vec![model], OnnxRuntimeConfig { library: Some(library) }, clock());
     let error = load_refusal(&second, "qc", None);
     assert!(matches!(error, LoadError::Library(LibraryError::OtherLibraryLoaded { .. })), "{error}");

@@ -5,7 +5,7 @@ use super::{answer, bank, jpeg, loaded, pictures, quality_control, run};
 
 #[test]
 fn answer_ranks_all_labels_and_stages_are_recorded() {
-    let bank = bank(&[&quality_control("")]);
+    let bank = bank(&[&quality_control()]);
     let pool = loaded(&bank, "qc");
     let (file, _) = pictures("pictures").swap_remove(0);
     let done = run(&pool, jpeg(file));
@@ -24,7 +24,7 @@ fn answer_ranks_all_labels_and_stages_are_recorded() {
 
 #[test]
 fn label_outside_model_classes_is_marked() {
-    let bank = bank(&[&quality_control("")]);
+    let bank = bank(&[&quality_control()]);
     let pool = loaded(&bank, "qc");
     let (file, _) = pictures("pictures").swap_remove(0);
     for (label, expected) in
@@ -41,7 +41,7 @@ fn label_outside_model_classes_is_marked() {
 
 #[test]
 fn decoded_pixels_give_same_answer_as_file() {
-    let bank = bank(&[&quality_control("")]);
+    let bank = bank(&[&quality_control()]);
     let pool = loaded(&bank, "qc");
     let (file, _) = pictures("pictures").swap_remove(0);
     let mut picture = peernet_imaging::Picture::default();
@@ -52,11 +52,12 @@ fn decoded_pixels_give_same_answer_as_file() {
 
 #[test]
 fn unusable_sample_fails_without_affecting_next_one() {
-    let bank = bank(&[&quality_control("")]);
+    let bank = bank(&[&quality_control()]);
     let pool = loaded(&bank, "qc");
     let (file, _) = pictures("pictures").swap_remove(0);
     let mut huge = file.clone();
     let frame = huge.windows(2).position(|pair| pair == [0xff, 0xc0]).expect("has a frame header");
+    // Height and width of the picture: 65,535 pixels each.
     huge[frame + 5..frame + 9].fill(0xff);
     let plain = |media| Sample::from_part(Description::unshaped(media), file.clone().into());
     let wrong_size =
@@ -65,6 +66,7 @@ fn unusable_sample_fails_without_affecting_next_one() {
         (jpeg(file[..file.len() / 2].to_vec()), "the jpeg file cannot be read"),
         (jpeg(b"\xff\xd8\xff\xe0 broken".to_vec()), "the jpeg file cannot be read"),
         (jpeg(Vec::new()), "neither a jpeg nor a png"),
+        // The reason comes from the decoder; any text is right.
         (jpeg(huge), ""),
         (wrong_size, "40000 × 40000 pixels is not supported"),
         (plain(MediaType::Bytes), "plain bytes, not a picture"),

@@ -78,12 +78,13 @@ fn shutdown_ends_running_computation() {
 }
 
 #[test]
-fn shutdown_ends_first_run_of_a_model() {
+fn shutdown_ends_inference_during_load() {
+    // Loading a model runs it once.
     let bank = model("endless");
     let loading = std::thread::scope(|scope| {
         let loading = scope.spawn(|| bank.load(&slug("endless"), None).map(drop));
         assert_eq!(bank.shutdown_within(END_TIMEOUT), [] as [peernet_logger::Slug; 0]);
         loading.join().expect("does not panic")
     });
-    assert!(loading.is_err(), "the first inference was terminated");
+    assert!(loading.is_err(), "the inference of the load was terminated");
 }

@@ -4,12 +4,13 @@ use std::sync::mpsc::sync_channel;
 use peernet_inference::{FinishedJob, Job};
 use peernet_logger::{HostId, Recorder};
 
-use super::{Answer, answer, bank, clock, jpeg, loaded, pictures, quality_control, run};
+use super::{Answer, answer, bank, clock, jpeg, loaded, pictures, quality_control_with, run};
 
 /// Returns the answers of the demo model to all pictures of the demo. All pictures are submitted before the first
-/// answer is received. `lines` are further lines of the model's table.
+/// answer is received. `lines` are further lines of the model's table. They must
+/// set a queue for all 30 pictures.
 fn answers(lines: &str) -> Vec<Answer> {
-    let bank = bank(&[&quality_control(lines)]);
+    let bank = bank(&[&quality_control_with(lines)]);
     let pool = loaded(&bank, "qc");
     let clock = clock();
     let (sender, receiver) = sync_channel(30);
@@ -46,7 +47,7 @@ fn answers_are_independent_of_workers_and_threads() {
 
 #[test]
 fn pool_serves_until_it_is_shut_down() {
-    let bank = bank(&[&quality_control("workers = 2")]);
+    let bank = bank(&[&quality_control_with("workers = 2")]);
     let pool = loaded(&bank, "qc");
     assert_eq!((pool.workers(), pool.waiting_samples()), (2, 0));
     let (file, _) = pictures("pictures").swap_remove(0);

@@ -202,7 +202,7 @@ fn too_long_answer_is_refused() {
 }
 
 #[test]
-fn key_in_answer_of_server_is_hidden() {
+fn api_key_in_answer_of_server_is_hidden() {
     let key = &api_key();
     let refused = whole_response("401 Unauthorized", "", &format!("{{\"error\":\"wrong key {key}\"}}"));
     let (reason, _) = failure(refused, "api_key_env = 'PATH'");

@@ -24,7 +24,7 @@ fn text(text: &'static str) -> Sample {
     Sample::from_part(Description::unshaped(MediaType::Text), text.into())
 }
 
-/// Sends one sample to a model whose server follows a script.
+/// Sends one sample to a model whose server follows a script. `more` are further lines of the model's table.
 fn ask(script: Vec<Step>, more: &str) -> FinishedJob {
     let server = ScriptedServer::start(vec![script]);
     let bank = bank(&[&model(&server, more)]);
@@ -83,7 +83,8 @@ fn answer_has_text_times_and_token_counts() {
     assert!(gap > 0.0 && first + gap >= 0.070 && inference >= first + gap, "{inference} {first} {gap}");
     assert_eq!(value("inter-token-latency-max"), Some(gap));
     assert_eq!(value("inter-token-latency-p50"), Some(gap));
-    // Two chunks have five tokens, so four tokens arrived in the time of one gap.
+    // The time from the first chunk to the last is divided by the number of tokens minus 1. Here this time is one gap,
+    // and there are five tokens.
     let per_token = value("time-per-output-token").expect("is recorded");
     assert!((per_token * 4.0 - gap).abs() < 1e-6, "{per_token} {gap}");
     let rate = value("output-token-rate").expect("is recorded");
@@ -96,7 +97,7 @@ fn answer_has_text_times_and_token_counts() {
 }
 
 #[test]
-fn request_has_configured_fields_and_key() {
+fn request_has_configured_fields_and_api_key() {
     let answer = vec![head(), content("yes"), finish("length"), done()];
     let server = ScriptedServer::start(vec![answer.clone(), answer]);
     let key = &api_key();
@@ -231,13 +232,15 @@ fn events_of_one_http_chunk_are_counted_separately() {
 }
 
 #[test]
-fn last_event_may_be_missing_after_finish_reason() {
+fn answer_ends_with_finish_reason_or_done_event() {
+    // The stream ends after the finish reason, without `[DONE]`.
     let close = Step::Send(b"0\r\n\r\n".to_vec());
     let finished = ask(vec![head(), content("a"), finish("stop"), close], "");
     assert_eq!(parts(&finished.result.expect("answers")).0, "a");
     // The server closes the connection in the middle of the HTTP body.
     let finished = ask(vec![head(), content("a"), finish("stop")], "");
     assert_eq!(parts(&finished.result.expect("answers")).0, "a");
+    // `[DONE]` arrives without a finish reason. The end of the connection is the end of the HTTP body.
     let body = "HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\nConnection: close\r\n\r\n\
                 data: {\"choices\":[{\"delta\":{\"content\":\"b\"}}]}\n\ndata: [DONE]\n\n";
     let finished = ask(vec![Step::Send(body.as_bytes().to_vec())], "");

@@ -30,7 +30,7 @@ pub(super) struct ScriptedServer {
 /// A request as it was received.
 #[derive(Debug)]
 pub(super) struct Request {
-    /// Request line and headers, with the names of headers in lower case.
+    /// Request line and headers, all in lower case.
     pub(super) head: String,
     pub(super) body: serde_json::Value,
 }

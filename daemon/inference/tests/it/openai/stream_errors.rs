@@ -61,7 +61,7 @@ fn answer_without_delta_fails_with_reason() {
 }
 
 #[test]
-fn streamed_answer_may_be_repeated_as_whole() {
+fn repeated_whole_answer_is_not_added_to_text() {
     let chunk = json!({ "choices": [{ "index": "0", "delta": { "content": "A" } }] });
     let whole =
         json!({ "choices": [{ "index": 0, "message": { "content": "A" }, "finish_reason": "stop" }] });

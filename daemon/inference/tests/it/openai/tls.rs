@@ -23,7 +23,8 @@ use crate::recording_requester::run_cancelled_by;
 /// process share its environment.
 const ROOTS_VARIABLE: &str = "SSL_CERT_FILE";
 
-/// Runs `test` in a separate process, with the path of the file of trusted authorities.
+/// Runs `test` in a separate process, with the path of the file of trusted authorities. The first call starts the
+/// process, which runs the test function `name` again. The variable is set there, so the second call runs `test`.
 fn with_file_of_authorities(name: &str, test: impl FnOnce(&Path)) {
     if let Some(file) =
         std::env::var_os(ROOTS_VARIABLE).map(PathBuf::from).filter(|file| file.ends_with("tls-test.pem"))
@@ -218,9 +219,9 @@ fn missing_authorities_are_refused_with_reason() {
     });
 }
 
-/// Starts a server that answers `/models` and then never answers a handshake. Returns the URL of the server and a
-/// receiver of two messages: the first says that the handshake has begun, the second that the client has closed the
-/// connection.
+/// Starts a server that answers `/models` on the first connection and never answers the handshake of the second
+/// connection. Returns the URL of the server and a receiver of two messages: the first says that the second handshake
+/// has begun, the second that the client has closed the second connection.
 fn server_with_stalled_handshake(file: &Path) -> (String, Receiver<()>) {
     let authority = Authority::new("a");
     fs::write(file, &authority.pem).expect("can be written");
