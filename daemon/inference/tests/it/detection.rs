@@ -46,8 +46,8 @@ fn boxes_of_every_layout_equal_those_of_numpy() {
     }
 }
 
-/// Line of the `labels.csv` of the committed detector's pictures. The line of a picture without a defect
-/// has no edges of a box.
+/// Line of the `labels.csv` of the committed detector's pictures. The line of a picture without a
+/// defect has no edges of a box.
 #[derive(Debug, Deserialize)]
 struct LabelledDefect {
     file: String,

@@ -78,7 +78,7 @@ done
             "{sample}: {:?}",
             value("restart")
         );
-        // Time outside the reported stages is part of `restart`, and neither `inference` nor `ipc`.
+        // After a restart, time outside the reported stages is part of `restart`, and neither `inference` nor `ipc`.
         assert_eq!((value("inference"), value("ipc")), (inference, None), "{sample}");
         assert!(run(&pool, text(sample)).recorder.finish().find(&["restart"]).is_none());
     }

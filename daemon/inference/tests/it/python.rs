@@ -104,7 +104,7 @@ fn run_generator(
     let bank = bank(&[&model(folder, &format!("generators::{object}"), "")]);
     let pool = loaded(&bank, "p");
     let (result, partial_answers) = run_until_partial_answer(&pool, text("one two three"), limit);
-    // The process also serves the next sample. `Broken` and `Many` fail for every sample, and the others answer it.
+    // The process also serves the next sample. `Broken` and `Many` fail again, the other objects answer again.
     assert_eq!(run(&pool, text("one two three")).result.is_ok(), !["Broken", "Many"].contains(&object));
     (result, partial_answers)
 }

@@ -79,12 +79,12 @@ fn shutdown_ends_running_computation() {
 
 #[test]
 fn shutdown_ends_inference_during_load() {
-    // Loading a model runs it once.
+    // Loading runs the model once.
     let bank = model("endless");
     let loading = std::thread::scope(|scope| {
         let loading = scope.spawn(|| bank.load(&slug("endless"), None).map(drop));
         assert_eq!(bank.shutdown_within(END_TIMEOUT), [] as [peernet_logger::Slug; 0]);
         loading.join().expect("does not panic")
     });
-    assert!(loading.is_err(), "the inference of the load was terminated");
+    assert!(loading.is_err(), "the inference during the load was terminated");
 }

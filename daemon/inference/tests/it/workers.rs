@@ -6,9 +6,8 @@ use peernet_logger::{HostId, Recorder};
 
 use super::{Answer, answer, bank, clock, jpeg, loaded, pictures, quality_control_with, run};
 
-/// Returns the answers of the demo model to all pictures of the demo. All pictures are submitted before the first
-/// answer is received. `lines` are further lines of the model's table. They must
-/// set a queue for all 30 pictures.
+/// Returns the answers of the demo model to all 30 pictures of the demo. All pictures are submitted before the first
+/// answer is received. `lines` are further lines of the model's table and must set a queue that holds all pictures.
 fn answers(lines: &str) -> Vec<Answer> {
     let bank = bank(&[&quality_control_with(lines)]);
     let pool = loaded(&bank, "qc");

@@ -11,6 +11,12 @@ fn recorder() -> (Arc<ManualClock>, Recorder) {
     (clock, log)
 }
 
+/// Checks all nodes of a tree.
+fn check_all(tree: &Tree) -> Result<(), TreeError> {
+    let first_node = 0;
+    tree.check(first_node)
+}
+
 fn parents_and_names(tree: &Tree) -> Vec<(Option<u32>, String)> {
     tree.nodes().iter().map(|node| (node.parent.map(|parent| parent.0), node.name.to_string())).collect()
 }
@@ -29,6 +35,7 @@ fn guards_close_their_nodes() {
         let queue = sensing.start(stage::QUEUE);
         clock.advance(Span::from_nanos(5));
         sensing.stop(queue);
+        // A timer that is already closed keeps its end.
         sensing.stop(queue);
     }
     let open = log.start(stage::INFERENCE);
@@ -47,7 +54,7 @@ fn guards_close_their_nodes() {
     assert_eq!(seconds(&["sensing", "model", "capture"]), Some(Span::from_nanos(4).seconds()));
     assert_eq!(seconds(&["sensing", "queue"]), Some(Span::from_nanos(5).seconds()));
     assert!(tree.get(open).is_some_and(|node| node.measure.is_open()));
-    assert_eq!(tree.check(0), Ok(()));
+    assert_eq!(check_all(&tree), Ok(()));
 }
 
 #[test]
@@ -64,6 +71,7 @@ fn token_count_and_time_to_first_token_are_recorded() {
     drop(log.tokens("silence".into()));
     let tree = log.finish();
     let value = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value());
+    // The rate counts the time until the last tokens: 5 tokens in 0.5 s. The 9 s afterwards do not count.
     assert_eq!(value(&["answer"]), Some(10.0));
     assert_eq!(value(&["answer", "tokens"]), Some(5.0));
     assert_eq!(value(&["answer", "time-to-first-token"]), Some(0.4));
@@ -90,7 +98,7 @@ fn failed_reading_is_recorded_without_value() {
     drop(log.measure("board".into(), BrokenMeter));
     let force = log.record_value("force".into(), f64::NAN, Unit::new("N"));
     let tree = log.finish();
-    assert_eq!(tree.check(0), Ok(()));
+    assert_eq!(check_all(&tree), Ok(()));
     let board = &tree.find(&["board"]).expect("recorded").1.measure;
     assert_eq!((board.value(), board.unit(), board.is_open()), (None, Unit::JOULES, true));
     let force = &tree.get(force).expect("recorded").measure;
@@ -108,11 +116,15 @@ fn tree_stays_within_limits_and_counts_skipped_nodes() {
     let mut tree = log.finish();
     assert_eq!(skipped_node, NodeId::SKIPPED);
     let skipped = tree.find(&["skipped-nodes"]).and_then(|(_, node)| node.measure.value());
+    // `MAX_NODES` + 1 nodes were started. The root and the reserved places leave room for
+    // `MAX_NODES` - `RESERVED_NODES` - 1 of them.
     assert_eq!(skipped, Some((RESERVED_NODES + 2) as f64));
+    // The node `skipped-nodes` takes the first of the reserved places. A child of a skipped node becomes a
+    // child of the root.
     for _ in 1..RESERVED_NODES {
         tree.add(skipped_node, stage::TOTAL, Span::ZERO, Measure::Timer(None));
     }
-    assert_eq!((tree.nodes().len(), tree.check(0)), (MAX_NODES, Ok(())));
+    assert_eq!((tree.nodes().len(), check_all(&tree)), (MAX_NODES, Ok(())));
 }
 
 #[test]
@@ -127,9 +139,11 @@ fn nodes_deeper_than_limit_are_skipped() {
     descend(&mut log, MAX_DEPTH + 5);
     descend(&mut log, 1);
     let tree = log.finish();
-    assert_eq!(tree.check(0), Ok(()));
+    assert_eq!(check_all(&tree), Ok(()));
     let skipped = tree.find(&["skipped-nodes"]).and_then(|(_, node)| node.measure.value());
+    // The root is the first level, so the first call of `descend` adds `MAX_DEPTH` - 1 nodes and skips 6.
     assert_eq!(skipped, Some(6.0));
+    // These nodes, the root, the node of the second call of `descend`, and `skipped-nodes`.
     assert_eq!(tree.nodes().len(), MAX_DEPTH + 2);
     assert!(tree.nodes()[1..].iter().all(|node| !node.measure.is_open()));
 }
@@ -164,7 +178,7 @@ fn inserted_tree_keeps_shape_hosts_and_times() {
     };
     let second_root = log.insert(&other).expect("fits");
     let tree = log.finish();
-    assert_eq!(tree.check(0), Ok(()));
+    assert_eq!(check_all(&tree), Ok(()));
     assert_eq!(tree.anchors().len(), 2);
     assert_eq!(tree.get(root).and_then(|node| node.parent), Some(NodeId(1)));
     assert_eq!(tree.get(second_root).and_then(|node| node.parent), Some(NodeId::ROOT));
@@ -191,7 +205,7 @@ fn delta_contains_inserted_tree_with_its_hosts() {
     assert_eq!(delta.others.len(), 2);
     log.tree_mut().apply_delta(delta).expect("fits");
     let tree = log.finish();
-    assert_eq!((tree.anchors().len(), tree.check(0)), (4, Ok(())));
+    assert_eq!((tree.anchors().len(), check_all(&tree)), (4, Ok(())));
     assert!(tree.find(&["iteration", "grip"]).is_some());
 }
 

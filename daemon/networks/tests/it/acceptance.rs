@@ -51,6 +51,7 @@ async fn conditions_of_cloud_are_bounded_and_printable() {
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
     let (edge_identity, _) = cloud.receive_message().await;
     let id = Id::from([3; 16]);
+    // The edge ignores an acceptance with too many conditions.
     let too_many = accepted_with_conditions(id.clone(), vec![condition("too many"); MAX_CONDITIONS + 1]);
     cloud.send_message(&edge_identity, &too_many, Vec::new()).await;
     cloud

@@ -159,7 +159,7 @@ async fn exchange_carries_raw_stamps_beside_wall_stamps() {
         "{upload_span} {download_span}"
     );
     assert_eq!((observation.edge_epoch, observation.cloud_epoch), (0, Some(0)));
-    assert_eq!(observation.cloud_elapsed, None, "raw stamps need no duration");
+    assert_eq!(observation.cloud_elapsed, None, "the raw stamps give the time at the cloud");
 }
 
 #[tokio::test]
@@ -177,11 +177,13 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     assert_eq!(raw(&download), Some((stamps.replied, stamps.returned)));
     assert_eq!(Some(stamps.received), upload.received.map(RawTime::from_wall));
     assert_eq!(stamps.replied, RawTime::from_wall(download.sent));
+    // The clocks of the edge have no offset. The cloud's wall clock is therefore ahead of the edge's free-running clock
+    // by `wall_ahead` and a day.
     let offset = cloud_clock.system.wall_ahead();
     let tolerance = Span::from_millis(1);
     let offset = Interval { lo: offset.lo + DAY - tolerance, hi: offset.hi + DAY + tolerance };
     assert!(offset.intersection(stamps.bounds()).is_some(), "{:?} {offset:?}", stamps.bounds());
-    let time_at_cloud = observation.cloud_elapsed.expect("version 4 needs the duration");
+    let time_at_cloud = observation.cloud_elapsed.expect("version 4 needs the time at the cloud");
     assert!(Span::ZERO <= time_at_cloud && time_at_cloud <= stamps.returned - stamps.sent, "{time_at_cloud}");
 
     let mut state_with_raw_step = PeerClock { epoch: 1, ..clock_state_with_raw() };
@@ -202,6 +204,7 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
 async fn time_at_cloud_is_measured_despite_clock_steps() {
     let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_with_clock(clock.clone()).await;
+    // A session that is dropped ends, and the cloud would report the end instead of the next request.
     let mut open_sessions = Vec::new();
     for version in [4, 5] {
         let edge_clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
@@ -218,7 +221,7 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
         let time_at_cloud = observation.exchange.replied - observation.exchange.received;
         let round_trip = observation.exchange.returned - observation.exchange.sent;
         if version == 4 {
-            let mono_elapsed = observation.cloud_elapsed.expect("version 4 needs the duration");
+            let mono_elapsed = observation.cloud_elapsed.expect("version 4 needs the time at the cloud");
             assert!(
                 time_at_cloud >= Span::from_seconds(3) + mono_elapsed - Span::from_seconds(1),
                 "{time_at_cloud} {mono_elapsed}"
@@ -237,6 +240,7 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
 async fn stepped_cloud_clock_yields_no_observation() {
     let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_with_clock(clock.clone()).await;
+    // A session that is dropped ends, and the cloud would report the end instead of the next request.
     let mut open_sessions = Vec::new();
     for (version, stamped_clock, other_clock) in [(4, &clock.wall, &clock.raw), (5, &clock.raw, &clock.wall)]
     {
@@ -266,6 +270,7 @@ async fn stepped_cloud_clock_yields_no_observation() {
 #[tokio::test]
 async fn stepped_raw_clock_of_edge_yields_no_observation() {
     let mut cloud = Cloud::start().await;
+    // A session that is dropped ends, and the cloud would report the end instead of the next request.
     let mut open_sessions = Vec::new();
     for version in [4, 5] {
         let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
@@ -288,6 +293,7 @@ async fn stepped_raw_clock_of_edge_yields_no_observation() {
 async fn clock_stepped_after_first_stamp_yields_no_observation() {
     let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_with_clock(clock.clone()).await;
+    // A session that is dropped ends, and the cloud would report the end instead of the next request.
     let mut open_sessions = Vec::new();
     for (version, clock_to_step) in [(4, ClockToStep::Wall), (5, ClockToStep::Raw)] {
         let edge_clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
@@ -368,6 +374,7 @@ async fn clock_announcement_reaches_all_open_and_later_sessions() {
     echo(&mut cloud, &later_session, "still open").await;
     assert_eq!(*later_session.peer_clock().borrow(), PeerClock::default());
     drop(cloud);
+    // An announcement after the end of the listener has no effect.
     announcer.announce(announced_state);
 }
 

@@ -81,7 +81,8 @@ async fn vanished_edge_closes_its_sessions(network: TestNetwork) {
     let request = cloud.next_open().await;
     let id = request.session;
     request.accept(accepted(cloud.host));
-    assert_eq!(cloud.next_closed().await, (id, false));
+    let (closed_session, said_goodbye) = cloud.next_closed().await;
+    assert_eq!((closed_session, said_goodbye), (id, false));
     edge.join().expect("no panic");
 }
 

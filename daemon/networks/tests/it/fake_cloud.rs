@@ -76,7 +76,7 @@ impl FakeCloud {
         let (edge_identity, header) = self.receive_message().await;
         assert!(matches!(header, Header::Open { .. }));
         let id = Id::from([3; 16]);
-        // The edge must ignore an invalid message before the answer.
+        // The edge must ignore a goodbye before the session is accepted.
         self.send_message(
             &edge_identity,
             &Header::Goodbye { session: id.clone(), reason: String::new(), ordered: None },

@@ -38,7 +38,8 @@ async fn accepted_session_identifies_both_sides(network: TestNetwork) {
 
     within(session.close()).await;
     assert_eq!(within(session.closed()).await, CloseReason::Local);
-    assert_eq!(cloud.next_closed().await, (id, true));
+    let (closed_session, said_goodbye) = cloud.next_closed().await;
+    assert_eq!((closed_session, said_goodbye), (id, true));
 }
 
 async fn dropping_last_clone_closes_session(network: TestNetwork) {
@@ -48,7 +49,8 @@ async fn dropping_last_clone_closes_session(network: TestNetwork) {
     drop(session);
     echo(&mut cloud, &clone, "still open").await;
     drop(clone);
-    assert_eq!(cloud.next_closed().await, (id, true));
+    let (closed_session, said_goodbye) = cloud.next_closed().await;
+    assert_eq!((closed_session, said_goodbye), (id, true));
 }
 
 async fn refusal_arrives_with_reason(network: TestNetwork) {

@@ -14,6 +14,9 @@ use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, TIME_LIMIT, accepted, echo, recorder, request, sample, settings, within};
 use crate::wire::{self, Header, Id, Outcome, PROTOCOL, PlainSocket};
 
+/// Epoch of the cloud at the arrival of a request.
+const ARRIVAL_EPOCH: u32 = 0;
+
 fn tree() -> Bytes {
     let anchor = Anchor { host: HostId::random(), wall: WallTime::default() };
     let mut out = Vec::new();
@@ -38,8 +41,8 @@ pub(crate) async fn plain_session(cloud: &mut Cloud) -> (PlainSocket, Id) {
     }
 }
 
-/// Sends an echo over a new session, after which the listener has handled all earlier messages. Then checks the number
-/// of malformed messages.
+/// Checks that the port serves a new session. Then waits until the listener has counted the `expected` malformed
+/// messages, and checks that it has counted no more.
 async fn check_malformed_count(cloud: &mut Cloud, expected: u64) {
     let (session, _) = cloud.session(settings()).await;
     echo(cloud, &session, "the port still serves").await;
@@ -65,7 +68,9 @@ async fn plain_zeromq_socket_is_served_as_edge() {
     assert_eq!(incoming.sample.parts[0].bytes, "payload");
     incoming.reply.send(incoming.recorder, Ok(sample("answer")));
     let (header, frames) = plain_socket.receive_message().await;
-    assert!(matches!(header, Header::Reply(s, 7, Some(_), 0, Outcome::Answer(_)) if s == session));
+    assert!(
+        matches!(header, Header::Reply(s, 7, Some(_), ARRIVAL_EPOCH, Outcome::Answer(_)) if s == session)
+    );
     assert_eq!((frames.len(), &frames[1]), (2, &Bytes::from("answer")));
 }
 
@@ -111,7 +116,7 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
             kind: "refused".into(),
             reason: "me too".into(),
         },
-        Header::Reply(session.clone(), 0, None, 0, Outcome::Failed("no".into())),
+        Header::Reply(session.clone(), 0, None, ARRIVAL_EPOCH, Outcome::Failed("no".into())),
         Header::Clock { session: session.clone(), clock: wire::host_clock(1) },
         Header::Goodbye { session: Id::from([9; 16]), reason: "whose?".into(), ordered: None },
     ];
@@ -302,7 +307,13 @@ async fn invalid_answers_change_no_tree() {
         cloud
             .send_message(
                 &edge_identity,
-                &Header::Reply(id.clone(), number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
+                &Header::Reply(
+                    id.clone(),
+                    number,
+                    Some(wire::Departure(1, 1, 0, None)),
+                    ARRIVAL_EPOCH,
+                    answer,
+                ),
                 vec![delta],
             )
             .await;
@@ -320,8 +331,8 @@ async fn invalid_answers_change_no_tree() {
     // A reply to a request that was never sent, messages of other sessions, a second acceptance and an invalid clock
     // state do not affect the session.
     for header in [
-        Header::Reply(id.clone(), 1_000, None, 0, Outcome::Failed(String::new())),
-        Header::Reply(Id::from([8; 16]), 0, None, 0, Outcome::Failed(String::new())),
+        Header::Reply(id.clone(), 1_000, None, ARRIVAL_EPOCH, Outcome::Failed(String::new())),
+        Header::Reply(Id::from([8; 16]), 0, None, ARRIVAL_EPOCH, Outcome::Failed(String::new())),
         FakeCloud::accepted(id.clone(), PROTOCOL),
         Header::Clock { session: Id::from([8; 16]), clock: wire::host_clock(1) },
         Header::Clock { session: id.clone(), clock: impossible_clock },
@@ -338,7 +349,7 @@ async fn invalid_answers_change_no_tree() {
     cloud
         .send_message(
             &edge_identity,
-            &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
+            &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), ARRIVAL_EPOCH, answer),
             vec![delta(3, 2, 2, 1)],
         )
         .await;
@@ -360,7 +371,7 @@ async fn version_five_reply_without_raw_stamps_is_invalid() {
     cloud
         .send_message(
             &edge_identity,
-            &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
+            &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), ARRIVAL_EPOCH, answer),
             vec![delta(3, 2, 2, 1)],
         )
         .await;

@@ -176,6 +176,7 @@ fn session_limit_per_host_leaves_room_for_other_hosts() {
         };
         connections.filter(|connection| accepts(*connection)).count()
     };
+    // A host may have half of the 256 sessions that other hosts do not use: 128 of 256, then 64 of 128.
     assert_eq!([opened_count(1, 0..256), opened_count(2, 256..512), opened_count(3, 512..514)], [128, 64, 2]);
 }
 
@@ -192,6 +193,7 @@ fn session_limit_per_address_counts_all_hosts_of_address() {
     };
     let opened_count =
         (0..300).filter(|host| matches!(open("192.0.2.1:5", *host), EdgeMessage::Open(..))).count();
+    // An address may have three quarters of the 256 sessions.
     assert_eq!(opened_count, 192);
     let EdgeMessage::AnswerWith(Header::Refused(refused)) = open("192.0.2.1:5", 301) else {
         panic!("the session exceeds the limit")

@@ -65,8 +65,8 @@ fn every_scheme_selects_its_network() {
         assert_eq!(NetworkName::from(*network).as_str(), network.name());
         for scheme in network.schemes() {
             let is_in_domain = network.address_form().placeholder(scheme).starts_with("domain");
-            let host = if is_in_domain { "1" } else { "cloud:1" };
-            let address: Address = format!("{scheme}://{host}").parse().expect("a scheme");
+            let authority = if is_in_domain { "1" } else { "cloud:1" };
+            let address: Address = format!("{scheme}://{authority}").parse().expect("a scheme");
             assert_eq!((address.network(), address.scheme()), (*network, *scheme));
             assert_eq!(address.check_network(Some(*network)), Ok(()));
             assert_eq!(address.check_network(None), Ok(()));

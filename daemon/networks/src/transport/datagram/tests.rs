@@ -20,6 +20,7 @@ mod simulated_network;
 
 use self::simulated_network::{Impairment, SimulatedNetwork, UNIMPAIRED};
 
+/// Beginning of each datagram.
 const PREFIX: &[u8] = b"\x01x";
 const TERMS: Terms = Terms { window: 1 << 20, max_datagram_bytes: 1_200 };
 
@@ -109,6 +110,7 @@ proptest! {
 
     #[test]
     fn messages_without_tag_always_arrive_once(loss in 0_u64..25, seed: u64) {
+        // Short messages without a tag are retransmitted when they are lost.
         let mut network = SimulatedNetwork::new(Impairment { loss, duplicated: 5, reordered: 10 }, seed);
         network.open();
         for n in 0..10 {
@@ -223,7 +225,7 @@ fn connections_without_session_are_bounded_and_end() {
         open_from(&mut cloud, SocketAddr::from(([198, 51, 100, n as u8], 9)), n, &mut now);
         assert!(cloud.len() <= 64);
     }
-    assert!(cloud.len() >= 16);
+    assert!(cloud.len() >= 16, "the newest connections stay open");
     now = now + Span::from_seconds(6);
     cloud.tick(now);
     let mut out = Vec::new();
@@ -365,6 +367,8 @@ fn connection_ends_when_path_stops_carrying_long_datagrams() {
         });
         let reason = close_reason.expect("the connection ends");
         assert!(reason.contains("long datagrams") && reason.contains("datagram_bytes"), "{reason}");
+        // The end whose long datagrams are lost ends the connection. A cloud tells the edge. An edge does not tell the
+        // cloud, and this test ends before the heartbeat timeout of the cloud.
         let is_gone = |event: &ListenerEvent| matches!(event, ListenerEvent::Gone(..));
         assert_eq!(
             network.listener_events.iter().any(is_gone),

@@ -48,6 +48,7 @@ fn loss_states_number_of_received_fragments() {
     }
     reassembly.tick(time_at(1_000));
     assert_eq!(reassembly.take_lost(), [], "the other end may not have sent the missing fragment yet");
+    // The other end has sent all messages below number 1.
     reassembly.note_sent(1, time_at(1_000));
     reassembly.tick(time_at(1_099));
     assert_eq!(reassembly.take_lost(), []);
@@ -139,8 +140,9 @@ fn claimed_length_takes_no_memory_of_other_messages() {
     let mut reassembly = with_budget(50_000);
     let bytes = vec![7; 90_000];
     for sequence in 0..8 {
-        reassembly
-            .receive(&fragments(sequence, &bytes, 1_000)[usize::from(sequence % 2 == 1) * 50], time_at(0));
+        // The first fragment of an even message, and a fragment in the middle of an odd message.
+        let index = if sequence % 2 == 0 { 0 } else { 50 };
+        reassembly.receive(&fragments(sequence, &bytes, 1_000)[index], time_at(0));
     }
     assert_eq!(reassembly.take_lost(), [], "eight messages claim 90 kB each, but only 8 kB have arrived");
     assert!(reassembly.budget.reserved_bytes() <= 9_000, "{}", reassembly.budget.reserved_bytes());

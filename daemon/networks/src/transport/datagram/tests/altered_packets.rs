@@ -26,10 +26,11 @@ fn alter_heartbeat(packet: Packet<'_>, alter: fn(&mut Heartbeat)) -> Option<Pack
     }
 }
 
-fn alter_data(packet: Packet<'_>, sequence: u64, number: u32) -> Option<Packet<'_>> {
-    let Packet::Data { connection, number: old_number, mut fragment } = packet else { return None };
-    fragment.sequence += sequence;
-    Some(Packet::Data { connection, number: old_number.wrapping_add(number), fragment })
+/// Increases the numbers of the message and of the datagram.
+fn alter_data(packet: Packet<'_>, sequence_increase: u64, number_increase: u32) -> Option<Packet<'_>> {
+    let Packet::Data { connection, number, mut fragment } = packet else { return None };
+    fragment.sequence += sequence_increase;
+    Some(Packet::Data { connection, number: number.wrapping_add(number_increase), fragment })
 }
 
 const CASES: [Case; 13] = [
@@ -226,7 +227,7 @@ fn reports_of_unsent_messages_are_invalid_data() {
 }
 
 #[test]
-fn long_gap_does_not_end_connection() {
+fn three_seconds_of_loss_do_not_end_connection() {
     let (mut network, id) = open();
     network.path.impairment.loss = 100;
     let mut sent = 0;

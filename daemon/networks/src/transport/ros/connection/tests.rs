@@ -17,6 +17,9 @@ const LIMITS: ConnectionLimits = ConnectionLimits {
     heartbeat_timeout: Span::from_seconds(5),
 };
 
+/// Departure of a notice on the wall clock. No test depends on it.
+const NOTICE_WALL: i64 = 0;
+
 fn new_connection() -> Connection {
     Connection::new("ab".into(), LIMITS, MemoryBudget::new(10_000), MonoTime::default())
 }
@@ -30,7 +33,8 @@ fn message(sender: &mut Connection, request: u64, wall: i64) -> (MessageInfo, By
     let mut info = MessageInfo { request, ..sender.new_companion(MessageInfo::DATA, wall, time_at(0)) };
     let payload = Bytes::from_static(b"payload");
     let frames = [Bytes::from_static(b"header"), Bytes::from_static(b"tree"), payload.clone()];
-    assert!(frames::pack(&mut info, &frames, true));
+    let has_payload = true;
+    assert!(frames::pack(&mut info, &frames, has_payload));
     (info, payload)
 }
 
@@ -48,7 +52,7 @@ fn sender_is_notified_of_missing_payload() {
         panic!("the second message is whole")
     };
     assert_eq!(frames.concat(), b"headertreepayload");
-    let notice = receiver.next_notice(0, time_at(0)).expect("the sender is notified");
+    let notice = receiver.next_notice(NOTICE_WALL, time_at(0)).expect("the sender is notified");
     sender.receive_companion(notice, time_at(0));
     let Some(Event::OutgoingLost(loss)) = sender.next_event() else {
         panic!("the sender is notified of the loss")
@@ -60,10 +64,13 @@ fn sender_is_notified_of_missing_payload() {
 fn heartbeats_keep_connection_and_silence_ends_it() {
     let (mut sender, mut receiver) = (new_connection(), new_connection());
     for second in 1..20 {
-        let heartbeat = sender.next_notice(0, time_at(second)).expect("a heartbeat is due each second");
+        let heartbeat =
+            sender.next_notice(NOTICE_WALL, time_at(second)).expect("a heartbeat is due each second");
         receiver.receive_companion(heartbeat, time_at(second));
         receiver.tick(time_at(second));
-        assert!(sender.next_notice(0, time_at(second)).is_none() && receiver.next_event().is_none());
+        assert!(
+            sender.next_notice(NOTICE_WALL, time_at(second)).is_none() && receiver.next_event().is_none()
+        );
     }
     assert_eq!(receiver.missing_companions(), 0);
     receiver.tick(time_at(24));
@@ -76,7 +83,7 @@ fn goodbye_ends_connection_with_its_reason() {
     let goodbye = sender.new_companion(MessageInfo::GOODBYE, 0, time_at(0));
     receiver.receive_companion(MessageInfo { reason: "it\nshuts down".into(), ..goodbye }, time_at(0));
     assert!(matches!(receiver.next_event(), Some(Event::Gone(reason)) if reason == "it shuts down"));
-    assert!(receiver.next_notice(0, time_at(100)).is_none());
+    assert!(receiver.next_notice(NOTICE_WALL, time_at(100)).is_none());
 }
 
 #[test]
@@ -97,7 +104,8 @@ fn session_message_waits_for_payload_that_it_overtook() {
     let (mut sender, mut receiver) = (new_connection(), new_connection());
     let (info, payload) = message(&mut sender, 7, 10);
     let mut session = sender.new_companion(MessageInfo::DATA, 20, time_at(0));
-    assert!(frames::pack(&mut session, &[Bytes::from_static(b"close")], false));
+    let has_payload = false;
+    assert!(frames::pack(&mut session, &[Bytes::from_static(b"close")], has_payload));
     receiver.receive_companion(info.clone(), time_at(0));
     receiver.receive_companion(session, time_at(0));
     assert!(receiver.next_event().is_none());
@@ -108,7 +116,7 @@ fn session_message_waits_for_payload_that_it_overtook() {
 }
 
 #[test]
-fn goodbye_without_payload_still_ends_connection() {
+fn goodbye_ends_connection_if_payload_never_arrives() {
     let (mut sender, mut receiver) = (new_connection(), new_connection());
     let (info, _) = message(&mut sender, 7, 10);
     let goodbye = sender.new_companion(MessageInfo::GOODBYE, 20, time_at(0));
@@ -128,7 +136,9 @@ fn payload_that_arrives_twice_is_delivered_once_and_confirmed() {
         let mut info = MessageInfo { request: 7, ..sender.new_companion(MessageInfo::DATA, 10, time_at(0)) };
         let payload = Bytes::from_static(b"payload");
         let frames = [Bytes::from_static(b"header"), Bytes::from_static(b"tree"), payload.clone()];
-        assert!(frames::pack(&mut info, &frames, false));
+        // The payload arrives in the companion and on the payload topic.
+        let has_payload = false;
+        assert!(frames::pack(&mut info, &frames, has_payload));
         let stamp = info.header.stamp.as_nanos();
         if is_payload_first {
             receiver.receive_payload(stamp, payload, time_at(0));
@@ -141,8 +151,11 @@ fn payload_that_arrives_twice_is_delivered_once_and_confirmed() {
             matches!(receiver.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"headertreepayload")
         );
         assert!(receiver.next_event().is_none());
-        sender.receive_companion(receiver.next_notice(0, time_at(0)).expect("a confirmation"), time_at(0));
-        assert!(sender.peer().is_subscribed && receiver.next_notice(0, time_at(0)).is_none());
+        sender.receive_companion(
+            receiver.next_notice(NOTICE_WALL, time_at(0)).expect("a confirmation"),
+            time_at(0),
+        );
+        assert!(sender.peer().is_subscribed && receiver.next_notice(NOTICE_WALL, time_at(0)).is_none());
         receiver.tick(time_at(4));
         assert!(receiver.next_event().is_none(), "no companion and no payload is awaited");
     }
@@ -259,14 +272,20 @@ fn apply_step(step: Step, sender: &mut Connection, receiver: &mut Connection, no
 enum Fate {
     Arrives,
     LosesPayload,
-    LosesInfo,
+    LosesCompanion,
 }
 
 proptest! {
     #[test]
     fn every_message_arrives_once_or_is_lost(
         fates in proptest::collection::vec(
-            prop_oneof![5 => Just(Fate::Arrives), 1 => Just(Fate::LosesPayload), 1 => Just(Fate::LosesInfo)], 0..40),
+            prop_oneof![
+                5 => Just(Fate::Arrives),
+                1 => Just(Fate::LosesPayload),
+                1 => Just(Fate::LosesCompanion),
+            ],
+            0..40,
+        ),
         lag in 0_usize..3,
     ) {
         let budget = MemoryBudget::new(10_000);
@@ -276,7 +295,7 @@ proptest! {
         for (request, fate) in fates.iter().enumerate() {
             let (info, payload) = message(&mut sender, request as u64, 0);
             let stamp = info.header.stamp.as_nanos();
-            companions.push_back((!matches!(fate, Fate::LosesInfo)).then_some(info));
+            companions.push_back((!matches!(fate, Fate::LosesCompanion)).then_some(info));
             payloads.push_back((!matches!(fate, Fate::LosesPayload)).then_some((stamp, payload)));
         }
         // Payloads arrive some messages after their companions.
@@ -291,8 +310,8 @@ proptest! {
                 receiver.receive_payload(stamp, payload, time_at(0));
             }
         }
-        // After 40 s the time limit of all halves has passed. The heartbeat timeout must not end the connection before
-        // the halves expire.
+        // A half is a companion or a payload that waits for its partner. After 40 s the time limit of all halves has
+        // passed. The heartbeat timeout must not end the connection before the halves expire.
         receiver.heartbeats.note_received(time_at(40));
         receiver.tick(time_at(40));
         let (mut arrived, mut incomplete) = (0, 0);
@@ -329,9 +348,10 @@ proptest! {
                 let bytes: usize = frames.iter().map(Bytes::len).sum();
                 prop_assert!(bytes as u64 <= LIMITS.max_message_bytes, "{bytes} bytes");
             }
-            // One step may give up all halves and end the connection.
+            // One step may give up all halves. It causes few other events: it may deliver a message and end the
+            // connection.
             prop_assert!(events <= LIMITS.max_incomplete + 3, "{events} events of one step");
-            while receiver.next_notice(0, now).is_some() {}
+            while receiver.next_notice(NOTICE_WALL, now).is_some() {}
         }
         receiver.tick(now + Span::from_seconds(40));
         prop_assert_eq!(budget.reserved_bytes(), 0, "nothing waits for ever");

@@ -66,9 +66,12 @@ async fn long_payloads_and_mismatches_are_remarked_once() {
     let mut sending = SendingTest::new();
     sending.open().await;
     for _ in 0..2 {
+        // This payload is too long for the topic and is not published there.
         assert!(!sending.publish(MediaType::Jpeg, RECEIVE_BUFFER_BYTES + 1));
+        // This payload is published on the topic, but the peer has not confirmed that payloads arrive there.
         assert!(!sending.publish(MediaType::Jpeg, RECEIVE_BUFFER_BYTES));
     }
+    // A payload that is too long for the peer only causes no second remark.
     sending.peer.receive_buffer_bytes = Some(5);
     assert!(!sending.publish(MediaType::Jpeg, 6));
     assert_eq!(sending.node.published_count(), 2);

@@ -114,7 +114,7 @@ fn long_frame_is_read_into_own_buffer() {
         Some((300_000, true))
     );
     assert_eq!(reads, 5, "each read takes at most 64 KiB");
-    // The next frame of this length gets its whole buffer at once.
+    // The whole memory of the next frame of this length is reserved at once. A read still takes at most 64 KiB.
     framer.receive(&header(0, 300_000), &allowance, &mut out).expect("is allowed");
     let capacity =
         framer.direct_buffer(&allowance).expect("there is memory").map(|buffer| buffer.remaining_mut());
