@@ -230,7 +230,9 @@ proptest! {
         stride in 1_u16..500,
         order in any::<u64>(),
     ) {
-        let mut message = OutgoingMessage::new(vec![frame.into()], 0, 0, None).expect("the message is small");
+        let (sequence, tag, deadline) = (0, 0, None);
+        let mut message =
+            OutgoingMessage::new(vec![frame.into()], sequence, tag, deadline).expect("the message is small");
         let mut bytes = Vec::new();
         message.take(u16::MAX, &mut bytes);
         let mut all_fragments = fragments(0, &bytes, stride);
