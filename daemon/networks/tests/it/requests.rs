@@ -157,6 +157,7 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
     drop(cloud.next_request().await);
     let completed = within(pending).await.expect("no panic");
     assert!(matches!(completed.result, Err(RequestError::Failed(_))), "{:?}", completed.result);
+    // The reply to a dropped request has no departure, so there is no download.
     assert!(completed.arrived_at.is_some() && completed.download.is_none());
     echo(&mut cloud, &session, "all is well").await;
 }

@@ -66,6 +66,7 @@ async fn payloads_of_all_sizes_and_types_come_back_identical() {
             assert_eq!(exchange(&mut cloud, &session, sample.clone()).await, sample);
         }
         let statistics = session.statistics();
+        // The hello and the acceptance are messages, too.
         assert_eq!((statistics.sent.messages, statistics.received.messages), (8, 8));
         assert_eq!((statistics.lost_messages, statistics.received.lost), (0, Some(0)));
         assert!(statistics.round_trip.is_some());
@@ -84,7 +85,7 @@ async fn other_programs_see_pictures_as_compressed_images() {
         .await
         .expect("registered");
     let picture = Sample::from_part(Description::unshaped(MediaType::Jpeg), Bytes::from(vec![9; 5_000]));
-    // The first pictures are sent in the companions until the topic is open.
+    // Until the topic of the pictures is open, the companions carry the pictures.
     let image = loop {
         exchange(&mut cloud, &session, picture.clone()).await;
         let result = tokio::time::timeout(Duration::from_millis(50), pictures.recv()).await;
@@ -181,9 +182,9 @@ async fn topic_with_foreign_publisher_or_type_is_refused() {
     let master = RosMaster::start();
     let cloud = Cloud::start_at(&master.address(), settings()).await;
     let node = foreign_node(&master, "rosbag").await;
-    for (suffix, kind, expected_text) in [
-        ("_info", TopicType::from_message::<MessageInfo>(), "node /rosbag publishes topic"),
-        ("", TopicType::from_message::<StringMessage>(), "node /rosbag publishes topic"),
+    for (suffix, kind) in [
+        ("_info", TopicType::from_message::<MessageInfo>()),
+        ("", TopicType::from_message::<StringMessage>()),
     ] {
         let hello = hello();
         let topic = format!("{}{suffix}", request_topic(hello.pipeline.as_str()));
@@ -193,7 +194,9 @@ async fn topic_with_foreign_publisher_or_type_is_refused() {
             .expect_err("another node publishes the topic")
             .to_string();
         assert!(
-            error.contains(expected_text) && error.contains(&topic) && error.contains("ROS_NAMESPACE"),
+            error.contains("node /rosbag publishes topic")
+                && error.contains(&topic)
+                && error.contains("ROS_NAMESPACE"),
             "{error}"
         );
     }
@@ -280,11 +283,12 @@ pub(crate) async fn assert_second_host_is_refused(mut cloud: Cloud) {
 }
 
 #[tokio::test]
-async fn connection_without_session_ends_after_hello_timeout() {
+async fn open_session_outlasts_hello_timeout() {
     let short_hello_timeout = peernet_networks::SessionSettings { hello_timeout_ms: 2_000, ..settings() };
     let mut cloud = Cloud::start_at(&RosMaster::shared().address(), short_hello_timeout).await;
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    // A refused connection before the session does not end the session either.
     cloud.next_open().await.refuse("no");
     assert!(matches!(within(edge).await.expect("no panic"), Err(OpenError::Refused { .. })));
     let (session, _) = session(&mut cloud).await;

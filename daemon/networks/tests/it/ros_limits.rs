@@ -92,6 +92,7 @@ async fn connections_without_session_leave_memory_for_sessions() {
             .expect("registered");
         send_hello(&hellos, &node, "crowd".to_owned(), pipeline).await;
         within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");
+        // These companions of all connections are together longer than the shared limit.
         for sequence in 0..4 {
             let sending = publisher.publish_waiting(companion_without_payload(sequence, 60_000));
             within(sending).await.expect("the node runs");

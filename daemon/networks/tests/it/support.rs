@@ -95,7 +95,7 @@ pub(crate) fn unused_address(network: TestNetwork) -> String {
     match network {
         TestNetwork::Ros1 => RosMaster::shared().address(),
         #[cfg(feature = "ros2")]
-        TestNetwork::Ros2 => unused_domain(),
+        TestNetwork::Ros2 => unused_ros2_address(),
         _ => format!("{}://127.0.0.1:0", network.scheme()),
     }
 }
@@ -104,7 +104,7 @@ pub(crate) fn unused_address(network: TestNetwork) -> String {
 /// All tests use domains on the loopback interface. The domains are at most 100, because the ports of higher domains
 /// may belong to other sockets.
 #[cfg(feature = "ros2")]
-fn unused_domain() -> String {
+fn unused_ros2_address() -> String {
     let (process, number) = (std::process::id(), next_number());
     format!("ros2://{}/cloud{process}n{number}", 1 + (process as usize * 37 + number) % 100)
 }
@@ -135,7 +135,7 @@ pub(crate) fn hello() -> SessionHello {
         host: HostId::random(),
         name: "robot-1".parse().expect("a name"),
         clock: ClockIdentity::new("boot", "system"),
-        // Each session of all processes has a separate pipeline, because ROS topics are named after it.
+        // Each session of all processes has a separate pipeline, because ROS topics are named after the pipeline.
         pipeline: format!("line-{}-{}", std::process::id(), next_number()).parse().expect("a name"),
         model: Some("echo".parse().expect("a name")),
         device: None,

@@ -294,7 +294,7 @@ async fn reason_of_loss_names_damaged_datagrams() {
 }
 
 #[tokio::test]
-async fn losses_in_small_socket_buffers_are_counted() {
+async fn small_socket_buffers_leave_requests_answered_or_lost() {
     let small_buffers = SessionSettings { socket_buffer_bytes: 64 << 10, ..settings() };
     let cloud = Cloud::start_at("udp://127.0.0.1:0", small_buffers.clone()).await;
     let address = cloud.address();

@@ -18,6 +18,13 @@ pub(crate) struct PathImpairment {
     pub(crate) delay: u64,
 }
 
+/// Offset of the kind in a datagram: the length of the group, which is the first field.
+const KIND_OFFSET: usize = 8;
+/// Kind of a datagram with a fragment of a message.
+const DATA_KIND: u8 = 5;
+/// Kind of a datagram with a heartbeat.
+const PING_KIND: u8 = 9;
+
 /// Number that stands for the alteration of a heartbeat.
 const HEARTBEAT_ALTERATION: u64 = 1;
 /// Number that stands for the alteration of a fragment of a message.
@@ -56,6 +63,7 @@ impl UdpRelay {
         let dropped = Arc::new(AtomicU64::new(0));
         let pending_alteration = Arc::new(AtomicU64::new(0));
         let shared_state = (Arc::clone(&loss), Arc::clone(&dropped), Arc::clone(&pending_alteration));
+        // The generator of random numbers would return only zeros if it began with 0.
         let task =
             tokio::spawn(relay_datagrams(edge_socket, cloud_socket, impairment, shared_state, seed | 1));
         Self { address: address.parse().expect("an address"), loss, dropped, pending_alteration, task }
@@ -103,6 +111,7 @@ async fn relay_datagrams(
     let mut edge: Option<SocketAddr> = None;
     let (mut upload_buffer, mut download_buffer) = (vec![0; 65_536], vec![0; 65_536]);
     loop {
+        // `to` is the address of the edge, or `None` for the cloud.
         let (datagram, to) = tokio::select! {
             Ok((length, from)) = edge_socket.recv_from(&mut upload_buffer) => {
                 edge = Some(from);
@@ -156,17 +165,18 @@ async fn relay_datagrams(
 /// a ping; [`FRAGMENT_ALTERATION`] changes the last byte of a long fragment of a message. Returns whether the datagram
 /// was altered.
 fn alter(datagram: &mut [u8], alteration: u64) -> bool {
-    if alteration == FRAGMENT_ALTERATION && datagram.get(8) == Some(&5) && datagram.len() > 1_000 {
+    let kind = datagram.get(KIND_OFFSET).copied();
+    if alteration == FRAGMENT_ALTERATION && kind == Some(DATA_KIND) && datagram.len() > 1_000 {
         datagram.last_mut().into_iter().for_each(|last| *last ^= 1);
         return true;
     }
     // Lengths of the fields before the next message number: group, kind, connection, time.
-    const NEXT_NUMBER_OFFSET: usize = 8 + 1 + 8 + 8;
-    let is_ping = alteration == HEARTBEAT_ALTERATION
-        && datagram.get(8) == Some(&9)
+    const NEXT_NUMBER_OFFSET: usize = KIND_OFFSET + 1 + 8 + 8;
+    let is_altered = alteration == HEARTBEAT_ALTERATION
+        && kind == Some(PING_KIND)
         && datagram.len() > NEXT_NUMBER_OFFSET + 8;
-    if is_ping {
+    if is_altered {
         datagram[NEXT_NUMBER_OFFSET + 5] |= 1 << 4;
     }
-    is_ping
+    is_altered
 }

@@ -10,7 +10,8 @@ use crate::wire::{self, Header, Id, PROTOCOL, PlainSocket};
 /// Newest version of the session protocol that this release speaks.
 const NEWEST_VERSION: u16 = 6;
 
-/// Returns the hello of an edge of a later release, with a field that this version does not know.
+/// Returns the hello of an edge of a later release, with a field that this release does not know. Release 0.9.0 is the
+/// first that speaks the version `oldest`.
 fn hello_of_later_release(oldest: u16, newest: u16) -> Header {
     let hello = wire::Hello {
         newest: Some(newest),
@@ -138,6 +139,7 @@ async fn error_of_refused_edge_says_what_to_update() {
         matches!(result, Err(OpenError::Incompatible { .. })),
         "a version that was not offered: {result:?}"
     );
+    // The edge speaks the stated version, so the cloud must have another reason.
     let (result, ..) = open_with_answer(refusal(PROTOCOL, None, None)).await;
     assert!(
         matches!(&result, Err(OpenError::Refused { reason, .. }) if reason == "words of the cloud"),

@@ -27,12 +27,15 @@ pub(crate) enum Header {
         protocol: u16,
         #[serde(default)]
         newest: Option<u16>,
+        /// First release that speaks the version `protocol`.
         #[serde(default)]
         since: Option<Release>,
         kind: String,
         reason: String,
     },
+    /// Session, number of the request, departure, and the sample: descriptions of the parts, source and label.
     Request(Id, u64, Departure, (Vec<Description>, String, Option<String>)),
+    /// Session, number of the request, departure of the reply, epoch at the arrival of the request, and outcome.
     Reply(Id, u64, Option<Departure>, u32, Outcome),
     Clock {
         session: Id,
@@ -82,6 +85,7 @@ pub(crate) struct Hello {
     pub(crate) protocol: u16,
     #[serde(default)]
     pub(crate) newest: Option<u16>,
+    /// First release that speaks the version `protocol`.
     #[serde(default)]
     pub(crate) since: Option<Release>,
     pub(crate) host: Id,

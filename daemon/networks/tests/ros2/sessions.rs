@@ -91,7 +91,7 @@ async fn other_programs_see_pictures_as_compressed_images() {
         .create_subscription(&topic(&pipeline, "request"), kind, &QosProfile::default())
         .expect("a subscription");
     let sample = picture(300_000);
-    // The first pictures are sent in the companions until the topic is open.
+    // Until the topic of the pictures is open, the companions carry the pictures.
     let image = loop {
         exchange(&mut cloud, &session, sample.clone()).await;
         let result = tokio::time::timeout(Duration::from_millis(50), pictures.receive()).await;
@@ -110,6 +110,7 @@ async fn error_for_domain_without_cloud_names_the_domain() {
     let cloud = cloud().await;
     let domain = cloud.address().ros_domain().expect("a domain");
     let name = cloud.address().listener_name().expect("a name").to_owned();
+    // The clouds of all tests use domains up to 100.
     let address_in_other_domain = format!("ros2://{}/{name}", 101 + domain);
     let short_timeout = SessionSettings { open_timeout_ms: 2_000, ..settings() };
     let error = open(&address_in_other_domain.parse().expect("an address"), hello(), short_timeout)
@@ -167,7 +168,9 @@ async fn messages_of_second_publishers_are_dropped() {
     publisher.wait_for_peer(TIME_LIMIT).await.expect("the cloud subscribes");
     let goodbye = MessageInfo { kind: MessageInfo::GOODBYE, ..MessageInfo::default() };
     let goodbye = goodbye.encode(WireForm::Cdr).expect("can be written").into_bytes();
-    for message in [goodbye, Bytes::from_static(&[0, 1, 0, 0, 9])] {
+    // A header of CDR, and a body that is too short for any message.
+    let malformed_message = Bytes::from_static(&[0, 1, 0, 0, 9]);
+    for message in [goodbye, malformed_message] {
         publisher.publish(message, WallTime::from_unix_nanos(1)).await.expect("published");
     }
     publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("the cloud has the messages");
@@ -186,11 +189,12 @@ async fn new_connection_of_same_pipeline_replaces_earlier_one() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn connection_without_session_ends_after_hello_timeout() {
+async fn open_session_outlasts_hello_timeout() {
     let short_timeout = SessionSettings { hello_timeout_ms: 2_000, ..settings() };
     let mut cloud = Cloud::start_at(&crate::support::unused_address(TestNetwork::Ros2), short_timeout).await;
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    // A refused connection before the session does not end the session either.
     cloud.next_open().await.refuse("no");
     assert!(matches!(within(edge).await.expect("no panic"), Err(OpenError::Refused { .. })));
     let (session, _) = session(&mut cloud).await;
