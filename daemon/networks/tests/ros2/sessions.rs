@@ -69,6 +69,7 @@ async fn payloads_of_all_sizes_and_types_come_back_identical() {
             assert_eq!(exchange(&mut cloud, &session, sample.clone()).await, sample, "{size} bytes");
         }
         let statistics = session.statistics();
+        // The hello and the acceptance are messages, too.
         assert_eq!((statistics.sent.messages, statistics.received.messages), (9, 9));
         assert_eq!((statistics.lost_messages, statistics.received.lost), (0, Some(0)));
         let remarks = session.remarks().borrow().clone();

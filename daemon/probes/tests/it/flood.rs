@@ -55,6 +55,8 @@ async fn peers_are_answered_while_forged_sources_flood() {
     }
     let seconds = (clock.mono() - started_at).seconds();
     let counts = running.counters.read();
+    // All sources without a session share ten times the rate of one source, with a burst of one second. The peer's
+    // answers come on top.
     let max_answers = 200.0 * (1.0 + seconds) + f64::from(answered) + 1.0;
     assert!((counts.answered as f64) <= max_answers, "{} in {seconds} s: {counts:?}", counts.answered);
     assert!(counts.refused(Refusal::TooMany) > 0, "{counts:?}");

@@ -10,8 +10,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::support::{
-    MAX_WAIT, RunningProber, RunningReflector, prober_config, reflector_config, system_clock,
-    wall_ahead_of_this_host,
+    MAX_WAIT, RunningProber, RunningReflector, prober_config, reflector_config, system_clock, wall_minus_raw,
 };
 
 fn stamp_suite() -> Command {
@@ -118,6 +117,7 @@ fn assert_accepted(summary: &Value) {
             "{direction}: {min_ms} to {max_ms} of {round_trip} ms"
         );
     }
+    // Each reply but the first has the follow-up of the reply before.
     assert_eq!(number(summary, &format!("{measurements}/follow_up/matched")), 19.0, "{summary}");
     assert!(number(summary, &format!("{measurements}/follow_up/reverse_delay/min_ms")) >= 0.0, "{summary}");
 }
@@ -143,6 +143,7 @@ async fn foreign_sender_sees_unrecognized_tlvs_flagged() {
     let more_arguments = ["--direct-measurement", "--location", "--extra-padding", "200"];
     let summary = run_foreign_sender(None, TimestampSource::Kernel, "NTP", &more_arguments).await;
     assert_accepted(&summary);
+    // In each of the twenty replies, two TLVs are unrecognized: direct measurement and location.
     assert_eq!(number(&summary, "/measurements/tlv_validation/flags/unrecognized"), 40.0, "{summary}");
 }
 
@@ -180,7 +181,7 @@ async fn probe_foreign_reflector(
 }
 
 fn assert_one_clock(observation: &ExchangeObservation) {
-    let offset = wall_ahead_of_this_host(Span::ZERO);
+    let offset = wall_minus_raw(Span::ZERO);
     assert!(observation.exchange.bounds().intersection(offset).is_some(), "{observation:?} {offset:?}");
     assert_eq!(
         (observation.cloud_epoch, observation.exchange.uncertainty),
@@ -188,8 +189,8 @@ fn assert_one_clock(observation: &ExchangeObservation) {
     );
 }
 
-/// Checks that no probe is refused or lost. The follow-up of the foreign reflector may repeat the program's stamp. Then
-/// no probe is refined.
+/// Checks that no probe is refused or lost. A probe need not be refined, because the foreign reflector's follow-up may
+/// contain the same departure as the reply.
 fn assert_nothing_lost(results: &[ProbeResult]) {
     for result in results {
         match result {

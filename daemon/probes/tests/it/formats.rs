@@ -84,7 +84,7 @@ proptest! {
     #[test]
     fn encoded_packets_decode_to_same_values(
         sequence: u32, timestamp: u64, bits: u16, ssid: u16,
-        received: u64, number: u32, replied: u64, reply_bits: u16, ttl: u8,
+        received: u64, reply_sequence: u32, reply_timestamp: u64, reply_bits: u16, ttl: u8,
     ) {
         for mode in [Mode::Unauthenticated, Mode::Authenticated] {
             let request = Request { sequence, timestamp, estimate: ErrorEstimate::from_bits(bits), ssid };
@@ -92,7 +92,14 @@ proptest! {
             request.write(mode, &mut packet);
             prop_assert_eq!(Request::parse(mode, &packet), Some(request));
             let estimate = ErrorEstimate::from_bits(reply_bits);
-            let reply = Reply { sequence: number, timestamp: replied, estimate, received, request, ttl };
+            let reply = Reply {
+                sequence: reply_sequence,
+                timestamp: reply_timestamp,
+                estimate,
+                received,
+                request,
+                ttl,
+            };
             reply.write(mode, &mut packet);
             prop_assert_eq!(Reply::parse(mode, &packet), Some(reply));
             prop_assert_eq!(Reply::parse(mode, &packet[..mode.base_bytes() - 1]), None);
@@ -116,8 +123,8 @@ fn fields_have_the_layout_of_the_rfcs() {
         request,
         ttl: 0x81,
     };
-    let mut open = [0xEE; 44];
-    reply.write(Mode::Unauthenticated, &mut open);
+    let mut unauthenticated = [0xEE; 44];
+    reply.write(Mode::Unauthenticated, &mut unauthenticated);
     #[rustfmt::skip]
     let expected = [
         0x41, 0x42, 0x43, 0x44,
@@ -129,7 +136,7 @@ fn fields_have_the_layout_of_the_rfcs() {
         0x21, 0x22, 0x00, 0x00,
         0x81, 0x00, 0x00, 0x00,
     ];
-    assert_eq!(open, expected);
+    assert_eq!(unauthenticated, expected);
 
     let mut authenticated = [0xEE; 112];
     reply.write(Mode::Authenticated, &mut authenticated);
@@ -155,6 +162,7 @@ fn code_is_hmac_sha_256_cut_to_16_bytes() {
     assert_eq!(key.code(&[b"Hi ", b"There"]), code);
     assert!(key.verifies(&[b"Hi There"], &code));
     assert!(!key.verifies(&[b"Hi There"], &code[..15]), "a shorter code proves less");
+    // Each byte of the key is 11 in decimal.
     assert!(!format!("{key:?}").contains("11"), "a key is never printed: {key:?}");
 }
 

@@ -6,13 +6,15 @@ use peernet_clock::{
     Clock, ClockFaultStep, ClockFaults, ClockIdentity, ExchangeObservation, FaultyClock, Interval, MonoTime,
     RawTime, RelatedClocks, SharedClock, Span, SystemClock, WallTime,
 };
-use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, TimestampSource};
+use peernet_probes::{
+    BindError, Key, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, TimestampSource,
+};
 use tokio::net::UdpSocket;
 use tokio_util::sync::CancellationToken;
 
 use crate::support::{
     INSTANCE, RunningProber, RunningReflector, key, loopback, prober_config, reflector_config, system_clock,
-    wall_ahead_of_this_host,
+    wall_minus_raw,
 };
 
 fn answered(result: &ProbeResult) -> Option<ExchangeObservation> {
@@ -32,12 +34,11 @@ fn contains_zero(observation: &ExchangeObservation) -> bool {
 async fn collect_results(
     reflector: ReflectorConfig,
     stamps: TimestampSource,
-    with_key: bool,
+    key: Option<Key>,
 ) -> Vec<ProbeResult> {
     let running = RunningReflector::start(reflector, system_clock("cloud"));
     let mut config = prober_config(running.address);
-    config.stamps = stamps;
-    config.key = with_key.then(|| key(7));
+    (config.stamps, config.key) = (stamps, key);
     let mut probing = RunningProber::start(config, 500.0, system_clock("edge"));
     let mut results = Vec::new();
     while results.iter().filter_map(answered).count() < 100 {
@@ -59,9 +60,9 @@ async fn exchanges_on_one_clock_contain_zero_offset() {
         (TimestampSource::Program, false, false),
         (TimestampSource::Program, true, true),
     ] {
-        let config =
-            ReflectorConfig { stamps, stateful, key: with_key.then(|| key(7)), ..reflector_config() };
-        let results = collect_results(config, stamps, with_key).await;
+        let key = with_key.then(|| key(7));
+        let config = ReflectorConfig { stamps, stateful, key: key.clone(), ..reflector_config() };
+        let results = collect_results(config, stamps, key).await;
         for result in &results {
             match result {
                 ProbeResult::Answered(observation) | ProbeResult::Refined(observation) => {
@@ -119,7 +120,7 @@ async fn reflector_without_sessions_or_kernel_stamps_refines_nothing() {
         ReflectorConfig { stateful: false, ..reflector_config() },
         ReflectorConfig { stamps: TimestampSource::Program, ..reflector_config() },
     ] {
-        let results = collect_results(config, TimestampSource::Kernel, false).await;
+        let results = collect_results(config, TimestampSource::Kernel, None).await;
         assert_eq!(results.iter().filter_map(refined).count(), 0);
     }
 }
@@ -145,8 +146,8 @@ async fn bounds_contain_offset_of_shifted_clock() {
     running.stop().await;
 }
 
-/// Returns a wall clock that is set a thousand times, by large steps and by steps as small as the gain of a kernel's
-/// stamp.
+/// Returns a wall clock that is set a thousand times, by large steps and by steps as small as the time between the
+/// stamps of the program and of the kernel.
 fn repeatedly_set_clock(name: &str, interval: Span, step_sizes: [Span; 2]) -> SharedClock {
     let truth = system_clock(name);
     let step_time = |number: i64| Span::from_nanos(interval.nanos() * number);
@@ -268,8 +269,8 @@ async fn rate_can_be_changed_and_zero_pauses() {
     let mut probing = RunningProber::start(prober_config(running.address), 0.0, system_clock("edge"));
     let result = tokio::time::timeout(Duration::from_millis(200), probing.results.recv()).await;
     assert!(result.is_err(), "nothing is sent while paused: {result:?}");
-    // From one probe in a quarter of an hour to one hundred per second: the test only ends in time if the rate applies
-    // at once.
+    // The first probe after a pause is sent within 0.1 s. At this rate, the second probe would be sent a quarter of an
+    // hour later: the test only ends in time if the next rate applies at once.
     probing.rate_hz.send(0.001).expect("the prober listens");
     probing.until(answered).await;
     probing.rate_hz.send(100.0).expect("the prober listens");
@@ -357,7 +358,7 @@ async fn bounds_hold_with_shifted_program_clock() {
                 let bounds = observation.exchange.bounds();
                 let offset = match clocks {
                     RelatedClocks::Raw => Interval::exactly(Span::ZERO),
-                    _ => wall_ahead_of_this_host(cloud),
+                    _ => wall_minus_raw(cloud),
                 };
                 assert!(bounds.intersection(offset).is_some(), "{clocks}: {offset:?} and {bounds:?}");
             };

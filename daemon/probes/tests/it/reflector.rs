@@ -26,6 +26,18 @@ fn arrival(clock: &ManualClock) -> Arrival {
     Arrival { source: source(), received: clock.wall(), received_raw: clock.raw(), now: clock.mono() }
 }
 
+/// Returns a reflector that distinguishes STAMP sessions.
+fn stateful_reflector(key: Option<Key>) -> ReflectorState {
+    let (max_per_source_hz, stateful) = (100, true);
+    ReflectorState::new(key, INSTANCE, max_per_source_hz, stateful)
+}
+
+/// Returns a reflector that does not distinguish STAMP sessions.
+fn stateless_reflector(key: Option<Key>) -> ReflectorState {
+    let (max_per_source_hz, stateful) = (100, false);
+    ReflectorState::new(key, INSTANCE, max_per_source_hz, stateful)
+}
+
 /// Returns a request with these TLVs (type, value).
 fn request(key: Option<&Key>, sequence: u32, ssid: u16, tlvs: &[(u8, &[u8])]) -> Vec<u8> {
     let mode = Mode::for_key(key);
@@ -63,7 +75,7 @@ fn tlvs_of(packet: &[u8], base: usize) -> Vec<(u8, u8, Vec<u8>)> {
 fn reply_contains_both_stamps_and_the_request() {
     for format in [Format::Ntp, Format::Ptp] {
         let clock = clock();
-        let mut reflector = ReflectorState::new(None, INSTANCE, 100, false);
+        let mut reflector = stateless_reflector(None);
         let request_fields = Request {
             sequence: 77,
             timestamp: format.encode(NOW - Span::from_seconds(3)),
@@ -86,7 +98,7 @@ fn reply_contains_both_stamps_and_the_request() {
 #[test]
 fn replies_are_numbered_per_session() {
     let clock = clock();
-    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
+    let mut reflector = stateful_reflector(None);
     let number = |reflector: &mut ReflectorState, sequence, ssid| {
         let mut packet = request(None, sequence, ssid, &[]);
         answer(reflector, &clock, &mut packet).expect("answered").sequence()
@@ -103,7 +115,7 @@ fn replies_are_numbered_per_session() {
 #[test]
 fn follow_up_contains_departure_of_previous_reply() {
     let clock = clock();
-    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
+    let mut reflector = stateful_reflector(None);
     let empty_follow_up: (u8, &[u8]) = (tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
     let follow_up = |packet: &[u8]| match &tlvs_of(packet, 44)[..] {
         [(tlv::FOLLOW_UP, 0, value)] => FollowUp::from_value(value),
@@ -131,7 +143,7 @@ fn follow_up_contains_departure_of_previous_reply() {
         Some(FollowUp { sequence: 0, timestamp: Format::Ntp.encode(departure) })
     );
 
-    let mut stateless = ReflectorState::new(None, INSTANCE, 100, false);
+    let mut stateless = stateless_reflector(None);
     for _ in 0..2 {
         let mut packet = request(None, 7, 1, &[(tlv::FOLLOW_UP, &[9; FollowUp::BYTES])]);
         answer(&mut stateless, &clock, &mut packet).expect("answered");
@@ -146,7 +158,7 @@ fn follow_up_contains_departure_of_previous_reply() {
 #[test]
 fn reply_returns_tlvs_flagged_in_order() {
     let clock = clock();
-    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
+    let mut reflector = stateful_reflector(None);
     let mut packet = request(
         None,
         1,
@@ -165,6 +177,7 @@ fn reply_returns_tlvs_flagged_in_order() {
     // The last TLV claims more bytes than there are.
     let length = packet.len();
     packet[length - 1] = 200;
+    // The step begins epoch 1 of the wall clock.
     clock.step_wall(Span::from_micros(1));
     answer(&mut reflector, &clock, &mut packet).expect("answered");
     let origin = Origin { epoch: 1, instance: INSTANCE };
@@ -189,12 +202,9 @@ fn unauthenticated_tlvs_are_returned_without_effect() {
     let (clock, key) = (clock(), key(7));
     let empty_follow_up: &[u8] = &[0; FollowUp::BYTES];
     let code: &[u8] = &[0; 16];
-    let mut reflector = ReflectorState::new(Some(key.clone()), INSTANCE, 100, true);
-    let mut flags = |tlvs: &[(u8, &[u8])], alter: bool| {
-        let mut packet = request(Some(&key), 1, 1, tlvs);
-        if alter {
-            *packet.last_mut().expect("not empty") ^= 1;
-        }
+    let mut reflector = stateful_reflector(Some(key.clone()));
+    let request_with_key = |tlvs: &[(u8, &[u8])]| request(Some(&key), 1, 1, tlvs);
+    let mut flags = |mut packet: Vec<u8>| {
         answer(&mut reflector, &clock, &mut packet).expect("the base packet is authentic");
         assert!(packet::is_authentic(&key, &packet), "the answer is authenticated");
         let sequence = Reply::parse(Mode::Authenticated, &packet).expect("long").sequence;
@@ -202,29 +212,25 @@ fn unauthenticated_tlvs_are_returned_without_effect() {
         (flags, tlv::are_intact(Some(&key), sequence, &packet[112..]))
     };
     let not_intact = tlv::NOT_INTACT;
-    assert_eq!(flags(&[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code)], false), (vec![0, 0], true));
-    assert_eq!(
-        flags(&[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code)], true).0,
-        [not_intact, not_intact],
-        "the TLVs were altered"
-    );
-    assert_eq!(flags(&[(tlv::FOLLOW_UP, empty_follow_up)], false).0, [not_intact], "without a code");
-    assert_eq!(flags(&[(tlv::EXTRA_PADDING, empty_follow_up)], false).0, [0], "padding alone needs no code");
-    assert_eq!(
-        flags(&[(tlv::HMAC, code), (tlv::FOLLOW_UP, empty_follow_up)], false).0,
-        [not_intact, not_intact],
-        "the code is not at the end"
-    );
-    assert_eq!(
-        flags(
-            &[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code), (tlv::EXTRA_PADDING, empty_follow_up)],
-            false
-        )
-        .0,
-        [0; 3]
-    );
+    let valid_request = request_with_key(&[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code)]);
+    let mut altered_request = valid_request.clone();
+    *altered_request.last_mut().expect("not empty") ^= 1;
+    assert_eq!(flags(valid_request), (vec![0, 0], true));
+    assert_eq!(flags(altered_request).0, [not_intact, not_intact], "the TLVs were altered");
+    let request_without_code = request_with_key(&[(tlv::FOLLOW_UP, empty_follow_up)]);
+    assert_eq!(flags(request_without_code).0, [not_intact], "without a code");
+    let padded_request = request_with_key(&[(tlv::EXTRA_PADDING, empty_follow_up)]);
+    assert_eq!(flags(padded_request).0, [0], "padding alone needs no code");
+    let request_with_code_first = request_with_key(&[(tlv::HMAC, code), (tlv::FOLLOW_UP, empty_follow_up)]);
+    assert_eq!(flags(request_with_code_first).0, [not_intact, not_intact], "the code is not at the end");
+    let request_with_padding_last = request_with_key(&[
+        (tlv::FOLLOW_UP, empty_follow_up),
+        (tlv::HMAC, code),
+        (tlv::EXTRA_PADDING, empty_follow_up),
+    ]);
+    assert_eq!(flags(request_with_padding_last).0, [0; 3], "only padding may follow the code");
 
-    let mut keyless = ReflectorState::new(None, INSTANCE, 100, true);
+    let mut keyless = stateful_reflector(None);
     let mut packet = request(None, 1, 1, &[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code)]);
     answer(&mut keyless, &clock, &mut packet).expect("answered");
     assert!(
@@ -236,7 +242,8 @@ fn unauthenticated_tlvs_are_returned_without_effect() {
 #[test]
 fn unauthenticated_request_is_refused_without_using_rate() {
     let (clock, key) = (clock(), key(7));
-    let mut reflector = ReflectorState::new(Some(key.clone()), INSTANCE, 3, true);
+    let (max_per_source_hz, stateful) = (3, true);
+    let mut reflector = ReflectorState::new(Some(key.clone()), INSTANCE, max_per_source_hz, stateful);
     let valid_request = request(Some(&key), 1, 1, &[]);
     for index in [0, 20, 60, 111] {
         let mut packet = valid_request.clone();
@@ -246,9 +253,9 @@ fn unauthenticated_request_is_refused_without_using_rate() {
             Refusal::Unauthenticated
         );
     }
-    let mut open_request = request(None, 1, 1, &[(tlv::EXTRA_PADDING, &[0; 100])]);
+    let mut request_without_key = request(None, 1, 1, &[(tlv::EXTRA_PADDING, &[0; 100])]);
     assert_eq!(
-        answer(&mut reflector, &clock, &mut open_request).expect_err("open"),
+        answer(&mut reflector, &clock, &mut request_without_key).expect_err("without a key"),
         Refusal::Unauthenticated
     );
     let answers =
@@ -259,8 +266,7 @@ fn unauthenticated_request_is_refused_without_using_rate() {
 #[test]
 fn session_key_applies_to_authenticated_requests_only() {
     let (clock, own_key, other_key) = (clock(), &key(7), &key(8));
-    let reflector_with_session_key =
-        || ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(key(7)));
+    let reflector_with_session_key = || stateful_reflector(None).with_session_key(Some(key(7)));
     let mut reflector = reflector_with_session_key();
     let (empty_follow_up, code): (&[u8], &[u8]) = (&[0; FollowUp::BYTES], &[0; 16]);
     let request_with_key =
@@ -272,8 +278,7 @@ fn session_key_applies_to_authenticated_requests_only() {
     assert!(packet::is_authentic(own_key, &packet) && tlv::are_intact(Some(own_key), 0, &packet[112..]));
     assert_eq!(packet.len(), request_packet.len());
     // Neither this reflector nor that of another process answers the answer.
-    let mut other_reflector =
-        ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(other_key.clone()));
+    let mut other_reflector = stateful_reflector(None).with_session_key(Some(other_key.clone()));
     for reflector in [&mut reflector, &mut other_reflector] {
         let result = answer(reflector, &clock, &mut packet.clone()).map(|_| ());
         assert!(matches!(result, Err(Refusal::Reply | Refusal::Unauthenticated)), "{result:?}");
@@ -296,7 +301,7 @@ fn session_key_applies_to_authenticated_requests_only() {
         &[(tlv::FOLLOW_UP, empty_follow_up)],
         &[(tlv::FOLLOW_UP, empty_follow_up), (tlv::EXTRA_PADDING, padding)],
     ] {
-        let mut reflectors = [reflector_with_session_key(), ReflectorState::new(None, INSTANCE, 100, true)];
+        let mut reflectors = [reflector_with_session_key(), stateful_reflector(None)];
         let [answer_with_session_key, answer_without_session_key] = reflectors.each_mut().map(|reflector| {
             let mut packet = request(None, 1, 1, tlvs);
             answer(reflector, &clock, &mut packet).expect("answered");
@@ -305,16 +310,17 @@ fn session_key_applies_to_authenticated_requests_only() {
         assert_eq!(answer_with_session_key, answer_without_session_key);
     }
     // A mandatory key takes precedence.
-    let mut reflector_with_mandatory_key = ReflectorState::new(Some(other_key.clone()), INSTANCE, 100, true)
-        .with_session_key(Some(own_key.clone()));
+    let mut reflector_with_mandatory_key =
+        stateful_reflector(Some(other_key.clone())).with_session_key(Some(own_key.clone()));
     let mut packet = request_with_key(own_key);
     assert_eq!(
         answer(&mut reflector_with_mandatory_key, &clock, &mut packet).expect_err("another"),
         Refusal::Unauthenticated
     );
-    let result =
-        answer(&mut reflector_with_mandatory_key, &clock, &mut request(None, 1, 1, &[])).expect_err("open");
-    assert_eq!(result, Refusal::Short);
+    let mut request_without_key = request(None, 1, 1, &[]);
+    let result = answer(&mut reflector_with_mandatory_key, &clock, &mut request_without_key)
+        .expect_err("without a key");
+    assert_eq!(result, Refusal::Short, "shorter than the base packet of an authenticated request");
 }
 
 #[test]
@@ -323,8 +329,8 @@ fn reflectors_do_not_answer_each_other() {
     for format in [Format::Ntp, Format::Ptp] {
         for key in [None, Some(key(7))] {
             let mode = Mode::for_key(key.as_ref());
-            let mut first_reflector = ReflectorState::new(key.clone(), INSTANCE, 100, true);
-            let mut second_reflector = ReflectorState::new(key.clone(), INSTANCE, 100, false);
+            let mut first_reflector = stateful_reflector(key.clone());
+            let mut second_reflector = stateless_reflector(key.clone());
             let mut packet = request(key.as_ref(), 1, 1, &[]);
             let mut request_fields = Request::parse(mode, &packet).expect("long enough");
             request_fields.estimate = ErrorEstimate::new(format, Span::ZERO);
@@ -342,7 +348,12 @@ fn reflectors_do_not_answer_each_other() {
             );
         }
     }
-    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
+}
+
+#[test]
+fn request_from_port_0_is_refused() {
+    let clock = clock();
+    let mut reflector = stateful_reflector(None);
     let arrival_from_port_0 =
         Arrival { source: "10.0.0.1:0".parse().expect("an address"), ..arrival(&clock) };
     let result = reflector.prepare(&mut request(None, 1, 1, &[]), &arrival_from_port_0);
@@ -352,7 +363,7 @@ fn reflectors_do_not_answer_each_other() {
 #[test]
 fn twamp_light_senders_with_any_padding_are_answered() {
     let clock = clock();
-    let mut reflector = ReflectorState::new(None, INSTANCE, 1000, false);
+    let mut reflector = stateless_reflector(None);
     for (padding, length) in [(0u8, 44), (0, 341), (0xFF, 1400), (0x55, 45)] {
         let mut packet = vec![padding; length];
         packet[..4].copy_from_slice(&9u32.to_be_bytes());

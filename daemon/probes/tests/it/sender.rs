@@ -8,6 +8,7 @@ use std::sync::Arc;
 use peernet_clock::{
     Clock, ClockIdentity, ExchangeObservation, ManualClock, MonoTime, RawTime, RelatedClocks, Span, WallTime,
 };
+use peernet_probes::stamp::auth::Key;
 use peernet_probes::stamp::packet::{self, Mode, Reply};
 use peernet_probes::stamp::reflector::{Arrival, ReflectorState};
 use peernet_probes::stamp::sender::{
@@ -44,21 +45,27 @@ struct Pair {
 }
 
 impl Pair {
-    fn new(first_sequence: u32, with_key: bool) -> Self {
-        let key = with_key.then(|| key(7));
+    fn new(key: Option<Key>) -> Self {
+        let (max_per_source_hz, stateful) = (1_000_000, true);
         let start = WallTime::from_unix_nanos(1_800_000_000_123_456_789);
         Self {
             clock: Arc::new(ManualClock::new(start, ClockIdentity::new("b", "c"))),
-            sender: SenderState::new(SenderConfig { key: key.clone(), ssid: 99, first_sequence, ..config() }),
-            reflector: ReflectorState::new(key, INSTANCE, 1_000_000, true),
+            sender: SenderState::new(SenderConfig { key: key.clone(), ssid: 99, ..config() }),
+            reflector: ReflectorState::new(key, INSTANCE, max_per_source_hz, stateful),
             ahead: Span::from_seconds(1),
         }
     }
 
+    /// Returns a pair whose first probe has this sequence number.
+    fn with_first_sequence(first_sequence: u32) -> Self {
+        let mut pair = Self::new(None);
+        pair.sender = SenderState::new(SenderConfig { ssid: 99, first_sequence, ..config() });
+        pair
+    }
+
     /// Returns a pair whose exchanges contain stamps of the free-running clocks.
-    fn raw(with_key: bool) -> Self {
-        let mut pair = Self::new(0, with_key);
-        let key = with_key.then(|| key(7));
+    fn raw(key: Option<Key>) -> Self {
+        let mut pair = Self::new(key.clone());
         pair.sender =
             SenderState::new(SenderConfig { key, ssid: 99, clocks: RelatedClocks::Raw, ..config() });
         pair
@@ -146,8 +153,8 @@ impl Pair {
 
 #[test]
 fn next_reply_refines_departure_of_previous_reply() {
-    for with_key in [false, true] {
-        let mut pair = Pair::new(0, with_key);
+    for key in [None, Some(key(7))] {
+        let mut pair = Pair::new(key);
         let started_at = pair.clock.stamp();
         let first = pair.exchange();
         let ExchangeObservation { exchange, cloud_elapsed, edge_epoch, cloud_epoch } = answered(&first);
@@ -176,7 +183,7 @@ fn plausible_kernel_departure_stamp_is_used() {
     for (delay, is_used) in
         [(Span::from_micros(9), true), (-Span::from_nanos(1), false), (Span::from_seconds(2), false)]
     {
-        let mut pair = Pair::new(0, false);
+        let mut pair = Pair::new(None);
         let started_at = pair.clock.stamp();
         let (departure, packet) = pair.send();
         pair.sender.record_departure(departure.sequence(), started_at.wall + delay, pair.clock.wall_ahead());
@@ -188,7 +195,7 @@ fn plausible_kernel_departure_stamp_is_used() {
 
 #[test]
 fn sequence_numbers_wrap_around() {
-    let mut pair = Pair::new(u32::MAX - 2, false);
+    let mut pair = Pair::with_first_sequence(u32::MAX - 2);
     let sent: Vec<_> = (0..6).map(|_| pair.send()).collect();
     assert_eq!(sent.last().map(|(departure, _)| departure.sequence()), Some(2));
     for (_, packet) in sent.into_iter().rev() {
@@ -200,7 +207,7 @@ fn sequence_numbers_wrap_around() {
 
 #[test]
 fn late_replies_are_lost_and_duplicates_count_once() {
-    let mut pair = Pair::new(0, false);
+    let mut pair = Pair::new(None);
     let (_, late_packet) = pair.send();
     let deadline = pair.sender.deadline().expect("a probe waits for its answer");
     assert_eq!(deadline, pair.clock.mono() + TIMEOUT);
@@ -232,7 +239,7 @@ fn late_replies_are_lost_and_duplicates_count_once() {
 
 #[test]
 fn reply_with_wrong_request_fields_is_refused() {
-    let mut pair = Pair::new(0, false);
+    let mut pair = Pair::new(None);
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
     let mut forge = |change: fn(&mut Reply)| {
@@ -254,7 +261,7 @@ fn reply_with_wrong_request_fields_is_refused() {
 
 #[test]
 fn altered_reply_is_refused_and_altered_tlvs_ignored() {
-    let mut pair = Pair::new(0, true);
+    let mut pair = Pair::new(Some(key(7)));
     pair.exchange();
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
@@ -273,7 +280,7 @@ fn altered_reply_is_refused_and_altered_tlvs_ignored() {
 #[test]
 fn tlvs_of_another_probe_are_refused() {
     let pair_with_nonce = |ssid| {
-        let mut pair = Pair::raw(true);
+        let mut pair = Pair::raw(Some(key(7)));
         let clocks = RelatedClocks::Raw;
         let (key, instance) = (Some(key(7)), Some(INSTANCE));
         pair.sender =
@@ -287,7 +294,7 @@ fn tlvs_of_another_probe_are_refused() {
     pair.clock.advance(Span::from_seconds(9));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
-    // Each half is authentic by itself. The TLVs of the second half belong to the earlier probe.
+    // The base packet and the TLVs are each authentic by themselves. The TLVs belong to the earlier probe.
     let spliced_reply = [&reply[..112], &earlier_reply[112..]].concat();
     assert_eq!(pair.receive_reply(&spliced_reply), Err("an answer with the random octets of another probe"));
     // The octets are right, but in a place that is not authenticated.
@@ -306,7 +313,7 @@ fn tlvs_of_another_probe_are_refused() {
 
 #[test]
 fn reply_of_reflector_without_tlvs_is_accepted() {
-    let mut pair = Pair::new(0, false);
+    let mut pair = Pair::new(None);
     for is_truncated in [false, true] {
         let (_, packet) = pair.send();
         let mut reply = pair.reflect(packet.clone());
@@ -326,7 +333,7 @@ fn reply_of_reflector_without_tlvs_is_accepted() {
 
 #[test]
 fn clock_step_at_reflector_prevents_refinement() {
-    let mut pair = Pair::new(0, false);
+    let mut pair = Pair::new(None);
     pair.exchange();
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
@@ -338,7 +345,7 @@ fn clock_step_at_reflector_prevents_refinement() {
 
 #[test]
 fn remembered_probes_are_bounded() {
-    let mut pair = Pair::new(0, false);
+    let mut pair = Pair::new(None);
     let mut dropped = 0;
     for _ in 0..5000 {
         let (departure, _) = pair.sender.request(&*pair.clock);
@@ -346,7 +353,7 @@ fn remembered_probes_are_bounded() {
     }
     let lost = pair.sender.expire(MonoTime::from_nanos(i64::MAX));
     assert_eq!(dropped + lost, 5000, "each is lost once");
-    assert!(lost <= 1024, "{lost}");
+    assert!(lost <= 1024, "at most 1024 probes are remembered: {lost}");
 }
 
 #[test]
@@ -362,18 +369,20 @@ fn requests_are_authentic_and_padded_as_configured() {
     assert_eq!(departure.sequence(), 5);
     assert!(packet::is_authentic(&key(7), packet));
     assert!(tlv::are_intact(Some(&key(7)), 5, &packet[112..]));
+    // Base packet, follow-up, origin, HMAC and padding; each TLV has a header of four bytes.
     assert_eq!(packet.len(), 112 + 20 + 20 + 20 + 104);
     let mut sender = SenderState::new(config());
     let (_, packet) = sender.request(&clock);
     assert_eq!(packet.len(), 44 + 20 + 20);
     let mut sender = SenderState::new(SenderConfig { clocks: RelatedClocks::Raw, ..config() });
     let (_, packet) = sender.request(&clock);
+    // The stamps of the free-running clock are added.
     assert_eq!(packet.len(), 44 + 20 + 20 + 40);
 }
 
 #[test]
 fn exchanges_during_sleep_are_discarded() {
-    let mut pair = Pair::new(0, false);
+    let mut pair = Pair::new(None);
     let packets: Vec<_> = (0..3).map(|_| pair.send().1).collect();
     let replies: Vec<_> = packets.into_iter().map(|packet| pair.reflect(packet)).collect();
     pair.clock.sleep(Span::from_micros(30));
@@ -392,7 +401,7 @@ fn exchanges_during_sleep_are_discarded() {
 #[test]
 fn reply_of_another_process_is_refused() {
     for (expected, is_accepted) in [(None, true), (Some(INSTANCE), true), (Some(INSTANCE + 1), false)] {
-        let mut pair = Pair::new(0, false);
+        let mut pair = Pair::new(None);
         pair.sender = SenderState::new(SenderConfig { instance: expected, ..config() });
         let (_, packet) = pair.send();
         let reply = pair.reflect(packet);
@@ -415,7 +424,7 @@ fn reply_of_another_process_is_refused() {
 
 #[test]
 fn reply_without_expected_origin_is_refused() {
-    let mut pair = Pair::new(0, false);
+    let mut pair = Pair::new(None);
     pair.sender = SenderState::new(SenderConfig { instance: Some(INSTANCE), ..config() });
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet.clone());
@@ -432,7 +441,7 @@ fn reply_without_expected_origin_is_refused() {
 
 #[test]
 fn reply_with_damaged_tlvs_is_refused_with_reason() {
-    let mut pair = Pair::raw(true);
+    let mut pair = Pair::raw(Some(key(7)));
     let (key, instance, clocks) = (Some(key(7)), Some(INSTANCE), RelatedClocks::Raw);
     pair.sender = SenderState::new(SenderConfig { key, instance, with_nonce: true, clocks, ..config() });
     let (_, packet) = pair.send();
@@ -447,7 +456,10 @@ fn reply_with_damaged_tlvs_is_refused_with_reason() {
         let mut altered = reply.clone();
         altered[index] ^= 1;
         let error = pair.receive_reply(&altered).expect_err("the reply was altered");
-        assert!(!error.contains("another program"), "octet {index}: {error}");
+        assert!(
+            !error.contains("another program"),
+            "damage is not taken for another program: octet {index}: {error}"
+        );
     }
     let mut altered = reply.clone();
     *altered.last_mut().expect("not empty") ^= 1;

@@ -23,9 +23,9 @@ pub(crate) fn system_clock(name: &str) -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("test", name)))
 }
 
-/// Returns the difference wall clock minus free-running clock of a wall clock that is `ahead` of this host's, with a
-/// tolerance for the slewing of a time daemon during a test.
-pub(crate) fn wall_ahead_of_this_host(ahead: Span) -> Interval {
+/// Returns the interval that contains the wall clock minus the free-running clock, for a wall clock that is `ahead` of
+/// this host's. The interval has a tolerance for the slewing of a time daemon during a test.
+pub(crate) fn wall_minus_raw(ahead: Span) -> Interval {
     let tolerance = Span::from_micros(200);
     let Interval { lo, hi } = system_clock("truth").wall_ahead();
     Interval { lo: lo + ahead - tolerance, hi: hi + ahead + tolerance }

@@ -1,16 +1,19 @@
-//! Stamps of the kernel and of free-running clocks.
+//! Tests of stamps of the kernel and of free-running clocks.
 
 use super::*;
 
 #[test]
 fn kernel_stamps_of_another_clock_are_distrusted() {
     let (large_shift, small_shift) = (Span::from_millis(1), Span::from_nanos(900));
-    let round_trip = ONE_WAY_DELAY + ONE_WAY_DELAY + Span::from_micros(55);
+    // Time from the departure of the request to the arrival of the reply, with the reflector's delay of 55 µs.
+    let reply_time = ONE_WAY_DELAY + ONE_WAY_DELAY + Span::from_micros(55);
+    // `shift` is the time by which the kernel's stamp of the arrival is earlier than the program's. The program's clock
+    // cannot have made a stamp that is later, or that is before the departure of the request; 1 µs is tolerated.
     for (shift, is_trusted) in
-        [(-large_shift, false), (-small_shift, true), (small_shift, true), (round_trip + large_shift, false)]
+        [(-large_shift, false), (-small_shift, true), (small_shift, true), (reply_time + large_shift, false)]
     {
-        let mut pair = Pair::new(0, false);
-        let returned_at = pair.clock.stamp() + round_trip;
+        let mut pair = Pair::new(None);
+        let returned_at = pair.clock.stamp() + reply_time;
         let returned_stamp = pair.exchange_with_kernel_stamp(returned_at.wall - shift).exchange.returned;
         // Whatever the kernel's stamp is, the packet had arrived when the program read its clock.
         let applied_shift = shift.max(Span::ZERO);
@@ -20,7 +23,7 @@ fn kernel_stamps_of_another_clock_are_distrusted() {
             "{shift}"
         );
         assert_eq!(pair.sender.ignores_kernel_stamps(), !is_trusted, "{shift}");
-        let (started_at, returned_at) = (pair.clock.raw(), pair.clock.stamp() + round_trip);
+        let (started_at, returned_at) = (pair.clock.raw(), pair.clock.stamp() + reply_time);
         let next_exchange = pair.exchange_with_kernel_stamp(returned_at.wall - small_shift);
         assert_eq!(
             next_exchange.exchange.returned,
@@ -33,7 +36,7 @@ fn kernel_stamps_of_another_clock_are_distrusted() {
 
 #[test]
 fn kernel_departure_before_program_stamp_is_distrusted() {
-    let mut pair = Pair::new(0, false);
+    let mut pair = Pair::new(None);
     let (departure, packet) = pair.send();
     let departure_before_program_stamp = pair.clock.wall() - Span::from_micros(300);
     pair.sender.record_departure(
@@ -49,19 +52,19 @@ fn kernel_departure_before_program_stamp_is_distrusted() {
 #[test]
 fn setting_wall_clock_causes_no_distrust_of_kernel() {
     for step in [Span::from_seconds(3), -Span::from_seconds(3)] {
-        let mut pair = Pair::raw(false);
+        let mut pair = Pair::raw(None);
         let started_at = pair.clock.raw();
         let (departure, packet) = pair.send();
         // The probe leaves the machine slightly after the program's stamp. Then the clock is set, and only then is the
         // kernel's stamp read.
         let departed_at = pair.clock.wall() + Span::from_micros(9);
         let reply = pair.reflect(packet);
-        let kernel = pair.clock.wall();
+        let kernel_arrival = pair.clock.wall();
         let arrival_raw = pair.clock.raw();
         pair.clock.step_wall(step);
         pair.sender.record_departure(departure.sequence(), departed_at, pair.clock.wall_ahead());
         pair.clock.advance(Span::from_micros(20));
-        let arrival = pair.reply_arrival(Some(kernel));
+        let arrival = pair.reply_arrival(Some(kernel_arrival));
         let reply_result = pair.sender.receive(&reply, &arrival).expect("an answer");
         let exchange = answered(&reply_result).exchange;
         assert!(
@@ -76,8 +79,8 @@ fn setting_wall_clock_causes_no_distrust_of_kernel() {
 
 #[test]
 fn raw_exchange_has_stamps_of_both_free_running_clocks() {
-    for with_key in [false, true] {
-        let mut pair = Pair::raw(with_key);
+    for key in [None, Some(key(7))] {
+        let mut pair = Pair::raw(key);
         let started_at = pair.clock.raw();
         let first = answered(&pair.exchange());
         assert_eq!((first.exchange.sent, first.exchange.returned), (started_at, pair.clock.raw()));
@@ -104,7 +107,7 @@ fn raw_exchange_has_stamps_of_both_free_running_clocks() {
 
 #[test]
 fn reply_without_requested_raw_stamps_is_refused() {
-    let mut pair = Pair::raw(false);
+    let mut pair = Pair::raw(None);
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet.clone());
     let header =
