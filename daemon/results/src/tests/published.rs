@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// File as pandas writes it, with the model's own stages and without a column for warm-up.
+/// File as pandas writes it, with the stages `preprocessing` and `postprocessing` and without a column for warm-up.
 const SAMPLE: &str = "\
 iteration,sensing,upload,preprocessing,inference,postprocessing,download,download-bytes,download-logger-bytes,upload-bytes,upload-logger-bytes,upload-throughput,download-throughput
 1,0.000912,0.018211,0.010112,0.080204,0.010095,0.000377,132.0,555.0,1343220.0,301.0,590200000.0,14600000.0
@@ -100,7 +100,10 @@ fn known_fields_of_other_versions_record_are_read() {
     .expect("writable");
     let loaded = ResultFolder::open(folder.path()).expect("readable");
     assert_eq!((loaded.record.title.as_str(), loaded.record.edge.name.as_str()), ("x", "e"));
-    assert!(loaded.rows.get(0).is_some_and(|row| !row.warm_up()), "rows with a run.json have a warm-up flag");
+    assert!(
+        loaded.rows.get(0).is_some_and(|row| !row.warm_up()),
+        "a program that writes run.json flags warm-up rows, and this row has no flag"
+    );
     std::fs::write(folder.path().join("run.json"), "{").expect("writable");
     let error = ResultFolder::open(folder.path()).expect_err("invalid JSON").to_string();
     assert!(error.contains("run.json: EOF"), "{error}");

@@ -163,19 +163,20 @@ fn columns_of_standard_nodes_are_durations() {
     let mut rows = rows(9).split_off(8);
     rows[0].values = values.map(|(name, value)| (name.into(), value)).to_vec();
     let text = text(&Summary::from_rows(&to_rows(&rows)));
-    let unit = |metric: &str| {
+    // Returns the cells after the name of the metric: the unit if it is known, and the numbers.
+    let cells = |metric: &str| {
         let line =
             text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
         line[metric.len()..].split_whitespace().map(str::to_owned).collect::<Vec<_>>()
     };
-    assert_eq!(unit("IPC with the model's process")[..3], ["ms", "1", "1.00"]);
-    assert_eq!(unit("IPC with the sensor's process")[..3], ["ms", "1", "2.00"]);
+    assert_eq!(cells("IPC with the model's process")[..3], ["ms", "1", "1.00"]);
+    assert_eq!(cells("IPC with the sensor's process")[..3], ["ms", "1", "2.00"]);
     assert_eq!(
-        unit("mine_capture-ipc_2")[..2],
+        cells("mine_capture-ipc_2")[..2],
         ["1", "0.00300"],
         "the unit of a custom node below a custom node is unknown"
     );
-    assert_eq!(unit("mine ")[..2], ["1", "4.00"], "the unit of a custom node is unknown");
+    assert_eq!(cells("mine ")[..2], ["1", "4.00"], "the unit of a custom node is unknown");
 }
 
 #[test]
@@ -200,19 +201,20 @@ fn custom_nodes_keep_their_unit() {
     let json = serde_json::to_value(&record).expect("JSON");
     assert_eq!((&json["units"]["grip_val"], &json["units"]["force"]), (&"s".into(), &"N".into()));
     let text = text(&Summary::from_run(&record, &to_rows(&rows)));
-    let line = |metric: &str| {
+    // Returns the first cells of a metric's line: name, unit if it is known, and numbers.
+    let cells = |metric: &str| {
         let line =
             text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
         line.split_whitespace().take(4).map(str::to_owned).collect::<Vec<_>>()
     };
-    assert_eq!(line("grip_val"), ["grip_val", "ms", "2", "250.000"]);
-    assert_eq!(line("grip_close"), ["grip_close", "ms", "2", "100.000"]);
-    assert_eq!(line("inference_pre"), ["inference_pre", "ms", "2", "0.030"]);
-    assert_eq!(line("cloud-points"), ["cloud-points", "B", "2", "1,200"]);
-    assert_eq!(line("camera"), ["camera", "MB/s", "2", "100.00"]);
-    assert_eq!(line("force"), ["force", "N", "2", "9.81"]);
-    assert_eq!(line("tries"), ["tries", "2", "3.00", "±"]);
-    assert_eq!(line("mixed"), ["mixed", "2", "5.00", "±"], "watts and joules have no common unit");
+    assert_eq!(cells("grip_val"), ["grip_val", "ms", "2", "250.000"]);
+    assert_eq!(cells("grip_close"), ["grip_close", "ms", "2", "100.000"]);
+    assert_eq!(cells("inference_pre"), ["inference_pre", "ms", "2", "0.030"]);
+    assert_eq!(cells("cloud-points"), ["cloud-points", "B", "2", "1,200"]);
+    assert_eq!(cells("camera"), ["camera", "MB/s", "2", "100.00"]);
+    assert_eq!(cells("force"), ["force", "N", "2", "9.81"]);
+    assert_eq!(cells("tries"), ["tries", "2", "3.00", "±"]);
+    assert_eq!(cells("mixed"), ["mixed", "2", "5.00", "±"], "watts and joules have no common unit");
 }
 
 #[test]

@@ -7,8 +7,8 @@ use crate::messages::{
     StringMessage, UInt8MultiArray,
 };
 
-/// Returns the MD5 sum of a definition. The hashed text has the constants and then the fields, each in their order. It
-/// has the MD5 sum of a message type in place of the name of the type and the brackets of an array.
+/// Returns the MD5 sum of a definition. The hashed text has the constants and then the fields, each in their order. In
+/// this text, the MD5 sum of a message type replaces the name of the type and the brackets of an array.
 fn md5_sum(definition: &MessageDefinition) -> String {
     let (constants, fields): (Vec<&str>, Vec<&str>) =
         definition.text.lines().partition(|line| line.contains('='));

@@ -115,7 +115,7 @@ fn frames_reserve_memory_for_arrived_bytes_only() {
     let limit = TestLimit::new(1_000_000);
     let new_buffer = || {
         let mut buffer = FrameBuffer::new(0);
-        buffer.set_limits(&MessageLimits { max_bytes: 64 * 1024 * 1024, memory: limit.option() });
+        buffer.set_limits(&MessageLimits { max_bytes: 64 * 1024 * 1024, memory: limit.to_memory_limit() });
         buffer
     };
     // These connections claim long frames and send few bytes.

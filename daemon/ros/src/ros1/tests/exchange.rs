@@ -32,6 +32,7 @@ async fn messages_arrive_in_order_and_are_counted() {
     let counts = publisher.counts();
     assert_eq!((counts.offered, counts.sent, counts.dropped + counts.lost + counts.waiting), (1000, 1000, 0));
     assert_eq!(subscriber.counts().messages, 1000);
+    // Before each message, a length of four bytes is sent.
     assert_eq!(counts.sent_bytes, subscriber.counts().bytes + 4 * 1000);
     let status = &subscriber.publishers()[0];
     let PublisherState::Connected(info) = &status.state else { panic!("connected: {status:?}") };
@@ -98,6 +99,7 @@ async fn latched_message_reaches_late_subscribers() {
     publisher.publish(text("last")).unwrap();
     let mut subscriber = b.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
     assert_eq!(receive(&mut subscriber).await, "last");
+    // The messages were published without a subscriber, so only the last message is offered.
     assert_eq!(publisher.counts().offered, 1);
 }
 

@@ -281,7 +281,8 @@ async fn malformed_header_is_answered_with_the_reason() {
     assert_eq!(header.get("error"), Some("a field of the connection header has no '='"));
     let mut stream = TcpStream::connect(("127.0.0.1", a.state().address.tcpros_port())).await.unwrap();
     stream.write_all(&u32::MAX.to_le_bytes()).await.unwrap();
-    assert_eq!(within(stream.read_to_end(&mut answer)).await.unwrap(), 0);
+    let answer_bytes = within(stream.read_to_end(&mut answer)).await.unwrap();
+    assert_eq!(answer_bytes, 0, "a header above the largest length is not answered");
 }
 
 #[tokio::test]

@@ -58,7 +58,7 @@ impl TestMaster {
         *self.state.lock().unwrap() = State::default();
     }
 
-    /// Starts the server on its previous port.
+    /// Starts the server: at first on a free port, later on the same port.
     pub(super) fn resume(&mut self) {
         let socket = TcpSocket::new_v4().unwrap();
         socket.set_reuseaddr(true).unwrap();

@@ -29,7 +29,8 @@ impl TestLimit {
         Self { reserved: Arc::default(), max }
     }
 
-    pub(in crate::ros1) fn option(&self) -> Option<Arc<dyn MemoryLimit>> {
+    /// Returns the limit in the form that options have.
+    pub(in crate::ros1) fn to_memory_limit(&self) -> Option<Arc<dyn MemoryLimit>> {
         Some(Arc::new(self.clone()))
     }
 
@@ -42,6 +43,7 @@ impl MemoryLimit for TestLimit {
     fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>> {
         let reserved = self.reserved.fetch_add(bytes, Relaxed) + bytes;
         let reservation = Reservation(Arc::clone(&self.reserved), bytes);
+        // Above the limit, the reservation is dropped, which returns its bytes.
         (reserved <= self.max).then(|| Box::new(reservation) as Box<dyn Any + Send + Sync>)
     }
 }
@@ -90,7 +92,7 @@ async fn claimed_lengths_take_no_memory_of_other_publishers() {
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
     let kind = TopicType::from_message::<StringMessage>();
     let limit = TestLimit::new(4_000_000);
-    let options = SubscriberOptions { memory: limit.option(), ..SubscriberOptions::default() };
+    let options = SubscriberOptions { memory: limit.to_memory_limit(), ..SubscriberOptions::default() };
     let mut subscriber = b.subscribe("t", kind.clone(), options).await.unwrap();
     let stop = CancellationToken::new();
     let mut claiming_streams = Vec::new();
