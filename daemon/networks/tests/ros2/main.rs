@@ -1,7 +1,7 @@
 //! Tests of sessions over topics of ROS 2, and the tests of `it` for every network including ROS 2.
 //!
-//! This is a separate test program, so that a build of the workspace with `--test ros2` produces the tests of ROS 2 and no
-//! other tests.
+//! This is a separate test program, so that a build of the workspace with `--test ros2` produces the tests of ROS 2 and
+//! no other tests.
 
 #[path = "../it/acceptance.rs"]
 mod acceptance;
