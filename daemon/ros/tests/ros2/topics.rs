@@ -17,6 +17,7 @@ const TIME_LIMIT: Duration = Duration::from_secs(30);
 /// Returns settings with a domain that no other test of this process uses.
 fn settings() -> Ros2Settings {
     static NEXT_OFFSET: AtomicU16 = AtomicU16::new(0);
+    // Another process of these tests uses other domains, unless the last digits of both process ids are equal.
     let process_base = u16::try_from(std::process::id() % 10).expect("below 10") * 20;
     let domain_id = Some(1 + process_base + NEXT_OFFSET.fetch_add(1, Ordering::Relaxed));
     Ros2Settings { domain_id, interfaces: vec!["127.0.0.1".into()], ..Ros2Settings::default() }

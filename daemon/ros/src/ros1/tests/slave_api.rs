@@ -10,8 +10,9 @@ async fn call_method(node: &Node, method: &str, params: Vec<Value>) -> Result<Va
     within(rpc::call(&RpcUri::parse(node.uri()).unwrap(), method, params)).await
 }
 
-/// Calls a method without further parameters. Returns the value of the successful answer.
-async fn value(node: &Node, method: &str) -> Value {
+/// Calls a method whose only parameter is the caller's name. Returns the value of the successful answer, which has the
+/// form `[status, text, value]`.
+async fn query(node: &Node, method: &str) -> Value {
     let Value::Array(parts) = call_method(node, method, vec!["/tool".into()]).await.unwrap() else {
         panic!("an array")
     };
@@ -29,21 +30,24 @@ async fn slave_api_answers_queries_of_tools() {
     within(publisher.wait_for_subscribers(1)).await.unwrap();
     within(subscriber.wait_for_publishers(1)).await.unwrap();
 
-    assert_eq!(value(&a, "getPid").await, Value::Int(std::process::id().into()));
-    assert_eq!(value(&a, "getMasterUri").await, master.uri().into());
+    assert_eq!(query(&a, "getPid").await, Value::Int(std::process::id().into()));
+    assert_eq!(query(&a, "getMasterUri").await, master.uri().into());
     let topics = Value::from([Value::from(["/t".into(), "std_msgs/String".into()])]);
-    assert_eq!(value(&a, "getPublications").await, topics);
-    assert_eq!(value(&a, "getSubscriptions").await, Vec::new().into());
-    assert_eq!(value(&b, "getSubscriptions").await, topics);
+    assert_eq!(query(&a, "getPublications").await, topics);
+    assert_eq!(query(&a, "getSubscriptions").await, Vec::new().into());
+    assert_eq!(query(&b, "getSubscriptions").await, topics);
 
-    let info = value(&a, "getBusInfo").await;
+    let info = query(&a, "getBusInfo").await;
     let connection = info.as_array().unwrap()[0].as_array().unwrap();
+    // Number of the connection, other end, direction (`o` for out), transport, topic.
     let expected: [Value; 5] = [Value::Int(1), "/b".into(), "o".into(), "TCPROS".into(), "/t".into()];
     assert_eq!(connection[..5], expected);
-    let info = value(&b, "getBusInfo").await;
+    let info = query(&b, "getBusInfo").await;
     let connection = info.as_array().unwrap()[0].as_array().unwrap();
-    assert_eq!((&connection[1], &connection[5]), (&Value::from(a.uri()), &Value::Bool(true)));
-    let statistics = value(&b, "getBusStats").await;
+    let (other_end, is_connected) = (&connection[1], &connection[5]);
+    assert_eq!((other_end, is_connected), (&Value::from(a.uri()), &Value::Bool(true)));
+    let statistics = query(&b, "getBusStats").await;
+    // The statistics of publishers, of subscribers, and of services.
     assert_eq!(statistics.as_array().unwrap().len(), 3);
 
     let error = call_method(&a, "noSuchMethod", vec![]).await.unwrap_err();
@@ -83,7 +87,7 @@ async fn node_shuts_down_when_asked() {
 }
 
 #[tokio::test]
-async fn node_with_unique_name_ignores_shutdown_call() {
+async fn shutdown_for_duplicate_name_is_ignored_without_duplicate() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
     let publisher = a
@@ -94,7 +98,8 @@ async fn node_with_unique_name_ignores_shutdown_call() {
     let reason = "[/camera] Reason: new node registered with same name";
     call_method(&a, "shutdown", vec!["/master".into(), reason.into()]).await.unwrap();
 
-    // The registration of a node that has ended makes the master ask this node to end.
+    // The late registration of a node of the same name, which has ended, makes the master ask this node to end. This
+    // node finds no other running node of its name, and registers again.
     let ended_node = node(&master, "a").await;
     let late_registration = ["/a", "/u", "std_msgs/String", ended_node.uri()].map(Value::from);
     ended_node.shutdown().await.unwrap();

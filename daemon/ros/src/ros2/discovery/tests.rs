@@ -86,6 +86,8 @@ fn endpoint_has_the_name_of_its_node() {
 #[test]
 fn forged_node_lists_are_removed_before_real_ones() {
     let (mut state, _) = state();
+    // A list of a participant that discovery does not know may be forged. Each list counts as 100 listed objects: one
+    // node and its 99 endpoints.
     let announce_list = |number: u32, state: &mut DiscoveryState| {
         let mut participant = [7; 12];
         participant[..4].copy_from_slice(&number.to_le_bytes());
@@ -112,6 +114,7 @@ fn forged_node_lists_are_removed_before_real_ones() {
 #[test]
 fn remote_endpoints_are_found_by_topic() {
     let (mut state, _) = state();
+    // The last byte of an id says what the endpoint is: 0x03 a publisher, 0x04 a subscription, 0x00 neither.
     for (kind_byte, topic) in [(0x03, "rt/a"), (0x04, "rt/a"), (0x04, "rt/b"), (0x00, "rt/a")] {
         let mut id = REMOTE;
         id.0[15] = kind_byte;
@@ -122,6 +125,7 @@ fn remote_endpoints_are_found_by_topic() {
             topic: topic.clone(),
             type_name: type_name.clone(),
         });
+        // Our own endpoints are not among the found endpoints.
         state.apply(DiscoveryEvent::EndpointDiscovered { id: LOCAL, topic, type_name });
     }
     let endpoints = state.endpoints_of("rt/a");
@@ -130,7 +134,7 @@ fn remote_endpoints_are_found_by_topic() {
     assert_eq!(roles, [EndpointRole::Publisher, EndpointRole::Subscription]);
 }
 
-/// Limits that short scripts reach.
+/// Limits that short sequences of events reach.
 const SMALL_BOUNDS: DiscoveryBounds =
     DiscoveryBounds { participants: 3, endpoints: 5, listed: 9, matched: 2, refused: 2 };
 
@@ -200,7 +204,8 @@ fn check_bounds(state: &DiscoveryState, peers: &PeerTable) {
         SMALL_BOUNDS.refused,
     ];
     assert!(remembered.iter().zip(bounds).all(|(count, bound)| *count <= bound), "{remembered:?}");
-    assert!(state.nodes.len() <= SMALL_BOUNDS.listed, "{} participants without nodes", state.nodes.len());
+    // A list without nodes counts as one listed object.
+    assert!(state.nodes.len() <= SMALL_BOUNDS.listed, "{} participants with a node list", state.nodes.len());
     let max_name_bytes = DiscoveryState::MAX_NAME_BYTES;
     assert!(state.endpoints.values().all(|(topic, kind)| topic.len().max(kind.len()) <= max_name_bytes));
     assert!(peers.refused.keys().all(|id| !peers.matched.contains(id)), "matched and refused");
@@ -212,17 +217,23 @@ proptest! {
         let mut state = DiscoveryState { bounds: SMALL_BOUNDS, ..DiscoveryState::new(id_of(0)) };
         let peers = state.add_local(LOCAL, EndpointRole::Subscription, "a::b_");
         for event in events {
-            let (ignored, count) = (state.ignored_count(), *state.changes().borrow());
-            let is_too_long = matches!(&event, DiscoveryEvent::EndpointDiscovered { topic, type_name, .. }
-                if topic.len().max(type_name.len()) > DiscoveryState::MAX_NAME_BYTES);
+            let (ignored_before, changes_before) = (state.ignored_count(), *state.changes().borrow());
+            let has_too_long_name = matches!(
+                &event,
+                DiscoveryEvent::EndpointDiscovered { topic, type_name, .. }
+                    if topic.len().max(type_name.len()) > DiscoveryState::MAX_NAME_BYTES
+            );
             let queried = match &event {
                 DiscoveryEvent::EndpointDiscovered { id, .. } | DiscoveryEvent::EndpointLost(id) => *id,
                 DiscoveryEvent::Matched { remote, .. } | DiscoveryEvent::Incompatible { remote, .. } => *remote,
                 _ => REMOTE,
             };
             state.apply(event);
-            prop_assert_eq!(*state.changes().borrow(), count + 1);
-            prop_assert!(!is_too_long || state.ignored_count() == ignored + 1, "an ignored endpoint is counted");
+            prop_assert_eq!(*state.changes().borrow(), changes_before + 1);
+            prop_assert!(
+                !has_too_long_name || state.ignored_count() == ignored_before + 1,
+                "an ignored endpoint is counted"
+            );
             check_bounds(&state, &peers.borrow());
             // Every query must return.
             let _ = (state.node_of(queried), state.nodes_of(queried.participant()), state.topics());

@@ -28,6 +28,7 @@ fn entry_round_trips_with_identifiers_of_both_lengths() {
     for length in IDENTIFIER_LENGTHS {
         let written = entry(length);
         let decoded = ListEntry::decode(&written.to_payload()).unwrap();
+        // An entry lists a node's subscriptions before its publishers.
         let endpoints = vec![written.endpoints[1].1, written.endpoints[0].1];
         let node = ListedNode { name: "/robot1/camera".into(), endpoints };
         assert_eq!(decoded, ListEntry { participant: ParticipantId([1; 12]), nodes: vec![node] });
@@ -85,11 +86,13 @@ fn announcement_has_the_form_of_rmw_dds_common() {
 /// Returns an entry of several nodes, made of entries of single nodes.
 fn multi_node_entry(entries: &[OwnEntry]) -> Vec<u8> {
     let Some(first) = entries.first() else { return Vec::new() };
-    let start = 4 + first.identifier_length;
-    let mut cdr = first.to_payload()[..start].to_vec();
+    // The number of nodes follows the encapsulation header of 4 bytes and the identifier of the participant.
+    let count_start = 4 + first.identifier_length;
+    let nodes_start = count_start + 4;
+    let mut cdr = first.to_payload()[..count_start].to_vec();
     cdr.extend(u32::try_from(entries.len()).unwrap().to_le_bytes());
     for entry in entries {
-        cdr.extend(&entry.to_payload()[start + 4..]);
+        cdr.extend(&entry.to_payload()[nodes_start..]);
     }
     cdr
 }
@@ -130,7 +133,7 @@ proptest! {
                 0 => bytes.insert(index, byte),
                 1 => bytes.truncate(index),
                 2 if bytes.len() < 4_096 => bytes.extend_from_within(index..),
-                // A length that claims more elements than there are.
+                // A length that claims more elements than there are: the random byte is its highest byte.
                 3 => {
                     let claimed_length = u32::from(byte).rotate_right(8).to_le_bytes();
                     bytes.splice(index..(index + 4).min(bytes.len()), claimed_length).for_each(drop);
