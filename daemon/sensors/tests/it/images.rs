@@ -17,19 +17,30 @@ fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
     folder
 }
 
-fn images(path: &Path, order: Order, seed: u64, repeat: bool) -> Result<Box<dyn Sensor>, SensorError> {
-    ImagesConfig { path: path.to_owned(), order, seed, repeat, labels: None }.open(&clock())
+/// Returns a configuration that repeats the pictures endlessly.
+fn config(path: &Path, order: Order) -> ImagesConfig {
+    ImagesConfig { path: path.to_owned(), order, seed: 1, repeat: true, labels: None }
+}
+
+/// Opens a sensor that yields each picture once, in the order of names.
+fn open_once(path: &Path) -> Result<Box<dyn Sensor>, SensorError> {
+    ImagesConfig { repeat: false, ..config(path, Order::Name) }.open(&clock())
+}
+
+/// Opens a sensor that repeats the pictures endlessly, in the order of names.
+fn open_repeating(path: &Path) -> Result<Box<dyn Sensor>, SensorError> {
+    config(path, Order::Name).open(&clock())
 }
 
 fn open_error(path: &Path) -> String {
-    images(path, Order::Name, 1, true).err().expect("is refused").to_string()
+    open_repeating(path).err().expect("is refused").to_string()
 }
 
 #[test]
 fn files_are_sent_unchanged_in_order_of_names() {
     let folder =
         folder(&[("b.jpg", "bytes of b"), ("a.PNG", "bytes of a"), ("c.txt", "no picture"), (".d.jpg", "")]);
-    let mut once = images(folder.path(), Order::Name, 1, false).expect("opens");
+    let mut once = open_once(folder.path()).expect("opens");
     let a = next(once.as_mut()).expect("reads").expect("first");
     assert_eq!((a.source.as_str(), &a.parts[0].description.media), ("a.PNG", &MediaType::Png));
     assert_eq!((&a.parts[0].bytes[..], a.label), (&b"bytes of a"[..], None));
@@ -38,14 +49,14 @@ fn files_are_sent_unchanged_in_order_of_names() {
     assert!(next(once.as_mut()).expect("ends").is_none());
     assert!(next(once.as_mut()).expect("stays at its end").is_none());
 
-    let mut repeating = images(folder.path(), Order::Name, 1, true).expect("opens");
+    let mut repeating = open_repeating(folder.path()).expect("opens");
     assert_eq!(sources(repeating.as_mut(), 5), ["a.PNG", "b.jpg", "a.PNG", "b.jpg", "a.PNG"]);
     let facts = repeating.facts();
     assert!(facts[0].1.starts_with("2 images of "), "{facts:?}");
     // sha256sum a.PNG b.jpg | sha256sum
     let expected_hash = "826c0a54f7c2d8bb84fc726a774bca6b068d982bc07be25b818b44d7bb260970";
     assert_eq!(facts[1], ("Data set".to_owned(), format!("2 files, 20 bytes, SHA-256 {expected_hash}")));
-    let single = images(&folder.path().join("b.jpg"), Order::Name, 1, true).expect("opens");
+    let single = open_repeating(&folder.path().join("b.jpg")).expect("opens");
     // sha256sum b.jpg | sha256sum
     let expected_hash = "ae243e0b7ccc10a32b9e0ae51687ae87648850a914e05656bd142517f528bfe9";
     assert_eq!(single.facts()[1].1, format!("1 file, 10 bytes, SHA-256 {expected_hash}"));
@@ -59,7 +70,7 @@ fn too_large_picture_fails_only_its_sample() {
     fs::File::create(folder.path().join("a.jpg"))
         .and_then(|file| file.set_len(largest + 1))
         .expect("is made");
-    let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");
+    let mut sensor = open_once(folder.path()).expect("opens");
     let error = next(sensor.as_mut()).expect_err("is too large").to_string();
     assert!(error.contains("a.jpg: it has more than 1073741824 bytes"), "{error}");
     let b = next(sensor.as_mut()).expect("reads").expect("second");
@@ -73,18 +84,18 @@ fn labels_come_from_file_or_folders() {
         ("sub/b.jpg", ""),
         ("labels.csv", "file,label\na.jpg, good\nsub/b.jpg,dented\n"),
     ]);
-    let mut sensor = images(with_labels_file.path(), Order::Name, 1, false).expect("opens");
+    let mut sensor = open_once(with_labels_file.path()).expect("opens");
     let labels = [(); 2].map(|()| next(sensor.as_mut()).expect("reads").expect("there").label);
     assert_eq!(labels, [Some("good".to_owned()), Some("dented".to_owned())]);
 
     let partly_labelled =
         folder(&[("a.jpg", ""), ("b.jpg", ""), ("labels.csv", "file,label\na.jpg,\nb.jpg,good\n")]);
-    let mut sensor = images(partly_labelled.path(), Order::Name, 1, false).expect("opens");
+    let mut sensor = open_once(partly_labelled.path()).expect("opens");
     let labels = [(); 2].map(|()| next(sensor.as_mut()).expect("reads").expect("there").label);
     assert_eq!(labels, [None, Some("good".to_owned())], "an empty label is no label");
 
     let with_folders = folder(&[("good/a.jpg", ""), ("dented/b.jpg", ""), ("c.jpg", "")]);
-    let mut sensor = images(with_folders.path(), Order::Name, 1, false).expect("opens");
+    let mut sensor = open_once(with_folders.path()).expect("opens");
     let found: Vec<_> = (0..3)
         .map(|_| next(sensor.as_mut()).expect("reads").expect("there"))
         .map(|sample| (sample.source, sample.label))
@@ -96,7 +107,7 @@ fn labels_come_from_file_or_folders() {
     assert!(sensor.facts().contains(&fact), "{:?}", sensor.facts());
     assert!(sensor.facts().iter().all(|(name, _)| name != "Labels file"), "{:?}", sensor.facts());
 
-    let mut single = images(&with_labels_file.path().join("a.jpg"), Order::Name, 1, false).expect("opens");
+    let mut single = open_once(&with_labels_file.path().join("a.jpg")).expect("opens");
     assert_eq!(next(single.as_mut()).expect("reads").expect("there").label.as_deref(), Some("good"));
     let file = with_labels_file.path().join("labels.csv");
     let bytes = std::fs::read(&file).expect("is there");
@@ -119,7 +130,7 @@ fn label_has_boxes_and_size_of_picture() {
     for name in ["a.png", "b.png"] {
         fs::write(folder.path().join(name), &png.bytes).expect("can be written");
     }
-    let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");
+    let mut sensor = open_once(folder.path()).expect("opens");
     let labels = [(); 2].map(|()| {
         let label = next(sensor.as_mut()).expect("reads").expect("there").label.expect("is listed");
         ObjectsLabel::parse(&label).expect("has objects")
@@ -158,7 +169,7 @@ fn masks_are_labels_and_not_samples() {
     peernet_imaging::read_part(&part, peernet_sample::PixelFormat::Grey8, &mut picture).expect("fits");
     let png = peernet_imaging::encode(&picture, peernet_imaging::Encoding::Png).expect("encodes");
     fs::write(&mask, &png.bytes).expect("written");
-    let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");
+    let mut sensor = open_once(folder.path()).expect("opens");
     let first = next(sensor.as_mut()).expect("reads").expect("there");
     let label = MaskLabel::parse(first.label.as_deref().expect("is listed")).expect("names a mask");
     assert_eq!(Path::new(&label.mask), mask);
@@ -183,7 +194,8 @@ fn seed_determines_new_order_of_each_round() {
     let files: Vec<_> = names.iter().map(|name| (name.as_str(), "")).collect();
     let folder = folder(&files);
     let rounds = |seed| {
-        let mut sensor = images(folder.path(), Order::Shuffled, seed, true).expect("opens");
+        let mut sensor =
+            ImagesConfig { seed, ..config(folder.path(), Order::Shuffled) }.open(&clock()).expect("opens");
         [(); 3].map(|()| sources(sensor.as_mut(), 30))
     };
     assert_eq!(rounds(7), rounds(7));
@@ -224,7 +236,7 @@ fn only_files_and_links_to_files_are_pictures() {
     let _socket = std::os::unix::net::UnixListener::bind(folder.path().join("b.jpg")).expect("made");
     std::os::unix::fs::symlink("a.jpg", folder.path().join("c.jpg")).expect("made");
     std::os::unix::fs::symlink("b.jpg", folder.path().join("d.jpg")).expect("made");
-    let mut sensor = images(folder.path(), Order::Name, 1, true).expect("opens");
+    let mut sensor = open_repeating(folder.path()).expect("opens");
     assert_eq!(sources(sensor.as_mut(), 3), ["a.jpg", "c.jpg", "a.jpg"]);
     assert!(open_error(&folder.path().join("b.jpg")).contains("neither"));
 }
@@ -232,7 +244,7 @@ fn only_files_and_links_to_files_are_pictures() {
 #[test]
 fn deleted_picture_fails_only_its_sample() {
     let folder = folder(&[("a.jpg", ""), ("b.jpg", ""), ("c.jpg", "")]);
-    let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");
+    let mut sensor = open_once(folder.path()).expect("opens");
     fs::remove_file(folder.path().join("b.jpg")).expect("is there");
     assert_eq!(sources(sensor.as_mut(), 1), ["a.jpg"]);
     let error = next(sensor.as_mut()).expect_err("is gone").to_string();

@@ -32,7 +32,7 @@ fn samples_end_when_object_raises_stop_iteration() {
     let (name, file) = &sensor.facts()[2];
     assert!(name == "Sensor files" && file.contains("/own.py SHA-256 "), "{file}");
     let mut first_recorder = recorder();
-    let sample = sensor.sample(&mut first_recorder).expect("gives one").expect("goes on");
+    let sample = sensor.sample(&mut first_recorder).expect("no error").expect("a sample");
     assert_eq!((&sample.parts[0].bytes[..], sample.source.as_str()), (&b"one"[..], "own::Own"));
     assert!(first_recorder.tree().find(&["capture-ipc"]).is_some());
     let error = sensor.sample(&mut recorder()).expect_err("raises").to_string();
@@ -60,9 +60,9 @@ class Own:
     let config = SensorConfig::Python(PythonConfig { folder, ..PythonConfig::new("own::Own") });
     let mut sensor = config.open(&real_clock()).expect("is there");
     // Each process gives two samples and exits at the third call.
-    for (restarted, gives) in [(false, true), (false, true), (false, false), (true, true), (false, true)] {
+    for (restarted, succeeds) in [(false, true), (false, true), (false, false), (true, true), (false, true)] {
         let mut recorder = recorder();
-        assert_eq!(sensor.sample(&mut recorder).is_ok(), gives);
+        assert_eq!(sensor.sample(&mut recorder).is_ok(), succeeds);
         let restart_seconds =
             recorder.tree().find(&["capture-restart"]).and_then(|(_, node)| node.measure.value());
         assert_eq!(restart_seconds.is_some_and(|seconds| seconds >= 0.3), restarted, "{restart_seconds:?}");
@@ -85,7 +85,7 @@ class Own:
     assert!(sensor.resets());
     for expected in ["1", "2"] {
         sensor.reset().expect("is reset");
-        let sample = sensor.sample(&mut recorder()).expect("gives one").expect("goes on");
+        let sample = sensor.sample(&mut recorder()).expect("no error").expect("a sample");
         assert_eq!(&sample.parts[0].bytes[..], expected.as_bytes());
     }
 }
