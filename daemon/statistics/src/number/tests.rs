@@ -53,6 +53,15 @@ fn durations_have_three_significant_digits() {
     for (seconds, text) in cases {
         assert_eq!(duration(seconds).to_string(), text);
     }
+    assert_eq!(
+        [0.000_126, 0.006_31, 0.016_1, 0.141_2, 1.242_7].map(milliseconds),
+        ["0.126", "6.31", "16.1", "141", "1,243"]
+    );
+}
+
+#[test]
+fn only_short_round_trips_have_three_decimals() {
+    assert_eq!((trip_ms(0.001_3).as_str(), trip_ms(0.000_018).as_str()), ("1.30", "0.018"));
 }
 
 #[test]
@@ -75,7 +84,7 @@ fn table_keeps_decimals_and_distinguishes_small_from_zero() {
         (short.difference(-2.06e-6).as_str(), short.number(0.0).as_str()),
         ("\u{2212}0.0021", "0.0000")
     );
-    // A run's page has `0.126 ± 0.012` in its header and in the row of its total.
+    // A run's page has `0.126 ± 0.012` in its header. The row of the total has the same digits.
     let column = DurationFormat::for_total(Some(126e-6), Some(12e-6));
     assert_eq!([column.duration(126e-6), column.number(12e-6)], ["0.126", "0.012"]);
     assert_eq!([0.018_94, 126e-6, 40e-6, 0.0].map(total_ms), ["18.9", "0.126", "0.0400", "0"]);
@@ -102,10 +111,10 @@ fn deviation_limits_digits_of_value() {
     assert_eq!(mean_std_ms(0.0, Some(0.0)), ("0.00".into(), Some("0.00".into())));
     assert_eq!(mean_std_ms(0.000_048_01, Some(0.000_000_9)), ("0.0480".into(), Some("0.0009".into())));
     assert_eq!(mean_std_ms(0.141_23, Some(0.000_05)), ("141.230".into(), Some("0.050".into())));
-    assert_eq!(
-        [0.000_126, 0.006_31, 0.016_1, 0.141_2, 1.242_7].map(milliseconds),
-        ["0.126", "6.31", "16.1", "141", "1,243"]
-    );
+}
+
+#[test]
+fn bounded_values_have_digits_of_their_bound() {
     assert_eq!(bound_ms(0.000_65), "±0.65");
     assert_eq!(bound_ms(0.001_3), "±1.3");
     assert_eq!(bound_ms(0.013), "±13");
@@ -117,7 +126,6 @@ fn deviation_limits_digits_of_value() {
     assert_eq!(offset_ms(1.204_184, 0.000_65), "+1,204.18");
     assert_eq!(offset_ms(-1.002_697_6, 0.000_005), "\u{2212}1,002.698");
     assert_eq!(offset_ms(0.0, 0.0), "0.00");
-    assert_eq!((trip_ms(0.001_3).as_str(), trip_ms(0.000_018).as_str()), ("1.30", "0.018"));
     assert_eq!(interval_ms(0.005_66, 0.006_93), "5.66 – 6.93");
 }
 
@@ -201,6 +209,7 @@ fn estimated_durations_are_rounded_to_coarse_units() {
     for (seconds, text) in
         [(3.0, "10 s"), (51.0, "1 min"), (277.0, "5 min"), (3_541.0, "1 h"), (11_520.0, "3 h 20 min")]
     {
+        // A narrow space joins a number and its unit. An ordinary space separates hours from minutes.
         assert_eq!(
             estimated_duration(seconds),
             text.replace(' ', SPACE).replace(&format!("h{SPACE}"), "h "),
@@ -227,6 +236,8 @@ fn value_ends_at_second_digit_of_margin() {
 #[test]
 fn interval_without_width_keeps_digits_of_value() {
     assert_eq!([30.2e-6, 61.2e-6].map(|ms| interval_ms(ms, ms)), ["0.0302", "0.0612"]);
+    // An interval that follows from clocks has no digit below a microsecond. An interval of measured values may have a
+    // fourth decimal.
     assert_eq!(
         (interval_ms(30.21e-6, 30.24e-6), range_ms((30.21e-6, 30.24e-6))),
         ("0.030".into(), "0.0302".into())
@@ -250,6 +261,7 @@ fn sizes_end_without_zeros() {
 
 #[test]
 fn tiny_numbers_have_their_power_of_ten() {
+    // A number has at most 17 decimals.
     let texts = [-1.23456e-300, 0.0, 1.0].map(|value| fixed(value, 302));
     assert_eq!(texts, ["\u{2212}1.235e-300", "0.00000000000000000", "1.00000000000000000"]);
     assert_eq!(milliseconds(-1e300), "\u{2212}1.000e303");

@@ -128,7 +128,9 @@ fn non_finite_numbers_are_ignored() {
 }
 
 #[test]
-fn very_small_numbers_share_one_bin() {
+fn numbers_far_below_maximum_share_one_bin() {
+    // The bins do not span the range from 1e-9 to 1e300. The lowest bins are merged; the largest quantiles keep their
+    // precision.
     let sketch = sketch_of(&[1e-9, 1e-8, 1e300]);
     assert_eq!(sketch.count(), 3);
     let top = sketch.quantile(1.0).expect("not empty");
@@ -144,15 +146,19 @@ fn typical_stage_is_stored_in_few_bytes() {
 
 #[test]
 fn sketch_of_impossible_content_is_refused() {
+    // The bytes are the count of zeros, the negative bins and the positive bins. A list of bins begins with its length;
+    // the first key 2 stands for 1, and each further key is the distance from the key before it.
     for (bytes, error) in [
         (vec![0, 0, 0, 0], PackedError::Trailing(1)),
         (vec![0, 0x81, 0x10, 0], PackedError::TooManyBins(2049)),
+        // A bin without numbers, two bins with the same key, and a key that no number has.
         (vec![0, 1, 2, 0, 0], PackedError::InvalidBin),
         (vec![0, 2, 2, 1, 0, 1, 0], PackedError::InvalidBin),
         (vec![0, 1, 0xff, 0xff, 0x7f, 1, 0], PackedError::InvalidBin),
     ] {
         assert_eq!(Sketch::from_bytes(&bytes), Err(error), "{bytes:?}");
     }
+    // The LEB128 form of the largest `u64`.
     let max_count = [0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x01];
     let overflowing = [&max_count[..], &[1, 2], &max_count, &[0]].concat();
     assert_eq!(Sketch::from_bytes(&overflowing), Err(PackedError::Overflow));
