@@ -1,4 +1,4 @@
-//! Tests of the check and its record with real files.
+//! Tests of the search for damage in real files, and of the file that records damage.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -68,6 +68,7 @@ async fn overwritten_pages_of_every_tree_are_malformed() {
     let whole = std::fs::read(&path).expect("reads");
     assert!(pages.len() > 30);
     let mut unseen = 0;
+    // Page 1 is left out: it also has the header of the file.
     for &page in &pages[1..] {
         // Overwrites the whole page with noise, the whole page with zeros, and then the last 1,096 bytes with noise.
         let offset = u64::from(page - 1) * PAGE;
@@ -92,6 +93,7 @@ async fn overwritten_pages_of_every_tree_are_malformed() {
     let pages = whole.len() as u64 / PAGE;
     File::options().write(true).open(&path).expect("opens").set_len(20 * PAGE + 7).expect("cuts it off");
     let malformed = PageCheck::find_malformed(&path).expect("reads");
+    // Page 21 is the first page that is not whole.
     assert!(pages > 21 && malformed.contains(&21), "{malformed:?}");
 }
 
@@ -144,7 +146,8 @@ async fn pages_referenced_only_by_log_are_in_use() {
     // The checkpoint copies the pages that the reader sees, without the pages of which the write-ahead log has a newer
     // version. It copies the overflow pages of long records, but not the pages that refer to them.
     run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
-    assert_ne!(malformed(&path, folder.path().join("none")), Vec::<u32>::new());
+    let missing_log = folder.path().join("none");
+    assert_ne!(malformed(&path, missing_log), Vec::<u32>::new());
     assert_eq!(malformed(&path, log_path(&path)), Vec::<u32>::new());
 }
 
@@ -153,7 +156,8 @@ async fn damaged_page_is_found_although_log_has_intact_copy() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("idle.sqlite");
     let mut writer = growing_file(&path).await;
-    // Everything is checkpointed and nothing is written after that: SQLite reads the main file.
+    // Everything is checkpointed and nothing is written after that. Therefore SQLite reads the pages from the main
+    // file, although the log still has copies of them.
     run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
     overwrite(&path, 2 * PAGE, &noise(3, 4096));
     assert_eq!(malformed(&path, log_path(&path)), [3]);
@@ -200,9 +204,10 @@ async fn no_page_of_busy_database_is_malformed_in_every_pass() {
             run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
         }
     });
+    let bytes_per_second = 64 << 20;
     let (reads, mut checks, mut findings) = (TaskTracker::new(), 0, Vec::new());
     while !busy.is_finished() {
-        let malformed = malformed_pages(&path, &file, &reads, 64 << 20).await.expect("reads");
+        let malformed = malformed_pages(&path, &file, &reads, bytes_per_second).await.expect("reads");
         checks += 1;
         findings.extend(Some(malformed).filter(|pages| !pages.is_empty()));
     }
@@ -259,18 +264,19 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn arbitrary_bytes_cause_no_panic(seed: u64, pages in 1_u64..8, keep in 0_usize..200) {
+    fn arbitrary_bytes_cause_no_panic(seed: u64, pages in 1_u64..8, cells in 0_u8..200) {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("noise.sqlite");
         let mut bytes = noise(seed, (pages * PAGE) as usize);
         let mut header = b"SQLite format 3\0\x10\0\x02\x02\0\x40\x20\x20".to_vec();
         header.resize(100, 0);
         bytes[..100].copy_from_slice(&header);
-        // Pages that begin like b-tree pages.
+        // Pages that begin like b-tree pages: the kind of the page, its number of cells, and where the contents of the
+        // cells begin.
         for page in 0..pages as usize {
             let start = page * PAGE as usize + if page == 0 { 100 } else { 0 };
             let kind = [2, 5, 10, 13][(seed as usize + page) % 4];
-            bytes[start..start + 8].copy_from_slice(&[kind, 0, 0, 0, (keep % 250) as u8, 2, 0, 0]);
+            bytes[start..start + 8].copy_from_slice(&[kind, 0, 0, 0, cells, 2, 0, 0]);
         }
         std::fs::write(&path, bytes).expect("writes");
         let _malformed = PageCheck::find_malformed(&path).expect("reads");

@@ -312,6 +312,7 @@ fn rows_of_files_and_roll_ups_give_same_trust_input() {
     assert_eq!(restarts(&input), restarts(&stored));
     for (rows, stored) in input.clocks.iter().zip(&stored.clocks) {
         assert_eq!((&rows.stage, &rows.verdicts), (&stored.stage, &stored.verdicts));
+        // The store has sketches, whose quantiles have an error of up to 1 %.
         let within =
             |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a / b - 1.0).abs() < 0.011);
         let [of_rows, of_store] =
