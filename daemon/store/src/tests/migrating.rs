@@ -11,7 +11,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 use super::clocks::sample;
 use super::retention::{day, run_until_done};
 use super::rollups::{assert_same, table};
-use super::{TestStore, database, generate, open};
+use super::{NODES_PER_ITERATION, TestStore, database, generate, open};
 use crate::retention::Retention;
 use crate::types::{IterationFilter, RunFilter};
 
@@ -26,6 +26,7 @@ pub(super) async fn copy_to_version(test_store: &TestStore, version: i64) -> Pat
     let migrations: Vec<_> =
         database::MIGRATIONS.iter().filter(|migration| migration.version <= version).cloned().collect();
     let migrator = Migrator { migrations: Cow::Owned(migrations), ..Migrator::DEFAULT };
+    // `None` sets no last version, and with `false` no migration is skipped.
     migrator.run_direct(None, &mut old, false).await.expect("makes the old schema");
     sqlx::query("ATTACH ? AS new")
         .bind(test_store.path.to_string_lossy().into_owned())
@@ -93,7 +94,7 @@ async fn reopen(test_store: &mut TestStore, path: &Path) -> SqliteConnection {
     database::write_options(path).connect().await.expect("opens")
 }
 
-/// Version 5 is the first schema with roll-ups of all widths.
+/// The schema of version 5 has roll-ups of all widths, but no experiments.
 #[tokio::test]
 async fn database_without_experiments_is_migrated_unchanged() {
     let mut test_store = TestStore::new().await;
@@ -150,7 +151,7 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
 
         let mut connection = reopen(&mut test_store, &path).await;
         assert_eq!(page_content(&test_store).await, expected, "version {version}");
-        assert_eq!(test_store.count("SELECT count(*) FROM node").await, 1_000 * 21);
+        assert_eq!(test_store.count("SELECT count(*) FROM node").await, 1_000 * NODES_PER_ITERATION);
         // The migration makes coarser roll-ups from the stored roll-ups. It cannot make finer roll-ups, those of 1 s.
         let coarser = original_rollups.into_iter().filter(|((_, width_s, ..), _)| *width_s != 1).collect();
         assert_same(&table(&mut connection).await, &coarser);
@@ -170,7 +171,11 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
         // After an update, data of any age stays for a whole retention period. There is thus time to pin runs.
         let mut retention = Retention::new(crate::retention_config::RetentionConfig::default());
         let steps = run_until_done(&mut retention, &mut connection, day(0.9)).await;
-        assert_eq!(test_store.count("SELECT count(*) FROM node").await, 1_000 * 21, "{steps} steps");
+        assert_eq!(
+            test_store.count("SELECT count(*) FROM node").await,
+            1_000 * NODES_PER_ITERATION,
+            "{steps} steps"
+        );
 
         let work = test_store.batch(vec![Event::Clock(Box::new(sample(test_store.cloud, 1, 40)))]);
         test_store.commit(&[work]).await;

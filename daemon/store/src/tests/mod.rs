@@ -66,6 +66,9 @@ const STAMP: Stamp = Stamp { wall: NOW, mono: MonoTime::from_nanos(0), raw: RawT
 // The number is greater than SQLite's greatest integer, because agents draw process numbers from the whole `u64` range.
 const PROCESS: u64 = u64::MAX - 4;
 
+/// Number of nodes of an iteration that [`generate::iteration`] makes.
+const NODES_PER_ITERATION: i64 = 21;
+
 /// A database in a temporary folder with one agent that writes to it.
 struct TestStore {
     _folder: TempDir,
@@ -114,8 +117,10 @@ impl TestStore {
     }
 
     fn head(&self, number: u64, body: &[u8], events: usize) -> BatchHead {
+        // The store does not check chains, so each batch begins a new chain.
         let (host, stream, previous_chain, events) =
             (self.edge, self.stream, ChainHash::START, events as u32);
+        // A made-up number of earlier events, which grows from batch to batch.
         let (chain, events_before) = (previous_chain.next(events, body), 100 * number);
         BatchHead { host, stream, process: PROCESS, number, previous_chain, chain, events, events_before }
     }

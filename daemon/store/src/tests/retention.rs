@@ -8,7 +8,7 @@ use sqlx::SqliteConnection;
 use super::clocks::sample;
 use super::generate::{self, Numbers};
 use super::rollups::{assert_same, table};
-use super::{NOW, TestStore};
+use super::{NODES_PER_ITERATION, NOW, TestStore};
 use crate::maintenance::{Examination, examine};
 use crate::rebuild::rebuild;
 use crate::retention::{Retention, StepResult, pin};
@@ -23,6 +23,8 @@ const INTERVAL_S: f64 = 1_200.0;
 const ARRIVAL_ITERATIONS: u64 = 3;
 /// Data that arrives within this time of the storage clock, in seconds, may be deleted together.
 const RESOLUTION_S: i64 = 3_600;
+/// Approximate maximum cost of one step, in rows of the table `node`.
+const MAX_STEP_COST: u32 = 300;
 
 /// Makes iterations of a run, one every [`INTERVAL_S`] seconds.
 pub(super) fn iterations(
@@ -64,7 +66,7 @@ pub(super) async fn step(
     let mono = MonoTime::from_nanos((at - generate::at(0.0)).nanos());
     let mut clock = StorageClock::default();
     retention
-        .step(connection, &mut clock, Stamp { wall: NOW, mono, ..Stamp::default() }, 300)
+        .step(connection, &mut clock, Stamp { wall: NOW, mono, ..Stamp::default() }, MAX_STEP_COST)
         .await
         .expect("steps")
 }
@@ -143,6 +145,7 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     let mut retention = Retention::new(short_retention());
     run_until_done(&mut retention, &mut connection, day(4.0)).await;
 
+    // `run_until_done` adds two seconds.
     let now_s = (day(4.0) + Span::from_seconds(2)).unix_seconds();
     let period_s = |width_s: i64| match width_s {
         1 => 86_400,
@@ -180,17 +183,22 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     let oldest = test_store.count("SELECT min(started_ns) FROM iteration WHERE run = 1").await;
     let slack_ns = (2 * RESOLUTION_S + 60) * 1_000_000_000;
     assert!(
-        oldest <= cutoff_ns + 1_200_000_000_000 && oldest >= cutoff_ns - slack_ns,
+        oldest <= cutoff_ns + Span::from_seconds_f64(INTERVAL_S).nanos() && oldest >= cutoff_ns - slack_ns,
         "{oldest} {cutoff_ns}"
     );
     let first = test_store.count("SELECT min(number) FROM iteration WHERE run = 1").await;
+    // The column `nodes_from` has the number of the last deleted iteration.
     assert_eq!(test_store.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
     let remaining = 288 - (first - 1);
     assert_eq!(test_store.count("SELECT count(*) FROM iteration WHERE run = 1").await, remaining);
-    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, remaining * 21);
+    assert_eq!(
+        test_store.count("SELECT count(*) FROM node WHERE run = 1").await,
+        remaining * NODES_PER_ITERATION
+    );
     assert_eq!(test_store.count("SELECT count(*) FROM transit WHERE run = 1").await, remaining * 2);
     assert_eq!(test_store.count("SELECT count(*) FROM anchor WHERE run = 1").await, remaining);
-    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * NODES_PER_ITERATION);
+    // The table `trimmed` has a row for iterations, and a row for each width of deleted roll-ups: 1, 10 and 60 s.
     assert_eq!(test_store.count("SELECT count(*) FROM trimmed WHERE run = 1").await, 4);
     assert_eq!(test_store.count("SELECT count(*) FROM trimmed WHERE run = 2").await, 0);
 
@@ -243,7 +251,7 @@ async fn deletions_are_one_incident_with_counts() {
 
 #[tokio::test]
 async fn jump_of_robot_clock_deletes_nothing_early() {
-    for jump in [400.0, -400.0] {
+    for jump_days in [400.0, -400.0] {
         let mut test_store = TestStore::new().await;
         let run = RunId::random();
         let mut random = Numbers::new(5);
@@ -251,7 +259,7 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
         // The robot's clock is wrong on the second of three days.
         for hour in 0..72_u32 {
             let arrived = generate::at(f64::from(hour) * 3_600.0);
-            let clock_error_s = if (24..48).contains(&hour) { jump * DAY } else { 0.0 };
+            let clock_error_s = if (24..48).contains(&hour) { jump_days * DAY } else { 0.0 };
             let started = generate::at(f64::from(hour) * 3_600.0 + clock_error_s);
             let number = u64::from(hour) + 1;
             let iteration = generate::iteration_at(run, number, test_store.hosts(), started, &mut random);
@@ -272,7 +280,7 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
             {
                 assert!(
                     (expected_rows..=expected_rows + 4).contains(&remaining),
-                    "{jump} days, hour {hour}: {remaining} of {expected_rows}"
+                    "{jump_days} days, hour {hour}: {remaining} of {expected_rows}"
                 );
             }
         }
@@ -292,6 +300,7 @@ async fn step_is_bounded_and_idle_step_writes_nothing() {
     let mut steps = 0;
     while step(&mut retention, &mut connection, day(5.0)).await == StepResult::More {
         let now = test_store.count(rows).await;
+        // A step may exceed its maximum cost a little.
         assert!(remaining - now <= 400, "{remaining} {now}");
         remaining = now;
         steps += 1;
@@ -307,7 +316,7 @@ async fn step_is_bounded_and_idle_step_writes_nothing() {
     for seconds in 0..100 {
         let mono = MonoTime::from_nanos(0) + Span::from_seconds(seconds);
         let stamp = Stamp { wall: NOW, mono, ..Stamp::default() };
-        let done = retention.step(&mut connection, &mut clock, stamp, 300).await.expect("steps");
+        let done = retention.step(&mut connection, &mut clock, stamp, MAX_STEP_COST).await.expect("steps");
         assert_eq!(done, StepResult::Done);
     }
     assert_eq!(version().await, version_before);
@@ -325,7 +334,7 @@ async fn late_arrivals_are_kept_for_their_period() {
     let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
     run_until_done(&mut retention, &mut connection, day(100.9)).await;
-    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * NODES_PER_ITERATION);
     assert!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await > 288);
     run_until_done(&mut retention, &mut connection, day(104.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
@@ -338,7 +347,7 @@ async fn late_arrivals_are_kept_for_their_period() {
     // These iterations began before iterations that are already deleted.
     let events = iterations(&test_store, run, 300..=310);
     store_arrival(&mut test_store, events, day(104.0)).await;
-    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 11 * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 11 * NODES_PER_ITERATION);
     assert_eq!(test_store.count("SELECT ok FROM run WHERE number = 1").await, 299);
     assert!(test_store.store.iteration(1, 305).await.expect("answers").is_some());
     let whole = test_store.store.statistics_of(1).await.expect("answers").stages;
@@ -384,11 +393,12 @@ async fn data_of_unpinned_run_stays_for_another_period() {
     let mut retention = Retention::new(short_retention());
     run_until_done(&mut retention, &mut connection, day(50.0)).await;
     assert!(pin(&mut connection, 2, false).await.expect("unpins"));
+    // The period of the nodes is two days. It begins anew when the run is unpinned.
     run_until_done(&mut retention, &mut connection, day(51.5)).await;
     run_until_done(&mut retention, &mut connection, day(51.9)).await;
-    assert_eq!(test_store.count("SELECT count(*) FROM node").await, 2 * 288 * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM node").await, 2 * 288 * NODES_PER_ITERATION);
     run_until_done(&mut retention, &mut connection, day(60.0)).await;
-    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * NODES_PER_ITERATION);
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 0);
 }
 
@@ -402,11 +412,8 @@ async fn clock_samples_are_deleted_except_for_pinned_runs() {
             seconds(from).map(|second| Event::Clock(Box::new(sample(test_store.cloud, second, 40))));
         let events = samples.collect();
         store_arrival(&mut test_store, events, day(arrived)).await;
-        if arrived < 5.0 {
-            continue;
-        }
-        assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 5 * 50);
     }
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 5 * 50);
     let mut connection = test_store.second_connection().await;
     // One connection for each clock sample.
     sqlx::query(
@@ -425,7 +432,8 @@ async fn clock_samples_are_deleted_except_for_pinned_runs() {
     let ended = RunEnded { run: pinned, ended: day(4.0), reason: EndReason::Stopped };
     let work = test_store.batch(vec![Event::RunEnded(ended)]);
     test_store.commit(&[work]).await;
-    // Retention checks the samples that it kept for the pinned run again after another period.
+    // Retention checks the samples that it kept for the pinned run again after another period. Only the samples of the
+    // days 1 and 4 are from the time of the run, or at most an hour later.
     run_until_done(&mut retention, &mut connection, day(13.2)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 2 * 50);
     assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 2 * 50);
@@ -433,6 +441,7 @@ async fn clock_samples_are_deleted_except_for_pinned_runs() {
     run_until_done(&mut retention, &mut connection, day(14.4)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 0);
     assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 0);
+    // The newest relation period stays, because it may continue.
     assert_eq!(test_store.count("SELECT count(*) FROM clock_window").await, 1);
     assert_eq!(test_store.count("SELECT count(*) FROM arrival WHERE kind = -1").await, 0);
 }

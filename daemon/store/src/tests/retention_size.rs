@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use peernet_logger::RunId;
 use peernet_stream::Event;
 
-use super::TestStore;
 use super::generate::{self, Numbers, at};
 use super::retention::{
     day, iterations, run_until_done, step, store_arrival, store_two_runs, unlimited_retention,
 };
+use super::{NODES_PER_ITERATION, TestStore};
 use crate::retention::{Retention, StepResult};
 use crate::retention_config::RetentionConfig;
 use crate::types::IncidentFilter;
@@ -32,6 +32,7 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
     run_until_done(&mut retention, &mut connection, day(4.0)).await;
     let first = test_store.count("SELECT min(number) FROM iteration WHERE run = 1").await;
     assert!((2..288).contains(&first), "{first}");
+    // The column `nodes_from` has the number of the last deleted iteration.
     assert_eq!(test_store.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
     assert!(test_store.count(USED_BYTES).await.unsigned_abs() <= limit);
     assert_eq!(
@@ -40,7 +41,7 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
             .await,
         1
     );
-    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * NODES_PER_ITERATION);
     let incidents = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
     let deleted_iterations = first - 1;
     let expected = format!(
@@ -57,12 +58,13 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
         0
     );
     assert!(test_store.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 3600").await > 90);
-    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * NODES_PER_ITERATION);
     // The run continues, and its new data is stored.
     let events = iterations(&test_store, run, 289..=290);
     let work = test_store.batch(events);
     test_store.commit(&[work]).await;
     assert_eq!(test_store.store.run(1).await.expect("answers").expect("exists").summary.counts.ok, 290);
+    // Quantity 1 is half the width of the bounds of a delay. Each of the two iterations has two delays.
     assert_eq!(
         test_store
             .count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1 AND quantity = 1")
@@ -106,7 +108,7 @@ async fn store_concurrent_runs(
 }
 
 /// Returns, for each kind of data and each run, the time of the oldest data and the time before which all data is
-/// deleted, in seconds.
+/// deleted, in seconds. The kind 0 stands for iterations, any other kind for the roll-ups of that width in seconds.
 async fn trimming_state(test_store: &TestStore) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
     let rows: Vec<(i64, Option<i64>, i64)> = sqlx::query_as(
         "SELECT kind.column1, \
