@@ -51,6 +51,7 @@ async fn borders_are_at_starts_of_episodes() {
         count: 4,
         steps: Some(30),
         borders: start_times([31, 61, 91]),
+        // Iteration 31 is warm-up, too, because it begins an episode.
         warm_up: vec![
             (generate::at(0.2), generate::at(32.0 * 0.2)),
             (generate::at(61.0 * 0.2), generate::at(62.0 * 0.2)),
@@ -69,8 +70,7 @@ async fn borders_are_at_starts_of_episodes() {
 
 #[tokio::test]
 async fn warm_up_periods_equal_those_of_rows() {
-    // Iterations, steps of an episode, episodes of warm-up, steps of warm-up in each episode.
-    for (case, (iterations, steps, episodes, warm_up)) in (1..).zip([
+    for (case, (iterations, steps, warm_up_episodes, warm_up_steps)) in (1..).zip([
         (95, 30, 1, 1),
         (95, 30, 0, 4),
         (61, 30, 0, 2),
@@ -79,7 +79,8 @@ async fn warm_up_periods_equal_those_of_rows() {
         (90, 30, 0, 30),
     ]) {
         let mut test_store = TestStore::new().await;
-        let is_warm_up = |iteration: &Iteration| iteration.episode < episodes || iteration.step < warm_up;
+        let is_warm_up =
+            |iteration: &Iteration| iteration.episode < warm_up_episodes || iteration.step < warm_up_steps;
         let starts_in_order = std::sync::Mutex::new(Vec::new());
         store_run(&mut test_store, iterations, |iteration| {
             set_episode(iteration, steps);
@@ -198,6 +199,7 @@ async fn episodes_of_different_lengths_have_borders() {
 #[tokio::test]
 async fn too_many_episodes_are_only_counted() {
     let mut test_store = TestStore::new().await;
+    // Runs of 31 and of 32 episodes. The first run has the maximum number of borders.
     for iterations in [93, 94] {
         store_run(&mut test_store, iterations, |iteration| {
             set_episode(iteration, 3);
@@ -217,7 +219,7 @@ async fn too_many_episodes_are_only_counted() {
 #[tokio::test]
 async fn shown_failed_iterations_cover_whole_run() {
     let mut test_store = TestStore::new().await;
-    // Up to iteration 1,200, every iteration with an even number is lost; after it only iteration 1,990.
+    // Up to iteration 1,200, every iteration with an even number is lost. Later, only iteration 1,990 is lost.
     store_run(&mut test_store, 2_000, |iteration| {
         let is_lost = iteration.number % 2 == 0 && iteration.number <= 1_200 || iteration.number == 1_990;
         if is_lost {
@@ -229,6 +231,7 @@ async fn shown_failed_iterations_cover_whole_run() {
     .await;
     let episodes = test_store.store.episodes(1).await.expect("answers");
     assert_eq!(episodes.failed_in_warm_up, Some(50));
+    // The first lost iteration of each of 300 parts of the run is shown. About 180 parts have a lost iteration.
     let shown = episodes.failed_starts;
     assert!((150..=Episodes::MAX_FAILED).contains(&shown.len()), "{}", shown.len());
     assert_eq!((shown[0], shown[shown.len() - 1]), (generate::at(0.4), generate::at(398.0)));
@@ -273,6 +276,7 @@ async fn too_many_failed_iterations_are_not_counted() {
     let mut other = test_store.second_connection().await;
     let columns = sqlx::query_scalar::<_, String>("SELECT name FROM pragma_table_info('iteration')");
     let columns = columns.fetch_all(&mut other).await.expect("the columns");
+    // Stores 10,500 copies of the iteration with the outcome `failed`. At most 10,000 failed iterations are counted.
     let values = columns.iter().map(|name| match name.as_str() {
         "number" => "2 + value",
         "outcome" => "1",

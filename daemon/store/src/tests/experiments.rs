@@ -112,8 +112,8 @@ fn results_in_files(run: &RunSummary, rows: Rows) -> Loaded {
 #[tokio::test]
 async fn same_runs_are_excluded_in_store_and_in_files() {
     let mut test_store = TestStore::new().await;
-    // The same repeat twice; a repeat that was stopped and started again, one that failed, one that only one of two edges
-    // measured, and one in progress.
+    // The size `1 kB` is measured twice. The first run of `2 kB` is stopped, and the second run is complete. The run of
+    // `3 kB` fails, only one of two edges measures `4 kB`, and the run of `5 kB` is in progress.
     let plan = [
         ("1 kB", Some("finished")),
         ("2 kB", Some("stopped")),
@@ -176,6 +176,7 @@ async fn run_without_end_overlaps_until_last_iteration() {
     assert_eq!(exclusions_in_store, exclusions_in_files);
     let expected = [Exclusion::Unfinished(RunState::Open), Exclusion::ConcurrentRunUnfinished(0)];
     assert_eq!(exclusions_in_store, expected.map(Some));
+    // In files, the last iteration is found by the column `at`.
     assert!(needs_column("at"), "a comparison reads only the columns that it needs");
 }
 

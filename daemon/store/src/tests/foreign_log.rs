@@ -57,7 +57,7 @@ async fn checkpoint(test_store: &TestStore) {
     sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)")
         .execute(&mut test_store.second_connection().await)
         .await
-        .expect("carries over");
+        .expect("moves the log into the file");
 }
 
 async fn backup(test_store: &TestStore, name: &str) -> PathBuf {
@@ -81,6 +81,7 @@ async fn backup_is_not_spoilt_by_log_of_previous_database() {
     let copy = backup(&test_store, "copy.sqlite").await;
     test_store.store_run(100).await;
     let (_folder, path) = copy_as_killed(&test_store);
+    // The backup replaces the database file, and the log of the replaced file stays.
     fs::copy(&copy, path.with_file_name("copy.sqlite")).expect("copies");
     fs::rename(path.with_file_name("copy.sqlite"), &path).expect("takes its place");
     let files = || (fs::read(&path).expect("is there"), fs::read(log_of(&path)).expect("is there"));
@@ -121,6 +122,7 @@ async fn log_of_idle_aggregator_identifies_its_database() {
     test_store.writer.close().await.1.expect("closes");
     test_store.store.close().await;
     test_store.writer = open(&test_store.path).await;
+    // Without events, an aggregator stores only the readings of its clocks.
     test_store.writer.store_clock_readings(STAMP, &mut PendingIncidents::new(STAMP)).await.expect("stores");
     let (_folder, path) = copy_as_killed(&test_store);
     fs::copy(&copy, &path).expect("takes its place");
@@ -184,6 +186,7 @@ async fn each_file_has_own_id_and_keeps_it() {
     checkpoint(&test_store).await;
     let mut ids =
         vec![id_of_new_file, file_id(&test_store.path), file_id(&first_copy), file_id(&second_copy)];
+    // A repair writes a new file, which has an id of its own.
     let root = number(&first_copy, "SELECT rootpage FROM sqlite_schema WHERE name = 'node'").await;
     let file = fs::File::options().write(true).open(&first_copy).expect("opens");
     file.write_all_at(&[0xa5; 4096], (root.cast_unsigned() - 1) * 4096).expect("writes");

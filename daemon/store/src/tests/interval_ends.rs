@@ -91,6 +91,7 @@ fn assert_equal_to_rows(statistics: &MergeableStatistics, rows: &Rows) {
     for (name, delay) in &QUANTITIES {
         let page = interval(statistics, name, delay);
         let Some(file) = median_bounds_of(rows, name) else {
+            // The throughput of downloads has no values, because the downloads are negative.
             assert_eq!((page, name == delay), (None, false), "{name}");
             continue;
         };
@@ -132,7 +133,7 @@ async fn median_of_stored_run_has_interval_of_files() {
         upload_accuracy.interval_of_median(&delay),
         interval(&stored.mergeable, &stage::UPLOAD, &stage::UPLOAD)
     );
-    // Interval ends are stored for the whole run only, not for buckets over time.
+    // Interval ends, the quantities 2 and 3, are stored for the whole run only, not for buckets over time.
     let ends_of_buckets =
         test_store.count("SELECT count(*) FROM rollup WHERE quantity > 1 AND resolution_s > 0").await;
     let ends_of_run =

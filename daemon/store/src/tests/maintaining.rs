@@ -84,13 +84,14 @@ async fn healthy_database_is_examined_during_writing() {
     assert_eq!((rows("iteration").rows, rows("iteration").estimated), (100, true));
     assert_eq!(rows("node").rows, count(&test_store.path, "node").await.cast_unsigned());
     let stream = report.streams.iter().find(|stream| stream.stored > 0).expect("one has batches");
+    // The start of the run and 100 iterations fill three batches of at most 50 events.
     assert_eq!((stream.host.as_deref(), stream.stored), (Some("edge"), 3));
     assert!(report.rollups.iter().any(|extent| extent.oldest_s.is_some()), "{report:?}");
     assert!(report.file.bytes > 0 && report.file.disk_free_bytes > 0);
 }
 
 #[tokio::test]
-async fn row_counts_are_exact_after_deletions() {
+async fn estimated_row_counts_are_exact_after_deletions() {
     let mut test_store = TestStore::new().await;
     test_store.store_run(100).await;
     let mut connection =

@@ -38,15 +38,15 @@ async fn merged_quantiles_are_within_one_percent() {
         store(&mut test_store, run).await;
     }
     let statistics = test_store.store.statistics(&[3, 1, 2]).await.expect("answers");
-    let range_statistics = |known: &RunStatistics| {
-        let range = known.stages.iter().find(|known| known.stage == *"range").expect("stored");
+    let range_statistics = |statistics: &RunStatistics| {
+        let range = statistics.stages.iter().find(|stage| stage.stage == *"range").expect("stored");
         assert_eq!(range.unit, "m");
         range.statistics
     };
     assert_eq!(
         (range_statistics(&statistics[0]).p95, range_statistics(&statistics[1]).p99),
         (None, None),
-        "each run has too few readings"
+        "40 readings are too few for the 95 % quantile, and 200 for the 99 % quantile"
     );
     let merged = RunStatistics::merged(&statistics);
     let merged_range = range_statistics(&merged);

@@ -7,17 +7,17 @@ use crate::maintenance::{ClearSecretError, clear_host_secret};
 use crate::write::{read_host_counts, read_host_secrets};
 
 fn gap(run: RunId) -> Event {
-    let (from, to, count, reason) = (NOW, NOW, 123_456, "taken".to_owned());
+    let (from, to, count, reason) = (NOW, NOW, 123_456, "foreign".to_owned());
     Event::Gap(Gap { pipeline: None, run: Some(run), from, to, count, reason })
 }
 
 fn incident(run: RunId) -> Event {
-    let (kind, text) = (IncidentKind::PipelineFailed, "taken".into());
+    let (kind, text) = (IncidentKind::PipelineFailed, "foreign".into());
     Event::Incident(Incident { at: NOW, kind, pipeline: None, run: Some(run), peer: None, text })
 }
 
 fn ended(run: RunId) -> Event {
-    Event::RunEnded(RunEnded { run, ended: NOW, reason: "taken".into() })
+    Event::RunEnded(RunEnded { run, ended: NOW, reason: "foreign".into() })
 }
 
 /// Continues as the other host, in another stream.
@@ -35,7 +35,7 @@ async fn foreign_events_do_not_change_run() {
                   AND run.end_reason IS NULL";
     continue_as_other_host(&mut test_store);
     let iteration = generate::iteration(run, 9, test_store.hosts(), &mut generate::Numbers::new(1));
-    let start = generate::run_started(run, "taken", NOW);
+    let start = generate::run_started(run, "foreign", NOW);
     for event in [gap(run), incident(run), Event::Iteration(iteration), ended(run), start] {
         let work = test_store.batch(vec![event]);
         assert!(test_store.commit(&[work]).await.quarantined.is_empty());
@@ -46,9 +46,10 @@ async fn foreign_events_do_not_change_run() {
     let incidents_query = "SELECT count(*) FROM incident JOIN host ON host.id = incident.host \
                 WHERE host.name = 'cloud' AND incident.kind = 'refused'";
     assert_eq!(test_store.count(incidents_query).await, 1, "one incident for each run");
-    let own_run_query = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
-               WHERE host.name = 'cloud' AND run.ok = 1 AND run.end_reason = 'taken' AND run.reported_uuid IS NOT NULL";
-    assert_eq!(test_store.count(own_run_query).await, 1);
+    // The iteration and the end belong to a run of the host that sent them.
+    let run_of_other_host_query = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline \
+               JOIN host ON host.id = pipeline.host WHERE host.name = 'cloud' AND run.ok = 1 AND run.end_reason = 'foreign' AND run.reported_uuid IS NOT NULL";
+    assert_eq!(test_store.count(run_of_other_host_query).await, 1);
 }
 
 #[tokio::test]

@@ -320,7 +320,8 @@ async fn listed_iterations_have_delays_or_their_sum() {
     if let Some(Measure::Timer(total)) = stepped.tree.measure_mut(total) {
         *total = Some(Span::from_seconds(10));
     }
-    let unattributed = Measure::Timer(Some(Span::from_millis(1)));
+    let unattributed_s = 0.001;
+    let unattributed = Measure::Timer(Some(Span::from_seconds_f64(unattributed_s)));
     stepped.tree.add(NodeId::ROOT, stage::UNATTRIBUTED, Span::ZERO, unattributed);
     let work = test_store.batch(vec![Event::Iteration(stepped)]);
     test_store.commit(&[work]).await;
@@ -349,7 +350,7 @@ async fn listed_iterations_have_delays_or_their_sum() {
     assert_eq!(slowest.number, 101);
     let both_ways = slowest.both_ways.expect("the single delays are unknown");
     let other_stages_s: f64 = slowest.stages.iter().map(|(_, seconds)| seconds).sum();
-    assert!(is_close(other_stages_s + both_ways + 0.001, 10.0), "{slowest:?}");
+    assert!(is_close(other_stages_s + both_ways + unattributed_s, 10.0), "{slowest:?}");
     let cause = slowest.causes.first().expect("something took longer");
     assert_eq!((cause.name.as_str(), cause.value), ("upload + download", both_ways));
     let verdicts: Vec<_> =

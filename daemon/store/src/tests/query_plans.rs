@@ -62,6 +62,7 @@ fn check_plan(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
     let (mut faults, mut needed) = (Vec::new(), HashSet::new());
     for step in steps {
         for (table, column_lists) in LARGE_TABLES {
+            // A step begins with `SEARCH` or `SCAN` and the name of the table.
             if step.split(' ').nth(1) != Some(table) {
                 continue;
             }
@@ -203,7 +204,7 @@ async fn count_instructions(test_store: &TestStore, statement: &'static str, arg
 
 /// The plan of a query does not show whether a `min` or a `LIMIT` ends early. The number of instructions shows it.
 #[tokio::test]
-async fn extent_queries_cost_same_in_short_and_long_runs() {
+async fn queries_of_few_rows_cost_same_in_long_runs() {
     let mut test_store = TestStore::new().await;
     let mut costs = Vec::new();
     for iterations in [20, 1_000] {

@@ -147,6 +147,7 @@ async fn invalid_statistics_do_not_block_writer_and_are_rebuilt() {
         .execute(&mut connection)
         .await
         .expect("spoils");
+    // A new writer has no roll-ups in memory, so it reads the invalid statistics.
     test_store.writer = super::open(&test_store.path).await;
     let mut numbers = Numbers::new(9);
     for number in 61..=70 {
@@ -157,6 +158,7 @@ async fn invalid_statistics_do_not_block_writer_and_are_rebuilt() {
         let committed = test_store.commit(&[work]).await;
         assert!(committed.quarantined.is_empty(), "{number}: {:?}", committed.quarantined);
     }
+    // Statistics accept numbers of up to 1e140.
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
     assert!(stages.iter().any(|stage| stage.statistics.max > 1e140), "the writer leaves invalid statistics");
 

@@ -135,7 +135,7 @@ pub(super) async fn assert_run_is_sound(test_store: &TestStore, run: i64, simula
 #[tokio::test]
 async fn later_clock_samples_narrow_delays() {
     let mut test_store = TestStore::new().await;
-    // Probes take long during the first five seconds of the run, so only later probes give narrow bounds.
+    // Probes take long until five seconds after the start of the run, so only later probes give narrow bounds.
     let simulated = simulate(&mut test_store, SAMPLED_SECONDS, |second, simulation| {
         simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
     })
@@ -209,6 +209,7 @@ async fn warm_up_and_unanswered_iterations_are_left_out() {
     let work = test_store.batch(events);
     test_store.commit(&[work]).await;
     let recomputed = recompute(&test_store).await;
+    // Of ten seconds with ten iterations each, three are warm-up, and one has no answers.
     for RecomputedStage { before, after, .. } in &recomputed.stages {
         for judgement in [before, after] {
             assert_eq!(judgement.verdicts.iter().map(|(_, verdict_count)| verdict_count).sum::<u64>(), 60);

@@ -14,7 +14,7 @@ use crate::types::{DelayAssumptions, RecomputedStage};
 /// Kinds of clock relations with a raw clock.
 const RELATIONS: [RelatedClocks; 2] = [RelatedClocks::Raw, RelatedClocks::RawToWall];
 
-/// Makes probes slow during the first five seconds of a run. Later exchanges then narrow the earlier delays.
+/// Makes probes slow until five seconds after the start of a run. Later exchanges then narrow the earlier delays.
 fn slow_first_seconds(second: i64, simulation: &mut Simulation) {
     simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
 }
@@ -78,7 +78,8 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
 }
 
 /// Makes a simulation in which both machines were restarted. The simulation begins `after` the start of a previous
-/// simulation, and its free-running clocks show the same times as those of the previous simulation.
+/// simulation. The edge's free-running clock shows the same times as in the previous simulation, and the cloud's
+/// free-running clock shows about 12 s less. The offset of the clocks is thus another one.
 fn simulation_after_restart(test_store: &TestStore, after: Span) -> Simulation {
     let mut restarted = Simulation::new(test_store.hosts(), RelatedClocks::Raw);
     restarted.now = after;
