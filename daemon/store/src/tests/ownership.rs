@@ -48,7 +48,8 @@ async fn foreign_events_do_not_change_run() {
     assert_eq!(test_store.count(incidents_query).await, 1, "one incident for each run");
     // The iteration and the end belong to a run of the host that sent them.
     let run_of_other_host_query = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline \
-               JOIN host ON host.id = pipeline.host WHERE host.name = 'cloud' AND run.ok = 1 AND run.end_reason = 'foreign' AND run.reported_uuid IS NOT NULL";
+               JOIN host ON host.id = pipeline.host WHERE host.name = 'cloud' AND run.ok = 1 \
+               AND run.end_reason = 'foreign' AND run.reported_uuid IS NOT NULL";
     assert_eq!(test_store.count(run_of_other_host_query).await, 1);
 }
 
