@@ -109,6 +109,11 @@ impl Verdict {
         }
     }
 
+    /// Returns the worst of some verdicts; `None` without verdicts.
+    pub fn worst(verdicts: impl IntoIterator<Item = Self>) -> Option<Self> {
+        verdicts.into_iter().max_by_key(|verdict| verdict.severity())
+    }
+
     /// Returns the summary verdict of many delays: the worst verdict V such that at least a twentieth of the delays
     /// have the verdict V or a worse verdict. `counts` has the number of delays for each verdict. `None` without
     /// delays.

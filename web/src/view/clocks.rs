@@ -64,7 +64,7 @@ impl ClockCell {
             let title = "one host: nothing crosses between clocks";
             return Self { bound: None, chip: None, words: "one host", title };
         }
-        let verdict = bounds.iter().filter_map(verdict).max_by_key(|verdict| verdict.severity());
+        let verdict = Verdict::worst(bounds.iter().filter_map(verdict));
         let width = bounds.iter().filter_map(DelayAccuracy::median_half_width).max_by(f64::total_cmp);
         let chip = verdict.map(Chip::verdict);
         match (width, verdict) {

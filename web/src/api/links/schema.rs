@@ -50,8 +50,8 @@ pub(crate) struct LinkNow {
     pub pipelines: Vec<String>,
     /// `true` if it is proven now that the processes of both hosts read one clock; the offset is then exactly zero.
     pub same_clock: bool,
-    /// Verdict of the offset, or `unsynchronised` without an offset. `limited` if the offset is good, but delays of the last ten seconds
-    /// are short compared with its bounds.
+    /// Worst of the verdicts of the offset and of the delays of the last ten seconds in both directions;
+    /// `unsynchronised` without an offset, and `ok` if both hosts read one clock.
     pub verdict: Option<&'static str>,
     pub probing: Probing,
     pub edge_clock: Option<HostClock>,

@@ -325,7 +325,7 @@ fn finding(subject: &Subject<'_>, input: &ChartInput<'_>, incidents: usize) -> S
     }
     for direction in [NetworkDirection::Up, NetworkDirection::Down] {
         let delays = input.coarse.points.iter().filter_map(|point| delays_of_point(point, direction));
-        let worst = delays.clone().map(|one| one.verdict).max_by_key(|verdict| verdict.severity());
+        let worst = Verdict::worst(delays.clone().map(|one| one.verdict));
         if let Some(range) = range(delays.filter_map(|one| one.median).map(|median| median.value.seconds())) {
             let worst = worst.map_or_else(String::new, |verdict| format!(", worst verdict {verdict}"));
             text.push_str(&format!(" Median {} {range}{worst}.", direction.delay_name()));

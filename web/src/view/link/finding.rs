@@ -45,20 +45,22 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
     }
     let [up, down] =
         [NetworkDirection::Up, NetworkDirection::Down].map(|direction| subject.delays(direction).verdict);
+    let trusted = |directions: &str| format!("{route}: {directions} times can be trusted to {bound}");
     match (up, down) {
         (None, None) => {
             format!("{route}: the clocks are known to {bound}; nothing was sent in the last 10{SPACE}s")
         }
-        (Some(Verdict::Ok), Some(Verdict::Ok)) => {
-            format!("{route}: upload and download times can be trusted to {bound}")
+        (Some(Verdict::Ok), Some(Verdict::Ok)) => trusted("upload and download"),
+        (Some(Verdict::Ok), None) => trusted("upload"),
+        (None, Some(Verdict::Ok)) => trusted("download"),
+        (Some(Verdict::Ok), Some(Verdict::Limited)) => {
+            format!("{}; read download times as intervals", trusted("upload"))
         }
-        (Some(Verdict::Ok), None) => format!("{route}: upload times can be trusted to {bound}"),
-        (Some(Verdict::Ok), Some(_)) => {
-            format!("{route}: upload times can be trusted to {bound}, download times cannot")
+        (Some(Verdict::Limited), Some(Verdict::Ok)) => {
+            format!("{}; read upload times as intervals", trusted("download"))
         }
-        (Some(_), Some(Verdict::Ok)) => {
-            format!("{route}: download times can be trusted to {bound}, upload times cannot")
-        }
+        (Some(Verdict::Ok), Some(_)) => format!("{}, download times cannot", trusted("upload")),
+        (Some(_), Some(Verdict::Ok)) => format!("{}, upload times cannot", trusted("download")),
         (Some(Verdict::Limited) | None, Some(Verdict::Limited) | None) => {
             format!("{route}: delays are too short for a clock bound of {bound}; read them as intervals")
         }
@@ -66,10 +68,6 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
             format!(
                 "{route}: a clock was stepped a moment ago; delays can be trusted again when the bound has settled"
             )
-        }
-        // The offset is not stale any more, but some delays of the last 10 s were judged while it was stale.
-        (Some(Verdict::Stale), _) | (_, Some(Verdict::Stale)) => {
-            format!("{route}: the clocks are known to {bound}; delays can be trusted from now on")
         }
         _ => format!("{route}: one-way delays cannot be trusted at present"),
     }

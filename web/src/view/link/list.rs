@@ -138,7 +138,7 @@ pub(crate) fn title(snapshot: &LiveState) -> String {
         0 => "No link yet: one-way delays are measured once a pipeline sends to another host".to_owned(),
         1 if good == 1 => format!("{subject}: its one-way delays can be trusted"),
         1 if limited == 1 => format!("{subject}: some of its delays are known only as intervals"),
-        1 => format!("{subject}: its one-way delays cannot be trusted at present"),
+        1 => format!("{subject}: some or all of its one-way delays cannot be trusted at present"),
         all if all == good => format!("{subject}: one-way delays can be trusted on all of them"),
         _ => {
             let mut parts = Vec::new();

@@ -273,18 +273,17 @@ impl<'a> Subject<'a> {
         Delays::of(direction, newest_first)
     }
 
-    /// Returns the verdict of the whole link. This is the verdict of the offset, with one exception: if the verdict of the offset is `Ok` but
-    /// delays are short compared with the bounds of the offset, it is `Limited`.
+    /// Returns the verdict of the whole link: the worst of the verdicts of the offset and of both directions' delays.
+    /// `Ok` if both hosts read one clock; `None` without an offset for a link that is not in the live state.
     pub(crate) fn verdict(&self) -> Option<Verdict> {
-        let offset_verdict = match (self.same_clock(), self.offset()) {
-            (true, _) => Verdict::Ok,
-            (false, Some(offset)) => offset.verdict,
-            (false, None) => return self.live.map(|_| Verdict::Unsynchronised),
-        };
-        let limited = [NetworkDirection::Up, NetworkDirection::Down]
-            .into_iter()
-            .any(|direction| self.delays(direction).verdict == Some(Verdict::Limited));
-        Some(if offset_verdict == Verdict::Ok && limited { Verdict::Limited } else { offset_verdict })
+        if self.same_clock() {
+            return Some(Verdict::Ok);
+        }
+        let without_offset = self.live.map(|_| Verdict::Unsynchronised);
+        let of_offset = self.offset().map(|offset| offset.verdict).or(without_offset);
+        let of_delays =
+            [NetworkDirection::Up, NetworkDirection::Down].map(|direction| self.delays(direction).verdict);
+        Verdict::worst(of_delays.into_iter().flatten().chain(of_offset))
     }
 
     /// Returns the names of the pipelines that use the link, with the addresses of their pages.

@@ -4,7 +4,7 @@ use peernet_stream::DelaySecond;
 
 use super::super::finding::{meanings, title};
 use super::super::*;
-use crate::tests::samples::link;
+use crate::tests::samples::{link, snapshot};
 use crate::zone::Zone;
 
 #[test]
@@ -13,7 +13,7 @@ fn title_says_whether_delays_can_be_trusted() {
     let mixed = link(Some(0.00065), &[]);
     assert_eq!(
         title_of(&mixed),
-        "cam-1 → rack-a: upload times can be trusted to ±0.65\u{202f}ms, download times cannot"
+        "cam-1 → rack-a: upload times can be trusted to ±0.65\u{202f}ms; read download times as intervals"
     );
     assert_eq!(
         title_of(&link(Some(0.00005), &[])),
@@ -46,6 +46,29 @@ fn title_says_whether_delays_can_be_trusted() {
         (point.up, point.down) = (None, None);
     });
     assert!(title_of(&silent).contains("nothing was sent in the last 10"), "{}", title_of(&silent));
+}
+
+#[test]
+fn page_and_list_judge_delays_alike() {
+    let titles = |link: &LinkSnapshot| {
+        let links = vec![Arc::new(link.clone())];
+        let list = list::title(&LiveState { links, ..snapshot(Vec::new(), Vec::new()) });
+        (list, title(&Subject::live(link), Zone::Utc))
+    };
+    let (list, page) = titles(&link(Some(0.00065), &[]));
+    assert!(list.contains("known only as intervals") && page.ends_with("as intervals"), "{list}; {page}");
+    // The clocks were related again in the newest second.
+    let mut stepped = link(Some(0.00005), &[]);
+    for point in stepped.history.iter_mut().rev().skip(1).map(Arc::make_mut) {
+        point.offset = None;
+        let delays = [&mut point.up, &mut point.down].into_iter().flatten();
+        delays.for_each(|delays| delays.verdict = Verdict::Stepped);
+    }
+    let (list, page) = titles(&stepped);
+    assert!(list.contains("cannot be trusted") && page.contains("a clock was stepped"), "{list}; {page}");
+    stepped.live.same_clock = true;
+    let (list, page) = titles(&stepped);
+    assert!(list.contains("can be trusted") && page.ends_with("are exact"), "{list}; {page}");
 }
 
 #[test]
