@@ -73,21 +73,20 @@ pub(crate) struct Spool {
     pub meter: Picture,
 }
 
-fn meter(share: f64, label: &str) -> Picture {
-    let (items, is_nearly_full) = drawing::meter(share);
-    Picture::of_items(&items, if is_nearly_full { "meter full" } else { "meter" }, label)
-}
-
 impl Spool {
     fn of(name: &str, accounting: &Accounting) -> Self {
         let (used, limit) = (accounting.spool_bytes as f64, accounting.spool_limit_bytes as f64);
+        let tone = spool_chip(accounting).map_or(Tone::Ok, |chip| chip.tone);
+        let meter = |share: f64, label: String| {
+            Picture::of_items(&drawing::meter(share), &format!("meter {}", tone.class()), &label)
+        };
         if accounting.spool_limit_bytes == 0 {
-            let meter = meter(0.0, &format!("the spool of {name} is not known"));
+            let meter = meter(0.0, format!("the spool of {name} is not known"));
             return Self { percent: NONE.to_owned(), words: "not known yet".to_owned(), meter };
         }
         let share = used / limit;
         let percent = percent(share);
-        let meter = meter(share, &format!("{percent}{SPACE}% of the spool of {name} is used"));
+        let meter = meter(share, format!("{percent}{SPACE}% of the spool of {name} is used"));
         Self { percent, words: format!("{} of {}", bytes(used), bytes(limit)), meter }
     }
 }
@@ -140,6 +139,17 @@ fn counted_events(number: u64) -> String {
     number::counted(number, "event")
 }
 
+/// Returns the chip of a spool that is full or nearly full.
+fn spool_chip(account: &Accounting) -> Option<Chip> {
+    let (used, limit) = (account.spool_bytes, account.spool_limit_bytes);
+    if limit == 0 || (used as f64) < limit as f64 * NEARLY_FULL {
+        return None;
+    }
+    let (tone, word) =
+        if used >= limit { (Tone::Bad, "spool full") } else { (Tone::Warn, "spool nearly full") };
+    Some(Chip::new(tone, "gap", word))
+}
+
 fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     let account = &host.accounting;
     let mut remarks = Vec::new();
@@ -149,20 +159,14 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
         );
         remarks.push(Remark::new(Tone::Bad, "failed", "spool fails", text));
     }
-    let warned_bytes = account.spool_limit_bytes as f64 * NEARLY_FULL;
-    if account.spool_limit_bytes > 0 && account.spool_bytes as f64 >= warned_bytes {
+    if let Some(chip) = spool_chip(account) {
         // Events are dropped when their batch does not fit, which can happen slightly below the limit. Both chips
         // therefore have the same text.
-        let (tone, word) = if account.spool_bytes >= account.spool_limit_bytes {
-            (Tone::Bad, "spool full")
-        } else {
-            (Tone::Warn, "spool nearly full")
-        };
         let used = percent(account.spool_bytes as f64 / account.spool_limit_bytes as f64);
         let text = format!(
             "{used}{SPACE}% of the spool is used. Events that no longer fit are dropped and counted in gaps."
         );
-        remarks.push(Remark::new(tone, "gap", word, text));
+        remarks.push(Remark { chip, text });
     }
     if let Some(behind) = host.behind.filter(|behind| *behind > FAR_BEHIND) {
         let behind = long_duration(behind.seconds());
@@ -365,6 +369,19 @@ mod tests {
         assert!(remark.text.starts_with("96\u{202f}% of the spool is used."), "{}", remark.text);
         host.accounting.spool_bytes = 94;
         assert!(remarks(&host).iter().all(|remark| !remark.chip.word.starts_with("spool")));
+    }
+
+    #[test]
+    fn spool_meter_has_tone_of_spool_remark() {
+        let mut host = host();
+        host.accounting.spool_limit_bytes = 100;
+        for used in [92, 96, 100] {
+            host.accounting.spool_bytes = used;
+            let remark = remarks(&host).into_iter().find(|remark| remark.chip.word.starts_with("spool"));
+            let tone = remark.map_or(Tone::Ok, |remark| remark.chip.tone);
+            let meter = Spool::of("cam-1", &host.accounting).meter.to_string();
+            assert!(meter.contains(&format!("meter {}\"", tone.class())), "{used}: {meter}");
+        }
     }
 
     #[test]

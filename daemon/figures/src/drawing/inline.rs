@@ -7,8 +7,6 @@ use peernet_statistics::number;
 /// Length of a share bar that shows the share 1, as a share of the picture. The rest of the picture is room for the
 /// number after the bar.
 const FULL_LENGTH: f64 = 0.72;
-/// A meter is nearly full if it shows at least this share.
-const NEARLY_FULL: f64 = 0.9;
 /// Minimum length of a meter's bar as a share of the picture, so that a small share is visible.
 const MIN_LENGTH: f64 = 0.02;
 
@@ -19,14 +17,13 @@ pub fn share_bar(name: &str, share: f64) -> Vec<Item> {
     vec![Item::rect(At::new(0.0, 0.19), At::new(end, 0.81), stage(name).plain()), Item::Text(number)]
 }
 
-/// Returns a meter that shows the used share of a limit, 0 to 1, and whether the meter is nearly full. The meter is a
-/// bar on a track that ends at the limit.
-pub fn meter(share: f64) -> (Vec<Item>, bool) {
+/// Returns a meter that shows the used share of a limit, 0 to 1. The meter is a bar on a track that ends at the limit.
+pub fn meter(share: f64) -> Vec<Item> {
     // A share of a limit of zero is not finite.
     let share = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
     let end = if share > 0.0 { share.max(MIN_LENGTH) } else { 0.0 };
     let bar = |end, class| Item::rect(At::new(0.0, 0.0), At::new(end, 1.0), Style::of_page(class));
-    (vec![bar(1.0, "track"), bar(end, "fill")], share >= NEARLY_FULL)
+    vec![bar(1.0, "track"), bar(end, "fill")]
 }
 
 /// Returns a line through values from 0 to 1 at evenly spaced times, with the area below the line. A missing value

@@ -50,7 +50,7 @@ async fn event_counts_of_each_state_are_shown() {
     assert!(
         html.contains("wait for the link or the aggregator")
             && html.contains("spool full")
-            && html.contains("meter full"),
+            && html.contains("meter bad"),
         "{html}"
     );
     let html = part("cam-3", "accounting");
