@@ -97,6 +97,14 @@ impl StageSplit {
         Some(self.rest? - self.lateness.unwrap_or_default() - self.model_restarts)
     }
 
+    /// Returns the stages that took time, longest first. `unattributed` is no stage.
+    pub fn longest_stages(&self) -> Vec<&(Name, f64)> {
+        let is_stage = |(name, seconds): &&(Name, f64)| *seconds > 0.0 && *name != stage::UNATTRIBUTED;
+        let mut stages: Vec<&(Name, f64)> = self.parts.iter().filter(is_stage).collect();
+        stages.sort_by(|(_, a), (_, b)| b.total_cmp(a));
+        stages
+    }
+
     /// Returns the share of these seconds in the mean total; 0 without a total.
     pub fn share_of_mean_total(&self, seconds: f64) -> f64 {
         if self.total > 0.0 { seconds / self.total } else { 0.0 }

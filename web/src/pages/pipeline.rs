@@ -166,15 +166,14 @@ fn title(pipeline: &PipelineSnapshot, stack: &Stack) -> String {
         (PipelineState::Away, _) => format!("{name}: its host is not connected"),
         (_, None) => format!("{name}: no iteration in this time"),
         (_, Some(total)) => {
-            let largest = stack.parts.iter().max_by(|a, b| a.seconds.total_cmp(&b.seconds));
-            let largest = largest.filter(|part| part.name != "unattributed");
-            let largest_text = largest.map_or_else(String::new, |part| {
-                let part_share = part.seconds / total.mean;
-                let how = if part_share > 0.5 { "most of it" } else { "longest" };
-                format!(", {how} {} ({}{SPACE}%)", part.name, share(part_share))
+            let stages = stack.split.longest_stages();
+            let longest = stages.first().map_or_else(String::new, |(name, seconds)| {
+                let stage_share = stack.split.share_of_mean_total(*seconds);
+                let how = if stage_share > 0.5 { "most of it" } else { "longest" };
+                format!(", {how} {name} ({}{SPACE}%)", share(stage_share))
             });
             // The title states the mean and not the median: the parts are means, and only means add up.
-            format!("{name}: {} on average{largest_text}", duration(total.mean))
+            format!("{name}: {} on average{longest}", duration(total.mean))
         }
     }
 }
@@ -317,6 +316,21 @@ mod tests {
         assert_eq!(
             title(&pipeline, &stack),
             format!("line: 12.5{SPACE}ms on average, most of it upload (50.4{SPACE}%)")
+        );
+    }
+
+    #[test]
+    fn title_and_bar_name_same_longest_stage() {
+        let mut pipeline = samples::pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
+        let values = &mut pipeline.windows[1].values;
+        let total = values.iter_mut().find(|(name, _)| *name == stage::TOTAL).expect("a total");
+        // Most of this total is unattributed time.
+        total.1.mean = 0.1;
+        let stack = Stack::of_window(pipeline.window(10).expect("a window"));
+        let (title, bar) = (title(&pipeline, &stack), stack.finding((None, None)));
+        assert!(
+            title.contains("longest upload (6.3") && bar.contains("Longest stages: upload 6.3"),
+            "{title}; {bar}"
         );
     }
 }

@@ -18,6 +18,8 @@ pub(crate) struct Stack {
     pub parts: Vec<StagePart>,
     /// Statistics of `total`; `None` without a successful iteration.
     pub total: Option<QuantityStatistics>,
+    /// Means of the stages; empty for one iteration.
+    pub split: StageSplit,
 }
 
 impl Stack {
@@ -55,7 +57,7 @@ impl Stack {
         let count_and_mean_of =
             |name: &str| statistics_of(name).map(|statistics| (statistics.count, statistics.mean));
         let split = StageSplit::new(sent, count_and_mean_of);
-        Self { parts: bar_parts(split.parts), total: statistics_of("total") }
+        Self { parts: bar_parts(split.parts.clone()), total: statistics_of("total"), split }
     }
 
     /// Returns the stack of one iteration. If upload or download is unknown, the stack has the sum of both in their
@@ -65,7 +67,7 @@ impl Stack {
             Some(durations) => UnaccountedTime::parts_of(&durations),
             None => row.stages.clone(),
         };
-        Self { parts: bar_parts(parts), total: None }
+        Self { parts: bar_parts(parts), ..Self::default() }
     }
 
     /// Returns the length of the bar, ms: the sum of all parts.
@@ -100,13 +102,11 @@ impl Stack {
                 text.push_str(&format!(", {name} {}", duration(seconds)));
             }
         }
-        let mut largest: Vec<&StagePart> = self.parts.iter().collect();
-        largest.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
-        let names = largest
-            .iter()
-            .take(3)
-            .map(|part| format!("{} {}\u{202f}ms", part.name, milliseconds(part.seconds)));
-        format!("{text}. Largest stages: {}.", names.collect::<Vec<_>>().join(", "))
+        for (index, (name, seconds)) in self.split.longest_stages().into_iter().take(3).enumerate() {
+            text.push_str(if index == 0 { ". Longest stages: " } else { ", " });
+            text.push_str(&format!("{name} {}\u{202f}ms", milliseconds(*seconds)));
+        }
+        text + "."
     }
 }
 
@@ -152,7 +152,7 @@ mod tests {
         let names: Vec<_> = stack.parts.iter().map(|part| part.name.as_str()).collect();
         assert_eq!(names, ["sensing", look::NETWORK, "inference", "unattributed"]);
         assert!((stack.parts[1].seconds - 0.012).abs() < 1e-12);
-        assert!(stack.description((None, None)).contains("Largest stages: upload + download 12.0\u{202f}ms"));
+        assert!(stack.description((None, None)).contains("Longest stages: upload + download 12.0\u{202f}ms"));
     }
 
     #[test]

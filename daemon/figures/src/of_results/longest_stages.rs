@@ -19,14 +19,14 @@ impl LongestStages {
     /// Divides the stages by their mean latencies, as bars show them: an unknown delay counts as the mean of the known
     /// delays. Stages that took no time are in neither group.
     pub(super) fn new(rows: &Rows) -> Self {
-        let parts = StageSplit::from_rows(rows).parts.into_iter().map(|(name, mean)| (mean, name));
-        let is_stage = |(mean, name): &(f64, Name)| *mean > 0.0 && stage::ORDER.contains(name);
-        let mut stages: Vec<(f64, Name)> = parts.filter(is_stage).collect();
-        stages.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let split = StageSplit::from_rows(rows);
+        // The sum of both directions has no column of values, so it cannot be drawn.
+        let names = split.longest_stages().into_iter().map(|(name, _)| name.clone());
+        let mut stages: Vec<Name> = names.filter(|name| stage::ORDER.contains(name)).collect();
         let shorter = stages.split_off(MAX_STAGES.min(stages.len()));
-        let in_order = |mut stages: Vec<(f64, Name)>| {
-            stages.sort_by_key(|(_, name)| stage::ORDER.iter().position(|other| other == name));
-            stages.into_iter().map(|(_, name)| name).collect()
+        let in_order = |mut stages: Vec<Name>| {
+            stages.sort_by_key(|name| stage::ORDER.iter().position(|other| other == name));
+            stages
         };
         Self { longest: in_order(stages), shorter: in_order(shorter) }
     }
