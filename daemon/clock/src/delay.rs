@@ -210,6 +210,13 @@ impl OneWayDelay {
         self.value.filter(|_| is_known).map(Span::seconds)
     }
 
+    /// Returns the offset of the receiver's wall clock from the sender's that was subtracted from `raw` to give `value`;
+    /// positive if the receiver's clock is ahead. `None` if the delay is not known.
+    pub fn clock_offset(&self) -> Option<Span> {
+        self.known_seconds()?;
+        Some(self.raw - self.value?)
+    }
+
     /// Returns the ends of the interval in seconds; `None` if the delay is not known or has no interval.
     pub fn known_bounds(&self) -> Option<(f64, f64)> {
         self.known_seconds()?;

@@ -58,7 +58,7 @@ pub(crate) struct DelayRow {
     pub name: String,
     /// Receiver's stamp minus sender's stamp.
     pub raw: String,
-    /// Correction by the clock offset: `value` minus `raw`.
+    /// Offset of the receiver's wall clock from the sender's: `raw` minus `value`.
     pub offset: String,
     pub value: String,
     pub lo: String,
@@ -227,8 +227,8 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
             name: node.name.to_string(),
             raw: format_duration(delay.raw, bounds, column),
             offset: or_dash(delay.value.map(|value| match bounds {
-                Some(bounds) => signed_within_ms(value - delay.raw, bounds),
-                None => column.difference(value - delay.raw),
+                Some(bounds) => signed_within_ms(delay.raw - value, bounds),
+                None => column.difference(delay.raw - value),
             })),
             value: or_dash(delay.value.map(|value| format_duration(value, bounds, column))),
             lo: or_dash(interval_end(0)),

@@ -35,10 +35,7 @@ impl Clocks {
     /// iterations are in order of time.
     pub(super) fn new(clock_samples: &[ClockSample], iterations: &[Sample]) -> Self {
         let round_trips = clock_samples.iter().filter_map(|sample| sample.round_trip);
-        let offset = |iteration: &Sample| {
-            let up = iteration.up.as_ref().filter(|up| up.delay.known_seconds().is_some())?;
-            Some((up.delay.raw - up.delay.value?).seconds())
-        };
+        let offset = |iteration: &Sample| iteration.up.as_ref()?.delay.clock_offset().map(Span::seconds);
         // Each clock relation counts its own restarts. When the peer comes back, a new relation starts to count at
         // zero. Therefore only increases are added up.
         let restarts = clock_samples.iter().map(|sample| u64::from(sample.exchanges.restarts));

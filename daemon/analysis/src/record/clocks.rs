@@ -90,15 +90,13 @@ impl DelayQuality {
     }
 }
 
-/// Returns the clock offset that was subtracted from the difference of the stamps to give the delay, in seconds. `None`
-/// if the delay is not known. A longer delay means a smaller offset, so the upper bound of the delay gives the lower
-/// bound of the offset.
+/// Returns the clock offset of a delay with its bounds, seconds; `None` if the delay is not known. A longer delay means
+/// a smaller offset, so the upper bound of the delay gives the lower bound of the offset.
 fn offset(delay: &OneWayDelay) -> Option<BoundedEstimate> {
-    delay.known_seconds()?;
     let offset_for = |true_delay| (delay.raw - true_delay).seconds();
     let bounds = delay.bounds?;
     Some(BoundedEstimate {
-        value: offset_for(delay.value?),
+        value: delay.clock_offset()?.seconds(),
         lo: offset_for(bounds.hi),
         hi: offset_for(bounds.lo),
     })

@@ -198,5 +198,6 @@ fn delay_has_digits_of_its_bounds() {
     let basis = format!("by free-running clocks, ρ 200{SPACE}ppm, probes not authenticated");
     assert_eq!((row.source, row.basis.as_str()), ("in-band", basis.as_str()));
     let texts = [&row.raw, &row.offset, &row.value, &row.lo, &row.hi].map(String::as_str);
-    assert_eq!(texts, ["1,204.043", "\u{2212}1,204.000", "0.043", "0.039", "0.048"]);
+    assert_eq!(texts, ["1,204.043", "+1,204.000", "0.043", "0.039", "0.048"]);
+    assert_eq!(delay.clock_offset(), Some(Span::from_millis(1_204)), "offset as in run.json");
 }
