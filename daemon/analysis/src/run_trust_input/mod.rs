@@ -63,14 +63,7 @@ fn ended_early(record: &RunRecord, rows: &Rows, times: &StartTimes) -> Option<En
 /// if the run is complete, if the run had nothing more to measure, or if its end is not known.
 pub(crate) fn early_end(record: &RunRecord, rows: &Rows) -> Option<String> {
     let times = StartTimes::from_run(record, rows);
-    match (record.reason.failure(), ended_early(record, rows, &times)) {
-        (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.progress_text())),
-        (Some(reason), None) => Some(format!("broke off: {reason}")),
-        (None, Some(early)) if early.interrupted => {
-            Some(format!("was interrupted {}", early.progress_text()))
-        }
-        (None, _) => None,
-    }
+    EndedEarly::end_text(record.reason.failure(), ended_early(record, rows, &times).as_ref())
 }
 
 #[cfg(test)]

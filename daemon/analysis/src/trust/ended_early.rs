@@ -83,6 +83,19 @@ impl EndedEarly {
         self.reached / self.limit
     }
 
+    /// Describes the end of a run that was interrupted or broke off: `was interrupted after 57 of 120 iterations`.
+    /// `failure` is the reason why the run broke off. `None` for any other run.
+    pub(crate) fn end_text(failure: Option<&str>, early: Option<&Self>) -> Option<String> {
+        match (failure, early) {
+            (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.progress_text())),
+            (Some(reason), None) => Some(format!("broke off: {reason}")),
+            (None, Some(early)) if early.interrupted => {
+                Some(format!("was interrupted {}", early.progress_text()))
+            }
+            (None, _) => None,
+        }
+    }
+
     /// Describes the progress of the run: `after 57 of 120 iterations`.
     pub(crate) fn progress_text(&self) -> String {
         let Self { reached, limit, unit, .. } = self;

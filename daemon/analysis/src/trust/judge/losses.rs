@@ -49,19 +49,11 @@ fn judge_end(input: &TrustInput) -> Option<Finding> {
             "The run has no recorded end (in progress or killed): the findings cover the iterations so far.",
         ));
     }
-    let progress_text = input.ended_early.as_ref().map(EndedEarly::progress_text);
-    let text = match (&input.failure, progress_text) {
-        (Some(reason), Some(progress_text)) => format!("The run broke off {progress_text}: {reason}."),
-        (Some(reason), None) => format!("The run broke off: {reason}."),
-        (None, Some(progress_text)) if input.ended_early.as_ref().is_some_and(|early| early.interrupted) => {
-            format!("The run was interrupted {progress_text}.")
-        }
-        (None, Some(progress_text)) => {
-            format!("The run finished {progress_text}: there was nothing more to measure.")
-        }
-        (None, None) => return None,
-    };
-    Some(match &input.ended_early {
+    let early = input.ended_early.as_ref();
+    let finished = || Some(format!("finished {}: there was nothing more to measure", early?.progress_text()));
+    let text = EndedEarly::end_text(input.failure.as_deref(), early).or_else(finished)?;
+    let text = format!("The run {text}.");
+    Some(match early {
         Some(early) if early.reached_share() < MIN_REACHED_SHARE => {
             with_advice(finding(END, Grade::Bad, text), "repeat the run")
         }
