@@ -142,11 +142,11 @@ pub fn share_of_total(
     sent: [u64; 2],
     mean_of: impl Fn(&str) -> Option<CountAndMean>,
 ) -> Option<f64> {
-    let (iterations, total) = mean_of(&stage::TOTAL).filter(|(_, total)| *total > 0.0)?;
+    let (iterations, _) = mean_of(&stage::TOTAL).filter(|(_, total)| *total > 0.0)?;
     let split = StageSplit::new(sent, &mean_of);
-    let part = split.parts.into_iter().find(|(part, _)| part == name).map(|(_, seconds)| seconds);
+    let part = split.parts.iter().find(|(part, _)| part == name).map(|(_, seconds)| *seconds);
     let seconds = part.or_else(|| Some(mean_per_iteration(mean_of(name)?, iterations)))?;
-    Some(seconds / total)
+    Some(split.share_of_mean_total(seconds))
 }
 
 /// Returns the number of rows whose iteration sent a message to the other host, and the number of rows whose iteration

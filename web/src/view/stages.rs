@@ -139,10 +139,9 @@ impl StageRow {
         }
         // Only if neither direction has a known delay, the sum of both directions has a row, before `upload` as in the
         // bar.
-        if let (Some(network), Some(total)) =
-            (stack.parts.iter().find(|part| part.name == look::NETWORK), stack.total)
-        {
-            let row = Self::network(column, network, Some(network.seconds / total.mean));
+        if let Some(network) = stack.parts.iter().find(|part| part.name == look::NETWORK) {
+            let share = stack.split.share_of_mean_total(network.seconds);
+            let row = Self::network(column, network, Some(share));
             rows.insert(index_of(&rows, &stage::UPLOAD), row);
         }
         let has = |name: &str| stages.iter().any(|stage| stage.stage == *name);
