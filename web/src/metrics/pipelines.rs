@@ -72,28 +72,34 @@ pub(super) fn write_missed(scrape: &Scrape, sink: &mut Sink<'_>) {
 
 /// Writes the numbers of superseded answers.
 pub(super) fn write_superseded(scrape: &Scrape, sink: &mut Sink<'_>) {
-    write_figures(scrape, sink, SUPERSEDED, |QuantityStatistics { count, mean, std, .. }| {
-        // Only the field `superseded` is read, so the other results may be computed from the same statistics.
-        Sample::Size(ActuatorResults::from_statistics(|_| Some((*count, *mean, *std))).superseded)
-    });
+    write_actuator_result(scrape, sink, SUPERSEDED, |results| Some(Sample::Size(results.superseded)));
 }
 
 /// Writes the success rates of episodes.
 pub(super) fn write_episode_success(scrape: &Scrape, sink: &mut Sink<'_>) {
-    write_figures(scrape, sink, EPISODE_SUCCESS, |statistics| Sample::Value(statistics.mean));
+    write_actuator_result(scrape, sink, EPISODE_SUCCESS, |results| {
+        Some(Sample::Value(results.success?.rate))
+    });
 }
 
-fn write_figures(
+/// Writes the result of the actuator that belongs to the value `value_name`.
+fn write_actuator_result(
     scrape: &Scrape,
     sink: &mut Sink<'_>,
     value_name: &str,
-    sample_of: impl Fn(&QuantityStatistics) -> Sample,
+    sample_of: impl Fn(ActuatorResults) -> Option<Sample>,
 ) {
     for pipeline in &scrape.pipelines {
         let [host, name] = label_values(pipeline);
         for (seconds, label) in WINDOWS {
-            if let Some(statistics) = pipeline.window(seconds).and_then(|window| window.value(value_name)) {
-                sink(&[host, name, label], sample_of(statistics));
+            let Some(statistics) = pipeline.window(seconds).and_then(|window| window.value(value_name))
+            else {
+                continue;
+            };
+            let QuantityStatistics { count, mean, std, .. } = *statistics;
+            // Only the field of this value is read, so the other results may be computed from the same statistics.
+            if let Some(sample) = sample_of(ActuatorResults::from_statistics(|_| Some((count, mean, std)))) {
+                sink(&[host, name, label], sample);
             }
         }
     }

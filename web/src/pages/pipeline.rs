@@ -34,7 +34,7 @@ use crate::view::runs::RunLine;
 use crate::view::speed::{self, NetworkDirection};
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW};
-use crate::view::{chip::Chip, link, place};
+use crate::view::{accuracy, chip::Chip, link, place};
 
 /// Registration of this page.
 pub(super) const PAGE: PageRegistration = PageRegistration {
@@ -199,7 +199,7 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
     let traffic = speed::traffic(kind, window);
     let failed = window.failed_fraction.map_or_else(|| NONE.to_owned(), percent);
     let accuracies = ACCURACIES.into_iter().zip(ACCURACY_TITLES).filter_map(|(name, label)| {
-        let number = share(window.value(name)?.mean);
+        let (number, _) = accuracy::texts(window.value(name)?)?;
         let title = "accuracy: how often the model was right, where samples have labels".to_owned();
         Some(Stat { name: label, number, unit: "%", title })
     });

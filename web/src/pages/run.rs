@@ -129,7 +129,7 @@ struct Run {
     trust: Trust,
     experiment: Option<ExperimentPosition>,
     /// Label of each accuracy, its value in percent, and the interval of the value.
-    accuracies: Vec<(&'static str, String, Option<String>)>,
+    accuracies: Vec<(&'static str, String, String)>,
     actuator: ActuatorNumbers,
     configuration: Vec<(String, String)>,
     /// Configuration of the pipeline as TOML.
@@ -355,10 +355,11 @@ fn assemble(
 }
 
 /// Returns the accuracies of the model; empty if samples had no labels.
-fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String, Option<String>)> {
+fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String, String)> {
     let accuracies = ACCURACIES.into_iter().zip(ACCURACY_TITLES).filter_map(|(name, label)| {
         let statistics = stages.iter().find(|stage| stage.stage == *name)?.statistics;
-        Some((label, share(statistics.mean), accuracy::interval(&statistics)))
+        let (share, interval) = accuracy::texts(&statistics)?;
+        Some((label, share, interval))
     });
     accuracies.collect()
 }

@@ -359,7 +359,7 @@ async fn accuracy_is_shown_for_labelled_samples() {
     };
     assert!(!html(&live_state).contains("accuracy"), "there is no accuracy without labels");
     for window in &mut std::sync::Arc::make_mut(&mut live_state.pipelines[0]).windows {
-        window.values.push((Name::from("top-1"), figures(0.875, 300)));
+        window.values.push((Name::from("top-1"), figures(0.875, 320)));
     }
     let html = html(&live_state);
     check(&html);

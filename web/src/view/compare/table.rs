@@ -6,7 +6,7 @@ use peernet_analysis::quality::Quality;
 use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::stage;
 use peernet_statistics::number::{
-    NONE, bytes, column_decimals, count, duration, fixed, fixed_or_less_than, percent, share,
+    NONE, bytes, column_decimals, count, duration, fixed, fixed_or_less_than, percent,
 };
 use peernet_store::QuantityStatistics;
 
@@ -138,8 +138,8 @@ impl QualityColumn {
                 Some(qualities::texts(*quality, &qualities::estimate(configuration, *quality)?))
             }
             Self::Top5 => {
-                let accuracy = configuration.statistics(ACCURACIES[1])?;
-                Some((share(accuracy.mean), accuracy::interval(accuracy)))
+                let (share, interval) = accuracy::texts(configuration.statistics(ACCURACIES[1])?)?;
+                Some((share, Some(interval)))
             }
         }
     }
