@@ -11,7 +11,6 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::table::CaptionedTable;
 use peernet_analysis::trust::publication_summary;
 use peernet_analysis::users::Users;
-use peernet_figures::{self as figures, Columns, Kind, PlotError};
 use peernet_results::ResultFolder;
 
 use super::folder::Folder;
@@ -66,8 +65,7 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
     ];
     save(folder.path(), "compare", &files)?;
     // If figures cannot be drawn, the tables are printed nevertheless.
-    let configurations = comparison.lines.len();
-    let figure_error = plots.then(|| figures(&all, configurations, folder.path()).err()).flatten();
+    let figure_error = plots.then(|| peernet_figures::of_experiment(&all, folder.path()).err()).flatten();
     let mut parts = vec![comparison.text()];
     if let Some(users) = users {
         let files =
@@ -88,19 +86,6 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
     parts.push(publication);
     let text = parts.iter().map(|part| part.trim_end()).collect::<Vec<_>>().join("\n\n");
     Ok(Report { text, figure_error })
-}
-
-/// Draws the figures over all configurations. With a single configuration, only the figure of the payload is drawn: bar
-/// charts need several configurations.
-fn figures(all: &[Loaded], configurations: usize, folder: &Path) -> Result<(), WriteError> {
-    if configurations > 1 {
-        return figures::of_experiment(all, folder).map(drop);
-    }
-    // Runs without the data of the figure have no figure.
-    match figures::draw(Kind::Payload, all, &Columns::default(), folder) {
-        Err(PlotError::Write(error)) => Err(error),
-        Ok(_) | Err(PlotError::MissingData(..)) => Ok(()),
-    }
 }
 
 fn load(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<Loaded>, Failure> {
