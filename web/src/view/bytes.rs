@@ -91,12 +91,14 @@ fn throughput_text(
     throughput_name: &str,
     delay_name: &str,
 ) -> (String, &'static str) {
-    let node =
-        |name: &str| detail.tree.nodes().iter().find(|node| node.name == *name).map(|node| &node.measure);
-    let Some(Measure::Throughput(rate)) = node(throughput_name) else {
+    let counted_nodes = detail.tree.counted_nodes();
+    let measure = |name: &str| {
+        counted_nodes.iter().find(|(_, node, _)| node.name == *name).map(|(_, node, _)| &node.measure)
+    };
+    let Some(Measure::Throughput(rate)) = measure(throughput_name) else {
         return (NONE.to_owned(), "no throughput was computed");
     };
-    let verdict = match node(delay_name) {
+    let verdict = match measure(delay_name) {
         Some(Measure::Transit(transit)) => transit.delay.map(|delay| delay.verdict),
         _ => None,
     };
