@@ -87,8 +87,7 @@ impl DirectionStudy {
     /// Returns the statistics of one direction from the samples in the statistics.
     pub(super) fn new(direction: Direction, samples: &[Sample]) -> Self {
         let passages = passages_in_statistics(direction, samples);
-        let mut verdicts = VerdictCounts::default();
-        passages.iter().for_each(|(_, passage)| verdicts.add(passage.delay.verdict, 1));
+        let verdicts: VerdictCounts = passages.iter().map(|(_, passage)| passage.delay.verdict).collect();
         let payloads: BTreeSet<u64> = passages.iter().map(|(payload, _)| *payload).collect();
         let sizes: Vec<SizeSummary> =
             payloads.iter().filter_map(|payload| size_summary(*payload, &passages)).collect();

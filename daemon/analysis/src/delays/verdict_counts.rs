@@ -32,6 +32,14 @@ impl VerdictCounts {
     }
 }
 
+impl FromIterator<Verdict> for VerdictCounts {
+    fn from_iter<I: IntoIterator<Item = Verdict>>(verdicts: I) -> Self {
+        let mut counts = Self::default();
+        verdicts.into_iter().for_each(|verdict| counts.add(verdict, 1));
+        counts
+    }
+}
+
 impl Merge for VerdictCounts {
     fn merge(&mut self, other: &Self) {
         other.counts().for_each(|(verdict, count)| self.add(verdict, count));

@@ -65,24 +65,18 @@ impl Clocks {
 }
 
 impl DelayQuality {
-    fn from_delays(delays: impl Iterator<Item = (f64, OneWayDelay)>) -> Self {
-        let (mut verdicts, mut sources) = (VerdictCounts::default(), BTreeMap::<&str, u64>::new());
-        let mut bounds: Vec<(f64, f64)> = Vec::new();
-        let (mut first, mut last) = (None, None);
-        for (at, delay) in delays {
-            if let Some(offset) = offset(&delay) {
-                first.get_or_insert((at, offset));
-                last = Some((at, offset));
-            }
-            // Delays without a value are counted, too: readers must know how many delays are unknown.
-            verdicts.add(delay.verdict, 1);
-            *sources.entry(delay.source.name()).or_default() += 1;
-            bounds.extend(delay.known_bounds());
-        }
+    fn from_delays(delays: impl Iterator<Item = (f64, OneWayDelay)> + Clone) -> Self {
+        // Delays without a value are counted, too: readers must know how many delays are unknown.
+        let verdicts: VerdictCounts = delays.clone().map(|(_, delay)| delay.verdict).collect();
+        let mut sources = BTreeMap::<&str, u64>::new();
+        delays.clone().for_each(|(_, delay)| *sources.entry(delay.source.name()).or_default() += 1);
+        let mut offsets = delays.clone().filter_map(|(at, delay)| Some((at, offset(&delay)?)));
+        let first = offsets.next();
+        let last = offsets.last().or(first);
         Self {
             verdicts: verdicts.counts().map(|(verdict, count)| (verdict.name().to_owned(), count)).collect(),
             sources: sources.into_iter().map(|(name, count)| (name.to_owned(), count)).collect(),
-            median_width: median_width(bounds.into_iter()),
+            median_width: median_width(delays.filter_map(|(_, delay)| delay.known_bounds())),
             first_offset: first.map(|(_, offset)| offset),
             last_offset: last.map(|(_, offset)| offset),
             skew: first.zip(last).and_then(|(first, last)| skew(first, last)),

@@ -169,21 +169,14 @@ fn two_modes(rows: &Rows) -> Vec<(String, TwoModes)> {
 }
 
 impl DelayQuality {
-    fn from_delays(stage: &str, delays: impl Iterator<Item = OneWayDelay>) -> Option<Self> {
-        let mut verdicts = VerdictCounts::default();
-        let (mut known_delays, mut bounds) = (Vec::new(), Vec::new());
-        for delay in delays {
-            verdicts.add(delay.verdict, 1);
-            if let Some(seconds) = delay.known_seconds() {
-                known_delays.push(seconds);
-                bounds.push(delay.known_bounds());
-            }
-        }
+    fn from_delays(stage: &str, delays: impl Iterator<Item = OneWayDelay> + Clone) -> Option<Self> {
+        let verdicts: VerdictCounts = delays.clone().map(|delay| delay.verdict).collect();
+        let known = delays.filter_map(|delay| Some((delay.known_seconds()?, delay.known_bounds())));
         (!verdicts.is_empty()).then(|| Self {
             stage: stage.to_owned(),
             verdicts: verdicts.counts().collect(),
-            delay: known_delays.into_iter().collect::<SortedValues>().median(),
-            interval: ClockInterval::of_median(bounds.into_iter()),
+            delay: known.clone().map(|(seconds, _)| seconds).collect::<SortedValues>().median(),
+            interval: ClockInterval::of_median(known.map(|(_, bounds)| bounds)),
         })
     }
 }
