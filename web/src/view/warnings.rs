@@ -8,9 +8,10 @@ use peernet_analysis::trust::Starts;
 use peernet_clock::{Span, WallTime};
 use peernet_logger::stage;
 use peernet_statistics::number::{SPACE, duration, percent, times};
-use peernet_store::{DelayAccuracy, QuantityStatistics};
+use peernet_store::QuantityStatistics;
 
 use super::chip::{Chip, Tone};
+use super::stack::Stack;
 use crate::config::WarnConfig;
 
 /// Minimum time for which the processors must have been busy.
@@ -43,7 +44,7 @@ pub(crate) fn host_warning(host: &HostSnapshot, now: WallTime, warn: &WarnConfig
 
 /// Returns the warnings about a pipeline's last minute: for each a chip, and the rest of a sentence about the pipeline.
 pub(crate) fn pipeline_warnings(minute: &Window, warn: &WarnConfig) -> Vec<(Chip, String)> {
-    let split = split(minute);
+    let split = Stack::of_window(minute).split;
     [
         tail_warning(minute, warn),
         unattributed_warning(&split, warn),
@@ -66,13 +67,6 @@ fn tail_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
         duration(total.p50)
     );
     Some((Chip::new(Tone::Warn, "slow", "tail"), text))
-}
-
-/// Returns the split of the mean total of the minute.
-fn split(minute: &Window) -> StageSplit {
-    let count_and_mean_of =
-        |name: &str| minute.value(name).map(|statistics| (statistics.count, statistics.mean));
-    StageSplit::new(DelayAccuracy::sent_messages(&minute.bounds), count_and_mean_of)
 }
 
 /// Returns the warning about time that no stage, lateness or restart explains, or about stages that overlap. The trust
