@@ -1,5 +1,5 @@
 //! Simulation of an edge and a cloud with their clocks, of the network between them, and of the clock relation. The
-//! delays are first judged by the same code as on a real agent.
+//! same code as on a real agent judges the delays. Tests then compute the delays again from the stored data.
 
 use peernet_clock::{
     ClockClaim, Exchange, ExchangeObservation, Interval, JudgedExchange, LearnResult, OneWayDelay, RawTime,
@@ -140,6 +140,7 @@ impl Simulation {
                 sent,
                 received: Some(received),
                 delay: Some(delay),
+                // Only releases before 0.3 relate wall clocks, and they send no stamps of free-running clocks.
                 raw_stamps: (self.clocks != RelatedClocks::Wall).then_some(raw_stamps),
             };
             *iteration.tree.measure_mut(node).expect("found") = Measure::Transit(Box::new(transit));
@@ -251,7 +252,7 @@ impl Simulation {
             up: None,
             down: None,
             network: NetworkName::default(),
-            // Releases before 0.3 send no basis.
+            // Only releases before 0.3 relate wall clocks, and they send no basis.
             basis: (self.clocks != RelatedClocks::Wall).then_some(basis),
         }))
     }

@@ -9,7 +9,8 @@ use peernet_stream::{Event, Iteration, Outcome};
 
 use super::{NOW, TestStore, generate};
 
-/// Number of iterations, ten per second. The first ten and the last ten are warm-up, as at the starts of episodes.
+/// Number of iterations, ten per second. The first ten and the last ten are warm-up, as if an episode began with the
+/// run, and another episode one second before the end of the run.
 const COUNT: u64 = 300;
 
 /// Returns the start times of a run, first according to the store, then according to the rows of files. `start` and
@@ -56,6 +57,7 @@ async fn start_times_exclude_warm_up_at_both_ends() {
 #[tokio::test]
 async fn rate_is_unknown_if_clock_was_set_during_run() {
     for set_by_s in [3_600, -3_600] {
+        // By the wall clock, there is an hour without a start between the starts before and after the step.
         let start = |number| at(number) + Span::from_seconds(if number > 150 { set_by_s } else { 0 });
         let (stored, of_files) = start_times(start, answered).await;
         assert_eq!((stored.seconds(), of_files.seconds()), (None, None), "{set_by_s}");

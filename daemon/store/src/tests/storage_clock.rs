@@ -1,4 +1,5 @@
-//! The storage clock, steps of the wall clock, and incidents of the aggregator itself.
+//! The storage clock, steps of the wall clock, and incidents of the aggregator itself. The storage clock counts the time
+//! during which the aggregator runs and stores.
 
 use peernet_clock::{Span, Stamp};
 use sqlx::Connection;
@@ -44,7 +45,7 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
             .expect("stores");
     }
     assert_eq!(test_store.count(ELAPSED_S).await, 101);
-    // The aggregator did not store for a day. Of a longer pause only 60 s count.
+    // The aggregator did not store for a day. A pause counts for at most 60 s.
     test_store.writer.store_clock_readings(stamp_after(86_400), &mut pending).await.expect("stores");
     assert_eq!(test_store.count(ELAPSED_S).await, 161);
     // A new process begins on a machine that was restarted: its monotonic clock begins again. The storage clock advances
@@ -69,6 +70,7 @@ async fn step_of_wall_clock_is_incident_of_aggregator() {
         )
         .await
         .expect("stores");
+    // A step of less than 10 s is not reported.
     assert_eq!(incidents(&test_store).await, []);
     test_store
         .writer
@@ -78,6 +80,7 @@ async fn step_of_wall_clock_is_incident_of_aggregator() {
     let stored = incidents(&test_store).await;
     let [step] = &stored[..] else { panic!("{stored:?}") };
     assert_eq!((step.kind.as_str(), step.host, step.host_name.clone()), ("clock-step", None, None));
+    // The wall clock shows 3,600 s after the start. Of these, 3 s have passed, and 9 s are the earlier step.
     assert!(step.text.contains("set forward by 3588.0 s"), "{}", step.text);
 
     // The aggregator starts again after the clock was set back.
@@ -142,14 +145,17 @@ async fn data_is_deleted_after_period_on_storage_clock() {
         for minute in minutes {
             // The wall clock runs a thousand times too fast, which must not make data older.
             let stamp = Stamp { wall: NOW + Span::from_seconds(60_000 * minute), ..stamp_after(60 * minute) };
-            while test_store.writer.retain(stamp).await.expect("steps") == StepResult::More {}
+            let mut result = StepResult::More;
+            while result == StepResult::More {
+                result = test_store.writer.retain(stamp).await.expect("steps");
+            }
             test_store.writer.store_clock_readings(stamp, &mut pending).await.expect("stores");
         }
     };
     check_each_minute(&mut test_store, 1..24 * 60).await;
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 50);
-    let seconds = test_store.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await;
-    // Data that arrives within a sixty-fourth of the period is deleted together.
+    let statistics_per_second = test_store.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await;
+    // Data that arrives within a sixty-fourth of the period, here 22.5 minutes, is deleted together.
     check_each_minute(&mut test_store, 24 * 60..24 * 60 + 26).await;
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 0);
     assert_eq!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await, 0);
@@ -157,8 +163,8 @@ async fn data_is_deleted_after_period_on_storage_clock() {
     let deleted: Vec<&str> =
         stored.iter().filter(|row| row.kind == "retention").map(|row| row.text.as_str()).collect();
     let expected = format!(
-        "deleted 50 iterations with their trees of 1 run (nodes_days = 1), {seconds} statistics per second of 1 run \
-         (seconds_days = 1)"
+        "deleted 50 iterations with their trees of 1 run (nodes_days = 1), {statistics_per_second} statistics per \
+         second of 1 run (seconds_days = 1)"
     );
     assert_eq!(deleted, [expected.as_str()]);
 }

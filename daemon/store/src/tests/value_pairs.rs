@@ -91,6 +91,7 @@ async fn values_outside_statistics_make_no_pairs() {
         .map(|(number, outcome)| Iteration { outcome, ..test_store.iteration_with_answer(run, number) });
     let mut without_bytes = test_store.iteration_with_answer(run, 9);
     let (id, _) = without_bytes.tree.find(&["download-bytes"]).expect("a node");
+    // `None`: the reading of the number failed.
     *without_bytes.tree.measure_mut(id).expect("a node") = Measure::Custom("value".into(), Unit::BYTES, None);
     let all: Vec<Iteration> = [warm_up, without_bytes].into_iter().chain(unanswered).collect();
     test_store.store_iterations(all.into_iter()).await;
@@ -110,12 +111,12 @@ async fn nodes_of_one_name_are_summed() {
     let mut test_store = TestStore::new().await;
     let run = test_store.store_run_with_answers(1..=1).await;
     let mut repeated_nodes = test_store.iteration_with_answer(run, 2);
-    let (model, _) = repeated_nodes.tree.find(&["inference"]).expect("a stage");
+    let (inference, _) = repeated_nodes.tree.find(&["inference"]).expect("a stage");
     let duration = Measure::Timer(Some(ADDITIONAL_INFERENCE));
     repeated_nodes.tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, duration.clone());
     // The time of a child with the same name is already part of the time of its parent.
-    repeated_nodes.tree.add(model, stage::INFERENCE, Span::ZERO, duration);
-    for (parent, value) in [(model, 77.0), (NodeId::ROOT, 99.0)] {
+    repeated_nodes.tree.add(inference, stage::INFERENCE, Span::ZERO, duration);
+    for (parent, value) in [(inference, 77.0), (NodeId::ROOT, 99.0)] {
         repeated_nodes.tree.add(
             parent,
             "completion-tokens".into(),
@@ -147,6 +148,7 @@ async fn deleted_iterations_make_no_pairs() {
     let pairs_before = test_store.pairs("upload-bytes", 20).await;
     assert_eq!((pairs_before.points.len(), pairs_before.stored_iterations), (20, 288));
     run_until_done(&mut retention, &mut connection, day(4.0)).await;
+    // `nodes_from` is the number of the last deleted iteration.
     let remaining = test_store.count("SELECT 288 - nodes_from FROM run WHERE number = 1").await;
     assert!((50..200).contains(&remaining), "{remaining}");
     let pairs_after = test_store.pairs("upload-bytes", 20).await;

@@ -15,6 +15,7 @@ async fn run(test_store: &TestStore) -> RunSummary {
 /// these iterations.
 async fn store_iterations(test_store: &mut TestStore, iterations: u64) -> Vec<Iteration> {
     let run = test_store.store_run(iterations).await;
+    // `store_run` uses the same seed, so the iterations up to `iterations` are those that it stored.
     let mut numbers = generate::Numbers::new(7);
     let mut iteration = |number| generate::iteration(run, number, test_store.hosts(), &mut numbers);
     let mut sent_iterations: Vec<Iteration> = (1..=iterations).map(&mut iteration).collect();

@@ -20,7 +20,7 @@ fn iterations(test_store: &TestStore, run: RunId, numbers: std::ops::RangeInclus
 }
 
 /// Number of iterations in the statistics of whole runs.
-const TOTALS: &str = "SELECT count FROM rollup JOIN name ON name.id = rollup.name \
+const ITERATIONS_IN_STATISTICS: &str = "SELECT count FROM rollup JOIN name ON name.id = rollup.name \
      WHERE resolution_s = 0 AND quantity = 0 AND text = 'total'";
 
 #[tokio::test]
@@ -31,7 +31,8 @@ async fn repeated_batch_is_stored_once() {
     events.extend(iterations(&test_store, run, 1..=10));
     let work = test_store.batch_numbered(1, events.clone());
     let repeated = test_store.batch_numbered(1, events.clone());
-    // The batch arrives twice in one transaction, then in a second transaction, then at another writer process.
+    // The batch arrives twice in one transaction, then in a second transaction, then at another writer process. Each of
+    // its ten iterations has 21 nodes.
     let committed = test_store.commit(&[work, repeated]).await;
     assert_eq!((committed.marks[&test_store.stream].stored, committed.nodes), (1, 210));
     let repeated = test_store.batch_numbered(1, events.clone());
@@ -47,7 +48,7 @@ async fn repeated_batch_is_stored_once() {
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 10);
     assert_eq!(test_store.count("SELECT ok FROM run").await, 10);
     assert_eq!(test_store.count("SELECT nodes FROM host WHERE name = 'edge'").await, 210);
-    assert_eq!(test_store.count(TOTALS).await, 10);
+    assert_eq!(test_store.count(ITERATIONS_IN_STATISTICS).await, 10);
 }
 
 #[tokio::test]
@@ -121,7 +122,7 @@ async fn bad_batch_is_quarantined_and_others_are_stored() {
         2
     );
     assert_eq!(test_store.count("SELECT quarantined FROM host WHERE name = 'edge'").await, 2);
-    assert_eq!(test_store.count(TOTALS).await, 7);
+    assert_eq!(test_store.count(ITERATIONS_IN_STATISTICS).await, 7);
 }
 
 #[tokio::test]
@@ -142,6 +143,8 @@ async fn iterations_repeated_in_another_stream_are_left_out() {
     assert_eq!(committed.marks[&test_store.stream].stored, 3);
     assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
     let (stored, _) = committed.hosts[&test_store.edge];
+    // `store_run` stored the start of the run and 20 iterations. The three batches added the repeated start and 10 + 5
+    // iterations, no event, and 5 iterations.
     let (events, nodes, missing, quarantined) = (1 + 20 + 1 + 15 + 5, 40 * 21, 0, 0);
     assert_eq!(stored, StoredCounts { events, nodes, missing, quarantined, ..StoredCounts::default() });
 
@@ -373,7 +376,8 @@ async fn replaced_spool_leaves_one_gap() {
     );
     assert_eq!(
         test_store.count("SELECT count(*) FROM stream WHERE previous IS NOT NULL AND stored = 4").await,
-        1
+        1,
+        "without a stored batch, `stored` is the number before the stream's first batch"
     );
     test_store.writer = open(&test_store.path).await;
     assert!(test_store.writer.streams().marks.is_empty(), "no batch of any stream is stored");
