@@ -1,5 +1,5 @@
-//! The storage clock, steps of the wall clock, and incidents of the aggregator itself. The storage clock counts the time
-//! during which the aggregator runs and stores.
+//! The storage clock, steps of the wall clock, and incidents of the aggregator itself. The storage clock counts the
+//! time during which the aggregator runs and stores.
 
 use peernet_clock::{Span, Stamp};
 use sqlx::Connection;
@@ -163,8 +163,8 @@ async fn data_is_deleted_after_period_on_storage_clock() {
     let deleted: Vec<&str> =
         stored.iter().filter(|row| row.kind == "retention").map(|row| row.text.as_str()).collect();
     let expected = format!(
-        "deleted 50 iterations with their trees of 1 run (nodes_days = 1), {statistics_per_second} statistics per \
-         second of 1 run (seconds_days = 1)"
+        "deleted 50 iterations with their trees of 1 run (nodes_days = 1), {statistics_per_second} \
+         statistics per second of 1 run (seconds_days = 1)"
     );
     assert_eq!(deleted, [expected.as_str()]);
 }

@@ -109,7 +109,7 @@ fn head_of(number: u64, events: u32, body: &[u8]) -> BatchHead {
     BatchHead { host, stream, process: 7, number, previous_chain, chain, events, events_before }
 }
 
-/// Returns a frame of `count` events, its head, and the events.
+/// Returns a frame of `count` events, its head, and the events. The frame is batch number 5.
 fn frame_of(count: usize, compress: bool) -> (Bytes, BatchHead, Vec<Event>) {
     let events = some_events(count);
     let body = body_of(&events);
@@ -160,6 +160,7 @@ fn batch_is_not_decoded_as_message_nor_message_as_batch() {
 fn compressed_message_is_read_within_size_limit() {
     let refused = ToAgent::Refused { reason: "no ".repeat(1_000) };
     let frame = encode_compressed(&refused);
+    // Zeros make the frame as long as a batch, so that only its second byte shows that it is no batch.
     assert!(frame.len() < 200 && decode_batch_head(&[&frame[..], &[0; 200]].concat()).is_none());
     assert_eq!(decode::<ToAgent>(&frame), Ok(refused));
     assert_eq!(
@@ -168,6 +169,7 @@ fn compressed_message_is_read_within_size_limit() {
         "a message that compression does not shorten is not compressed"
     );
     for length in [MAX_MESSAGE_BYTES as u32 + 1, 100] {
+        // Bytes 2 to 5 state the length of the message before its compression.
         let mut wrong_length = frame.clone();
         wrong_length[2..6].copy_from_slice(&length.to_be_bytes());
         decode::<ToAgent>(&wrong_length).expect_err("the stated length is wrong");
@@ -205,6 +207,7 @@ fn body_that_decompresses_beyond_limit_is_refused() {
     let mut frame = encode_batch(&head_of(5, 1, &body), &body, true);
     assert!(frame.len() < MAX_MESSAGE_BYTES);
     assert_eq!(decode_batch_body(frame.clone().into()), Err(CodecError::TooLong(body.len())));
+    // The last four bytes of the head state the length of the body.
     frame[BATCH_HEAD_BYTES - 4..BATCH_HEAD_BYTES].copy_from_slice(&1_000_u32.to_be_bytes());
     assert_eq!(decode_batch_body(frame.into()), Err(CodecError::Damaged(5)));
 }
@@ -249,6 +252,7 @@ fn too_long_too_deep_and_trailing_bytes_are_refused() {
     assert_eq!(decode::<ToAgent>(&[&frame[..], &[0]].concat()), Err(CodecError::Trailing(1)));
     let long = vec![0; MAX_MESSAGE_BYTES + 1];
     assert_eq!(decode::<ToAgent>(&long), Err(CodecError::TooLong(long.len())));
+    // Each byte begins a MessagePack array of one element.
     let deep = vec![0x91; 100_000];
     assert!(matches!(decode::<ToAggregator>(&deep), Err(CodecError::Malformed(_))));
 }

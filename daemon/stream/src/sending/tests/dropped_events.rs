@@ -1,4 +1,4 @@
-//! Events that do not fit: they are dropped and counted, and the counts add up.
+//! Events for which neither the spool nor the memory has space: they are dropped and counted, and the counts add up.
 
 use super::super::super::{EndReason, RunEnded};
 use super::*;
@@ -60,6 +60,7 @@ fn totals_continue_after_restart() {
     let before = agent.accounting();
     let mut agent = agent.restart();
     assert_eq!(agent.accounting().dropped, before.dropped, "the flush wrote the number of dropped events");
+    // The new process has sent no batch yet, so only stored events count as sent.
     assert_eq!(agent.accounting(), Accounting { sent: agent.accounting().stored, ..before });
     agent.connect();
     agent.welcome(0, None);

@@ -28,7 +28,8 @@ fn batches_are_sent_from_memory_while_disk_is_full() {
     agent.actions.clear();
     agent.advance_ms(1_000);
     assert_eq!(agent.notices.last(), Some(&Notice::SpoolRecovered));
-    // The file records first the deletions, then the batches that may have been sent, then the new batches.
+    // The file records first the deletion of the stored batches, then that batches up to number 6 may have been sent,
+    // then the batches that are not stored.
     let [
         Action::Delete { through: 6, .. },
         Action::Append { batches: no_batches, totals },
@@ -123,7 +124,7 @@ fn unspooled_batches_wait_until_file_records_sending() {
     agent.offer_batches(2);
     agent.connect();
     agent.welcome(0, None);
-    assert_eq!(agent.take_sent_numbers(), [0; 0], "the file cannot be read either");
+    assert!(agent.take_sent_numbers().is_empty(), "the file cannot be read either");
     agent.spool_is_broken = false;
     agent.advance_ms(1_000);
     assert_eq!(agent.file.newest_sent, [NewestSentBatch { process: 2, number: 4 }]);

@@ -4,7 +4,7 @@ use super::super::Compression;
 use super::link::{Link, LinkSettings};
 use super::*;
 
-/// Number of events of 16 KiB per second. No store in these tests accepts so many events.
+/// Number of events that are offered per second, each of 16 KiB. No store in these tests accepts so many events.
 const EVENTS_PER_S: i64 = 1_500;
 
 fn long_text(n: i64) -> String {

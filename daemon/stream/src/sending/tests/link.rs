@@ -7,6 +7,8 @@ use super::*;
 
 /// Length of a live update of one pipeline without compression.
 const LIVE_UPDATE_BYTES: usize = 1_500;
+/// Length of every message of the aggregator.
+const REPLY_BYTES: usize = 60;
 /// Interval at which the agent sends live updates.
 const LIVE_INTERVAL_MS: i64 = 250;
 
@@ -14,8 +16,8 @@ const LIVE_INTERVAL_MS: i64 = 250;
 pub(super) struct OneWayPath<T> {
     pub(super) bytes_per_s: i64,
     delay_ms: i64,
-    /// Time in microseconds at which the last byte leaves that was handed over so far.
-    pub(super) busy_us: i64,
+    /// Time in microseconds at which the last of the bytes that were handed over leaves.
+    pub(super) busy_until_us: i64,
     /// Sum of the times in microseconds in which the direction was busy.
     pub(super) used_us: i64,
     in_flight: VecDeque<(i64, T)>,
@@ -23,14 +25,14 @@ pub(super) struct OneWayPath<T> {
 
 impl<T> OneWayPath<T> {
     const fn new(bytes_per_s: i64, delay_ms: i64) -> Self {
-        Self { bytes_per_s, delay_ms, busy_us: 0, used_us: 0, in_flight: VecDeque::new() }
+        Self { bytes_per_s, delay_ms, busy_until_us: 0, used_us: 0, in_flight: VecDeque::new() }
     }
 
     fn send(&mut self, bytes: usize, message: T, now_ms: i64) {
         let duration_us = bytes as i64 * 1_000_000 / self.bytes_per_s;
-        self.busy_us = self.busy_us.max(now_ms * 1_000) + duration_us;
+        self.busy_until_us = self.busy_until_us.max(now_ms * 1_000) + duration_us;
         self.used_us += duration_us;
-        self.in_flight.push_back((self.busy_us / 1_000 + self.delay_ms, message));
+        self.in_flight.push_back((self.busy_until_us / 1_000 + self.delay_ms, message));
     }
 
     fn pop_arrived(&mut self, now_ms: i64) -> Option<T> {
@@ -197,7 +199,8 @@ impl Link {
         };
         if let Some(head) = codec::decode_batch_head(&frame) {
             codec::decode_batch_body(frame).expect("the sent batch is intact");
-            match self.receiving.handle_batch(&head, true, now) {
+            let is_intact = true;
+            match self.receiving.handle_batch(&head, is_intact, now) {
                 Arrival::Accept => self.waiting.push(head),
                 _ => self.repeated += 1,
             }
@@ -220,7 +223,7 @@ impl Link {
     }
 
     fn reply(&mut self, message: ToAgent) {
-        self.down.send(60, message, self.agent.millis);
+        self.down.send(REPLY_BYTES, message, self.agent.millis);
     }
 
     pub(super) fn run(&mut self, seconds: i64) {

@@ -9,16 +9,18 @@ fn agent_with_missing_batches(numbers: &[u64]) -> Agent {
     numbers.iter().for_each(|number| assert!(agent.file.batches.remove(number).is_some()));
     let state = agent.file.state();
     let mut agent = agent.restart();
-    // The state of the file still counts the missing batches, because they were deleted after the file was opened.
+    // The state of the file counts the missing batches, too, as if they were deleted after the file was opened. Each
+    // missing body counts as 10 bytes.
     let lost = numbers.len() as u64;
     let waiting_usage =
         Usage { events: state.waiting_usage.events + lost, bytes: state.waiting_usage.bytes + lost * 10 };
     let description = agent.sending.host.clone();
+    let process = 1;
     agent.sending = Sending::new(
         agent.config,
         description,
         HostSecret::random(),
-        1,
+        process,
         SpoolState { waiting_usage, ..state },
     );
     agent
@@ -34,6 +36,7 @@ fn missing_batches_are_skipped_counted_and_reported() {
     let hello = agent.hellos.last().expect("a hello").clone();
     assert_eq!((agent.hellos.len(), hello.oldest, hello.first), (2, 7, 1));
     agent.welcome(3, None);
+    // The skipped batches count as acknowledged, so the notice says that the aggregator lacks acknowledged batches.
     assert!(matches!(agent.notices.last(), Some(Notice::Welcomed { aggregator_lost_batches: true, .. })));
     agent.advance_ms(1_000);
     assert_eq!(agent.deliver(), [7, 8, 9, 10, 11], "the last batch reports the missing events");
@@ -59,6 +62,7 @@ fn missing_batches_at_end_are_skipped() {
 
 #[test]
 fn agent_continues_if_all_batches_are_missing() {
+    // Batch 1 is deleted last, because a file that is opened without any batch has no missing batches.
     let mut agent = agent_with_missing_batches(&(2..=10).collect::<Vec<_>>());
     agent.file.batches.clear();
     agent.connect();

@@ -43,7 +43,8 @@ fn incident(text: &str) -> Event {
     })
 }
 
-/// Returns a configuration with one event per batch. Each batch counts as one batch in a window.
+/// Returns a configuration with one event per batch. A window counts units of `batch_bytes`, and a batch of these tests
+/// counts as one unit: `batch_bytes` is the smallest weight of a batch ([`batch_weight`](crate::batch_weight)).
 fn config() -> SendingConfig {
     SendingConfig {
         batch_nodes: 1,
@@ -216,6 +217,7 @@ impl Agent {
     /// Performs all actions.
     fn settle(&mut self) {
         while let Some(action) = self.sending.next(self.now().mono) {
+            // `accounting` asserts that the numbers of events add up.
             let _ = self.accounting();
             match action {
                 Action::Send(frame) => self.record_frame(frame.into()),
@@ -225,10 +227,11 @@ impl Agent {
                 }
             }
         }
+        // A deadline of `MonoTime::default()` means "at once". Other past deadlines may remain until the next tick.
         let is_due = self.sending.deadline().is_some_and(|deadline| deadline < self.now().mono);
         assert!(
             !is_due || self.sending.deadline() != Some(MonoTime::default()),
-            "no past deadline remains after all actions are performed"
+            "nothing is due at once after all actions are performed"
         );
     }
 

@@ -65,7 +65,7 @@ impl Store {
     }
 }
 
-/// Returns the numbers of the events in a body, without gaps.
+/// Returns the numbers of the events in a body. Gap events have no number.
 fn event_numbers(body: &[u8], count: u32) -> Vec<u64> {
     let event_number = |event: Event| match event {
         Event::Incident(incident) => incident.text.parse().ok(),
@@ -110,6 +110,7 @@ impl Simulation {
                 job => self.jobs.push_back(job),
             }
         }
+        // `accounting` asserts that the numbers of events add up.
         self.agent.accounting();
     }
 
@@ -128,7 +129,7 @@ impl Simulation {
     /// Completes the next action of the disk, or lets it fail.
     fn complete_job(&mut self) {
         let Some(job) = self.jobs.pop_front() else { return };
-        // The file is synced at once when it records which batches may be sent.
+        // An append without batches records which batches may be sent. After such an append, the file is synced at once.
         let is_synced = matches!(&job, Action::Append { batches, .. } if batches.is_empty())
             && !self.agent.spool_is_broken;
         let previous_file = self.agent.file.clone();

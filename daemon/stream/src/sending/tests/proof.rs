@@ -3,6 +3,7 @@
 use super::super::super::{AGENT_STREAM_VERSIONS, Nonce};
 use super::*;
 
+/// Returns a challenge. `enrol` requests the secret.
 fn challenge(agent: &Agent, stream: StreamId, enrol: bool) -> ToAgent {
     let aggregator = "base".parse().expect("a name");
     assert!(!agent.hellos.is_empty(), "the agent sent a hello");

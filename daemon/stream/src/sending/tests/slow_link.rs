@@ -17,9 +17,9 @@ fn incompressible_text(n: i64) -> String {
 /// capacity that was used.
 fn measure(link: &mut Link, seconds: i64) -> (i64, f64) {
     (link.max_live_delay_ms, link.up.used_us) = (0, 0);
-    let queued_before = link.up.busy_us - link.agent.millis * 1_000;
+    let queued_before = link.up.busy_until_us - link.agent.millis * 1_000;
     link.run(seconds);
-    let queued_after = (link.up.busy_us - link.agent.millis * 1_000).max(0);
+    let queued_after = (link.up.busy_until_us - link.agent.millis * 1_000).max(0);
     (
         link.max_live_delay_ms,
         (link.up.used_us + queued_before.max(0) - queued_after) as f64 / (seconds * 1_000_000) as f64,
@@ -55,8 +55,8 @@ fn live_figures_stay_recent_on_slow_link() {
         (62_500, 300, 2_500),
     ] {
         for offline in [0, 60] {
-            // There are more events than the link carries. After the time offline, there is also a backlog of batches
-            // of the largest size.
+            // There are more events than the link carries: each event takes more than 60 bytes on the link. After the
+            // time offline, there is also a backlog of batches of the largest size.
             let settings = LinkSettings {
                 bytes_per_s: rate,
                 one_way_ms: delay,

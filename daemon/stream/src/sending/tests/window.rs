@@ -14,7 +14,7 @@ fn batches_in_flight_respect_windows_of_both_ends() {
     agent.offer_batches(10);
     assert_eq!(agent.take_sent_numbers(), [1, 2, 3], "limited by the agent's own window");
     ack_with_window(&mut agent, 1, 1);
-    assert_eq!(agent.take_sent_numbers(), [0; 0], "limited by the aggregator's window");
+    assert!(agent.take_sent_numbers().is_empty(), "limited by the aggregator's window");
     ack_with_window(&mut agent, 3, 1);
     assert_eq!(agent.take_sent_numbers(), [4]);
     ack_with_window(&mut agent, 4, 0);
@@ -28,9 +28,10 @@ fn more_small_batches_than_large_batches_are_in_flight() {
     let config = SendingConfig { batch_bytes: 64 * 1_024, ..config() };
     let mut agent = Agent::new_welcomed(config);
     agent.offer_batches(300);
+    // A small batch counts as 1 KiB. A window of three batches of 64 KiB therefore holds 3 × 64 small batches.
     assert_eq!(agent.take_sent_numbers(), (1..=3 * 64).collect::<Vec<_>>());
     ack_with_window(&mut agent, 64, 1);
-    assert_eq!(agent.take_sent_numbers(), [0; 0]);
+    assert!(agent.take_sent_numbers().is_empty());
     ack_with_window(&mut agent, 130, 1);
     assert_eq!(agent.take_sent_numbers(), [193, 194]);
     let stream = agent.stream();
@@ -52,7 +53,7 @@ fn requested_batch_is_sent_again() {
     assert_eq!(agent.take_sent_numbers(), [2, 3]);
     agent.receive(&ToAgent::Resend { stream, from: 9 });
     agent.receive(&ToAgent::Resend { stream: StreamId::random(), from: 1 });
-    assert_eq!(agent.take_sent_numbers(), [0; 0]);
+    assert!(agent.take_sent_numbers().is_empty());
     agent.ack(2);
     assert_eq!(agent.take_sent_numbers(), [4]);
     let hellos = agent.hellos.len();
