@@ -35,8 +35,8 @@ pub(super) fn record_with(mark: Option<HighWaterMark>) -> StreamRecord {
 }
 
 /// Returns the reason of a refusal. Panics for any other result.
-pub(super) fn expect_refusal(greeting: HelloResult) -> String {
-    match greeting {
+pub(super) fn expect_refusal(result: HelloResult) -> String {
+    match result {
         HelloResult::Refused { reply: ToAgent::Refused { reason: stated_reason }, reason }
             if stated_reason == reason =>
         {
@@ -48,8 +48,8 @@ pub(super) fn expect_refusal(greeting: HelloResult) -> String {
 
 /// Returns the number and the chain hash of the last stored batch, and the window, from a welcome that reports nothing
 /// else. Panics for any other result.
-pub(super) fn expect_welcome(greeting: &HelloResult) -> (u64, Option<ChainHash>, u32) {
-    match greeting {
+pub(super) fn expect_welcome(result: &HelloResult) -> (u64, Option<ChainHash>, u32) {
+    match result {
         HelloResult::Welcome {
             reply: ToAgent::Welcome { stored, chain, window, .. },
             missing: None,
@@ -118,6 +118,7 @@ fn second_process_of_host_is_refused_while_first_lives() {
     let copy = hello(id, "edge", 2, stream, 1);
     assert_eq!(aggregator.handle_live(id, at(200).mono), None);
     assert_eq!(aggregator.handle_hello(&copy, record_with(None), at(300).mono), HelloResult::Wait);
+    // The first process sends a live update after the hello of the copy, so both processes are alive.
     assert_eq!(aggregator.handle_live(id, at(450).mono), None);
     assert!(
         expect_refusal(aggregator.handle_hello(&copy, record_with(None), at(550).mono))
@@ -131,6 +132,7 @@ fn restarted_agent_is_accepted_after_silence_of_crashed_process() {
     let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
     aggregator.handle_hello(&hello(id, "edge", 1, stream, 1), record_with(None), at(0).mono);
     aggregator.handle_live(id, at(200).mono);
+    // The new process is accepted when the crashed process has been silent for more than 750 ms.
     let restarted = hello(id, "edge", 2, stream, 1);
     assert_eq!(aggregator.handle_hello(&restarted, record_with(None), at(300).mono), HelloResult::Wait);
     assert_eq!(aggregator.handle_hello(&restarted, record_with(None), at(550).mono), HelloResult::Wait);
@@ -164,7 +166,7 @@ fn spool_of_another_host_is_refused() {
 fn deleted_or_replaced_spool_is_reported_once() {
     let (mut aggregator, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
-    let replaced = |greeting| match greeting {
+    let replaced = |result| match result {
         HelloResult::Welcome { replaced, .. } => replaced,
         other => panic!("expected a welcome, got {other:?}"),
     };
@@ -194,7 +196,7 @@ fn deleted_or_replaced_spool_is_reported_once() {
 fn batches_missing_in_older_database_are_reported_once() {
     let (mut aggregator, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
-    let missing_previous = |greeting| match greeting {
+    let missing_previous = |result| match result {
         HelloResult::Welcome { missing_previous, .. } => missing_previous,
         other => panic!("expected a welcome, got {other:?}"),
     };
@@ -225,7 +227,8 @@ fn batches_missing_in_older_database_are_reported_once() {
         );
         aggregator.handle_goodbye(id);
     }
-    // Batches after the seventh came from the memory of a dead process, and were stored in another database only.
+    // Batches after the seventh came from the memory of a dead process, and were stored in another database only. The
+    // number of these batches is unknown, so `through` equals `from`.
     let renewed = Hello { events_before_first: Some(9), ..renewed };
     let before = previous(Some(mark(id, 7)));
     let expected = MissingPreviousBatches { stream: old, from: 8, through: 8, events: Some(2) };
@@ -255,6 +258,8 @@ fn windows_share_aggregators_memory() {
         let hello = Hello { batch_bytes, ..hello(HostId::random(), &name, n, StreamId::random(), 1) };
         expect_welcome(&aggregator.handle_hello(&hello, record_with(None), at(0).mono)).2
     };
+    // All hosts share 64 MiB equally. A window is this share divided by the length of a batch, from 1 to 8. A stated
+    // length counts as at most 4 MiB and at least 1 KiB.
     assert_eq!(window(&mut aggregator, 0, 512 * 1024), 8);
     assert_eq!(window(&mut aggregator, 1, 0), 8);
     assert_eq!(window(&mut aggregator, 2, u32::MAX), 5);

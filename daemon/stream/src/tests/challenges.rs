@@ -6,6 +6,7 @@ use proptest::prelude::*;
 
 use super::*;
 
+// The arguments of `challenge` are the connection, the hello, whether the secret is requested, the nonce, and the time.
 fn challenges() -> Challenges<u8> {
     Challenges::new("base".parse().expect("a name"))
 }
@@ -88,6 +89,8 @@ fn proof_is_valid_once_and_only_on_its_own_connection() {
 fn cleared_secret_is_requested_again() {
     let (mut challenges, hello, secret) = (challenges(), some_hello(), HostSecret::random());
     let challenge = challenges.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
+    // The secret is cleared before the proof arrives. After `Unsolicited`, the agent sends another hello, and the
+    // challenge of that hello requests the secret.
     assert_eq!(
         challenges.check_proof(&1, proof(&secret, &hello, &challenge), None),
         ProofResult::Unsolicited

@@ -68,7 +68,7 @@ enum Step {
     KillAgent {
         done: u8,
     },
-    /// The connection is opened again.
+    /// The connection ends, and the agent connects again.
     Disconnect,
     /// The database is copied.
     BackUp,
@@ -179,9 +179,9 @@ impl<const HUMAN_FAULTS: bool> StateMachineTest for Plan<HUMAN_FAULTS> {
             Step::LoseDown(nth) => simulation.lose_down(nth.into()),
             Step::CompleteJob => simulation.complete_job(),
             Step::SetDiskBroken(is_disk_broken) => simulation.is_disk_broken = is_disk_broken,
-            Step::Commit(count) => simulation.commit(count.into(), true),
+            Step::Commit(count) => simulation.commit(count.into()),
             Step::FailToCommit => simulation.fail_commit(),
-            Step::CommitAndKill => simulation.commit(usize::MAX, false),
+            Step::CommitAndKill => simulation.commit_and_kill(usize::MAX),
             Step::KillAggregator => simulation.aggregator.kill(),
             Step::KillAgent { done } => simulation.start_agent(simulation.machine, done.into()),
             Step::Disconnect => simulation.disconnect(),

@@ -72,7 +72,7 @@ fn apply(simulation: &mut Simulation, step: Move) {
         Move::Up(n) => simulation.deliver_up(n, false),
         Move::Down(n) => simulation.deliver_down(n, false),
         Move::CompleteJob => simulation.complete_job(),
-        Move::Commit => simulation.commit(1, true),
+        Move::Commit => simulation.commit(1),
         Move::RepeatUp(n) => simulation.deliver_up(n, true),
         Move::RepeatDown(n) => simulation.deliver_down(n, true),
         Move::LoseUp(n) => simulation.lose_up(n),
@@ -83,7 +83,7 @@ fn apply(simulation: &mut Simulation, step: Move) {
             simulation.is_disk_broken = false;
         }
         Move::FailToCommit => simulation.fail_commit(),
-        Move::CommitAndKill => simulation.commit(1, false),
+        Move::CommitAndKill => simulation.commit_and_kill(1),
         Move::KillAggregator => simulation.aggregator.kill(),
         Move::KillAgent(done) => simulation.start_agent(simulation.machine, done),
         Move::Disconnect => simulation.disconnect(),
@@ -156,7 +156,8 @@ fn explore(start: Simulation, max_faults: u32) -> (usize, usize, usize) {
 /// Returns a simulation in which batches of one event each are about to be spooled.
 fn simulation(batches: usize) -> Simulation {
     let config = SendingConfig { batch_nodes: 1, batch_bytes: 1_024, window: 2, ..SendingConfig::default() };
-    let mut simulation = Simulation::new(config, 2);
+    let capacity = 2;
+    let mut simulation = Simulation::new(config, capacity);
     // The hosts prove nothing: proofs precede everything that is explored, and each further message multiplies the
     // number of states.
     simulation.aggregator.asks_for_proofs = false;

@@ -37,7 +37,8 @@ fn started(run: RunId) -> Event {
 
 /// Returns a simulation in which `events` events fit into memory, with a disk that has not performed any action yet.
 fn simulation_with_memory_for(events: u64) -> Simulation {
-    Simulation::new(SendingConfig { memory: Usage { events, bytes: 1_000_000 }, ..roomy_config() }, 100)
+    let capacity = 100;
+    Simulation::new(SendingConfig { memory: Usage { events, bytes: 1_000_000 }, ..roomy_config() }, capacity)
 }
 
 /// Returns the default configuration with a reserve of 2 events.
@@ -69,6 +70,7 @@ fn newest_iterations_are_dropped_and_gap_names_their_pipeline_and_run() {
         offer(&mut simulation, &iteration(run, number, tree()), number as i64);
     }
     let before = simulation.sending.accounting();
+    // The start and seven iterations wait. Two of the ten places are reserved for events other than iterations.
     assert_eq!((before.produced, before.waiting, before.dropped), (21, 8, 13));
 
     let events = drain(&mut simulation);
@@ -133,6 +135,7 @@ fn continuing_loss_is_reported_each_second_and_at_end() {
     let events = drain(&mut simulation);
     let counts =
         events.iter().filter_map(|event| if let Event::Gap(gap) = event { Some(gap.count) } else { None });
+    // The first dropped event is reported at once, then a gap reports each second. The end of the run reports the rest.
     assert_eq!(counts.collect::<Vec<_>>(), [1, 500, 500, 499]);
     assert!(matches!(events[events.len() - 2..], [Event::Gap(_), Event::RunEnded(_)]));
 }

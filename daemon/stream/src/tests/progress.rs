@@ -5,6 +5,10 @@ use super::*;
 
 /// Window of a single agent.
 const WINDOW: u32 = 8;
+/// Value of `is_intact` in [`Receiving::handle_batch`] for a batch whose bytes match its hash.
+const INTACT: bool = true;
+/// Value of `is_intact` in [`Receiving::handle_batch`] for a damaged batch.
+const DAMAGED: bool = false;
 
 struct AggregatorEnd {
     receiving: Receiving,
@@ -18,9 +22,9 @@ impl AggregatorEnd {
     fn with_stored_batches(stored: u64) -> Self {
         let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
         let mark = (stored > 0).then(|| mark(id, stored));
-        let greeting =
+        let result =
             aggregator.handle_hello(&hello(id, "edge", 1, stream, stored + 1), record_with(mark), at(0).mono);
-        assert_eq!(expect_welcome(&greeting), (stored, mark.map(|mark| mark.chain), WINDOW));
+        assert_eq!(expect_welcome(&result), (stored, mark.map(|mark| mark.chain), WINDOW));
         Self { receiving: aggregator, id, stream, process: 1 }
     }
 
@@ -42,7 +46,7 @@ impl AggregatorEnd {
 
     fn receive_batch(&mut self, number: u64) -> Arrival {
         let head = self.head(number);
-        self.receiving.handle_batch(&head, true, at(1).mono)
+        self.receiving.handle_batch(&head, INTACT, at(1).mono)
     }
 
     fn report_stored(&mut self, number: u64) -> Option<ToAgent> {
@@ -111,8 +115,8 @@ fn lost_batches_are_reported_missing_once() {
         let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
         let hello = Hello { first, events_before_first: Some(first - 1), ..hello(id, "edge", 1, stream, 8) };
         let record = record_with((stored > 0).then(|| mark(id, stored)));
-        let greeting = aggregator.handle_hello(&hello, record, at(0).mono);
-        let HelloResult::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };
+        let result = aggregator.handle_hello(&hello, record, at(0).mono);
+        let HelloResult::Welcome { missing, .. } = result else { panic!("{result:?}") };
         assert_eq!(
             missing,
             Some(MissingBatches {
@@ -138,11 +142,11 @@ fn lost_batches_are_reported_missing_once() {
 fn batch_of_other_stream_host_or_chain_causes_request_for_hello() {
     let mut aggregator = AggregatorEnd::with_stored_batches(4);
     let other_stream = BatchHead { stream: StreamId::random(), ..aggregator.head(5) };
-    assert_eq!(aggregator.receiving.handle_batch(&other_stream, true, at(1).mono), UNKNOWN);
+    assert_eq!(aggregator.receiving.handle_batch(&other_stream, INTACT, at(1).mono), UNKNOWN);
     let other_host = BatchHead { host: HostId::random(), ..aggregator.head(5) };
-    assert_eq!(aggregator.receiving.handle_batch(&other_host, true, at(1).mono), UNKNOWN);
+    assert_eq!(aggregator.receiving.handle_batch(&other_host, INTACT, at(1).mono), UNKNOWN);
     let other_chain = BatchHead { previous_chain: chain(9), ..aggregator.head(5) };
-    assert_eq!(aggregator.receiving.handle_batch(&other_chain, true, at(1).mono), UNKNOWN);
+    assert_eq!(aggregator.receiving.handle_batch(&other_chain, INTACT, at(1).mono), UNKNOWN);
     assert_eq!(aggregator.receive_batch(5), Arrival::Accept);
 }
 
@@ -166,7 +170,7 @@ fn batches_of_dead_process_are_stored_before_next_session() {
     aggregator.receiving.handle_failed_store(aggregator.stream);
     expect_welcome(&aggregator.restart_agent(1));
     let other = BatchHead { chain: chain(9), process: 2, ..aggregator.head(2) };
-    assert_eq!(aggregator.receiving.handle_batch(&other, true, at(5_001).mono), Arrival::Accept);
+    assert_eq!(aggregator.receiving.handle_batch(&other, INTACT, at(5_001).mono), Arrival::Accept);
 }
 
 #[test]
@@ -176,7 +180,7 @@ fn different_batch_of_same_number_causes_request_for_hello() {
     let other = BatchHead { chain: chain(9), ..aggregator.head(2) };
     let next = BatchHead { previous_chain: chain(9), chain: chain(10), ..aggregator.head(4) };
     for head in [other, next] {
-        assert_eq!(aggregator.receiving.handle_batch(&head, true, at(5_001).mono), UNKNOWN);
+        assert_eq!(aggregator.receiving.handle_batch(&head, INTACT, at(5_001).mono), UNKNOWN);
     }
 }
 
@@ -184,15 +188,15 @@ fn different_batch_of_same_number_causes_request_for_hello() {
 fn damaged_batch_is_requested_twice_then_quarantined() {
     let mut aggregator = AggregatorEnd::with_stored_batches(0);
     let (head, resend) = (aggregator.head(1), Arrival::Rejected(Some(aggregator.resend(1))));
-    assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(aggregator.receiving.handle_batch(&head, DAMAGED, at(1).mono), resend);
     assert_eq!(aggregator.receive_batch(2), Arrival::Rejected(None));
-    assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(aggregator.receiving.handle_batch(&head, DAMAGED, at(1).mono), resend);
     // Different damage shows that the batch was damaged in transit.
     let other_damage = BatchHead { events: 2, ..head };
-    assert_eq!(aggregator.receiving.handle_batch(&other_damage, false, at(1).mono), resend);
-    assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), resend);
-    assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), resend);
-    assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), Arrival::AcceptDamaged);
+    assert_eq!(aggregator.receiving.handle_batch(&other_damage, DAMAGED, at(1).mono), resend);
+    assert_eq!(aggregator.receiving.handle_batch(&head, DAMAGED, at(1).mono), resend);
+    assert_eq!(aggregator.receiving.handle_batch(&head, DAMAGED, at(1).mono), resend);
+    assert_eq!(aggregator.receiving.handle_batch(&head, DAMAGED, at(1).mono), Arrival::AcceptDamaged);
     assert_eq!(aggregator.receive_batch(2), Arrival::Accept);
 }
 
@@ -204,7 +208,7 @@ fn batches_with_damaged_chains_cause_request_for_hello() {
         Arrival::Rejected(Some(aggregator.resend(1))),
     );
     for expected in [resend.clone(), resend.clone(), UNKNOWN, resend] {
-        assert_eq!(aggregator.receiving.handle_batch(&head, false, at(1).mono), expected);
+        assert_eq!(aggregator.receiving.handle_batch(&head, DAMAGED, at(1).mono), expected);
     }
 }
 
@@ -262,8 +266,8 @@ fn largest_batch_numbers_are_handled() {
     };
     let hello =
         Hello { oldest: last, chain_before_oldest: ChainHash::START, ..hello(id, "edge", 1, stream, 1) };
-    let greeting = aggregator.handle_hello(&hello, record_with(None), at(0).mono);
-    assert!(matches!(greeting, HelloResult::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
+    let result = aggregator.handle_hello(&hello, record_with(None), at(0).mono);
+    assert!(matches!(result, HelloResult::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
     let head = |number| {
         let (host, previous_chain, chain) = (id, ChainHash::START, chain(1));
         BatchHead {
@@ -277,9 +281,13 @@ fn largest_batch_numbers_are_handled() {
             events_before: number - 1,
         }
     };
-    assert_eq!(aggregator.handle_batch(&head(last), true, at(1).mono), Arrival::Accept);
+    assert_eq!(aggregator.handle_batch(&head(last), INTACT, at(1).mono), Arrival::Accept);
     assert_eq!(
-        aggregator.handle_batch(&BatchHead { previous_chain: chain(1), ..head(last + 1) }, true, at(1).mono),
+        aggregator.handle_batch(
+            &BatchHead { previous_chain: chain(1), ..head(last + 1) },
+            INTACT,
+            at(1).mono
+        ),
         Arrival::Rejected(None)
     );
     assert!(aggregator.handle_stored(stream, stored(u64::MAX)).is_some());
@@ -287,7 +295,7 @@ fn largest_batch_numbers_are_handled() {
         aggregator.handle_failed_store(stream),
         Some((id, ToAgent::Resend { stream, from: u64::MAX }))
     );
-    assert_eq!(aggregator.handle_batch(&head(u64::MAX), true, at(1).mono), UNKNOWN);
+    assert_eq!(aggregator.handle_batch(&head(u64::MAX), INTACT, at(1).mono), UNKNOWN);
     aggregator.handle_goodbye(id);
     expect_welcome(&aggregator.handle_hello(&hello, record_with(Some(stored(u64::MAX))), at(2).mono));
 }

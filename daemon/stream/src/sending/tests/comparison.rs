@@ -97,8 +97,8 @@ fn unsent_batches_are_distinguished_from_sent_batches_after_restart() {
 
 #[test]
 fn newest_sent_batch_is_recorded_per_process() {
-    // Process 1 sent batches 1 to 10, and process 3 sent batches up to 14. In each case, the spool lost the last batches
-    // of one of the two processes, which the aggregator has stored.
+    // Process 1 sent batches 1 to 10, and process 3 sent batches up to 14. In each case, the spool lost the last
+    // batches of one of the two processes, which the aggregator has stored.
     let mut agent = agent_with_unacknowledged(10, 0);
     agent.connect();
     agent.welcome(0, None);
@@ -159,7 +159,8 @@ fn aggregator_without_acknowledged_batches_is_reported() {
 
 #[test]
 fn aggregator_with_batches_of_copy_gets_new_stream() {
-    // Process 9 never wrote to this spool, and process 1 sent only four batches from it. A copy sent the stored batches.
+    // Process 9 never wrote to this spool, and process 1 sent only four batches from it. The stored batches are
+    // therefore of a copy.
     for (stored, process) in [(2, Some(9)), (5, Some(1))] {
         let mut agent = agent_with_deleted_batches();
         agent.welcome_with_process(stored, OTHER_CHAIN, process);

@@ -129,7 +129,7 @@ impl Simulation {
     /// Completes the next action of the disk, or lets it fail.
     fn complete_job(&mut self) {
         let Some(job) = self.jobs.pop_front() else { return };
-        // An append without batches records which batches may be sent. After such an append, the file is synced at once.
+        // An append without batches records which batches may be sent. Such an append is synced at once.
         let is_synced = matches!(&job, Action::Append { batches, .. } if batches.is_empty())
             && !self.agent.spool_is_broken;
         let previous_file = self.agent.file.clone();

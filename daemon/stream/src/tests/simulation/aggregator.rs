@@ -131,7 +131,9 @@ impl Aggregator {
                 self.challenge_count += 1;
                 let mut nonce = [0; 32];
                 nonce[..8].copy_from_slice(&self.challenge_count.to_be_bytes());
-                Some(self.challenges.challenge(connection, hello, false, Nonce::from_bytes(nonce), now))
+                // The aggregator has the secret of the host.
+                let enrol = false;
+                Some(self.challenges.challenge(connection, hello, enrol, Nonce::from_bytes(nonce), now))
             }
             ToAggregator::Proof(proof) => {
                 match self.challenges.check_proof(&connection, proof, Some(&SECRET)) {
@@ -193,7 +195,8 @@ impl Aggregator {
         self.to_connection(replies)
     }
 
-    /// Lets the next commit and all waiting tasks fail.
+    /// Lets the next commit and all waiting tasks fail, except hellos: the welcome is sent already, and the agent does
+    /// not repeat a welcomed hello.
     pub(super) fn fail_commit(&mut self) -> Vec<(u64, ToAgent)> {
         let mut replies = Vec::new();
         for task in std::mem::take(&mut self.queue) {

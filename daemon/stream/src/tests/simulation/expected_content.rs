@@ -166,9 +166,10 @@ impl ExpectedContent {
             let numbers = || (*from..=*through).map(|number| (*stream, number));
             let held: Option<u64> = numbers().map(|batch| self.event_counts.get(&batch)).sum();
             if let (false, Some(held)) = (self.was_spool_copied, held) {
-                // A restored database may also lack batches that were sent from memory. If these batches follow the last
-                // batch in the spool, the gap has more events. If the agent was killed after it had sent them, the gap of
-                // the killed process has their events.
+                // A restored database may also lack batches that were sent from memory and never spooled. If these
+                // batches follow the last batch in the spool, the gap also states their events, although it does not
+                // state their numbers. If the agent was killed after it had sent them, the gap of the killed process
+                // states their events, and this gap states the events of the spooled batches only.
                 let spooled = numbers().filter(|batch| self.spooled_batches.contains(batch));
                 let spooled = spooled.filter_map(|batch| self.event_counts.get(&batch)).sum();
                 let is_correct =

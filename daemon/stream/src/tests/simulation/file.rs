@@ -42,7 +42,8 @@ impl SpoolFile {
         }
     }
 
-    pub(super) fn open(&self) -> SpoolState {
+    /// Returns the state that a process finds in the file.
+    pub(super) fn state(&self) -> SpoolState {
         let oldest = self.batches.values().next();
         SpoolState {
             stream: self.stream,
@@ -62,8 +63,8 @@ impl SpoolFile {
     }
 
     /// Opens the file for a new process: records the losses of the previous process, and resets the counts.
-    pub(super) fn start(&mut self) -> SpoolState {
-        let mut state = self.open();
+    pub(super) fn open_for_process(&mut self) -> SpoolState {
+        let mut state = self.state();
         state.record_losses_of_killed_process(
             std::mem::take(&mut self.counted),
             self.totals.submitted.settled(),
@@ -78,12 +79,16 @@ impl SpoolFile {
     /// Sets the losses to be reported.
     fn set_unreported(&mut self, unreported: &[Gap]) {
         let mut reported = self.totals.reported_drops;
-        let with_reported_drops = |gap: &Gap| (reported += gap.count, (reported, gap.clone())).1;
+        let with_reported_drops = |gap: &Gap| {
+            reported += gap.count;
+            (reported, gap.clone())
+        };
         self.unreported = unreported.iter().map(with_reported_drops).collect();
     }
 
     /// Records a batch that is sent without being in the file.
     pub(super) fn record_sent_unspooled(&mut self, sent: SentUnspooled) {
+        // The shared memory has `MAX_SENT_UNSPOOLED` places, and the number of a batch determines its place.
         let sent_batches = &mut self.counted.sent;
         sent_batches.retain(|other| {
             other.number % MAX_SENT_UNSPOOLED as u64 != sent.number % MAX_SENT_UNSPOOLED as u64
@@ -153,7 +158,7 @@ impl SpoolFile {
         events_before_first: u64,
     ) {
         assert_eq!(previous_stream, self.stream);
-        assert_eq!(first, self.open().oldest, "the new stream begins with the oldest batch in the file");
+        assert_eq!(first, self.state().oldest, "the new stream begins with the oldest batch in the file");
         (self.stream, self.previous_stream, self.first) = (stream, Some(previous_stream), first);
         self.events_before_first = Some(events_before_first);
     }

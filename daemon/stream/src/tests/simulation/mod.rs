@@ -62,7 +62,7 @@ impl Simulation {
             host,
             offered: 0,
             processes: 1,
-            sending: Sending::new(config, super::host(host, "edge"), SECRET, 1, file.open()),
+            sending: Sending::new(config, super::host(host, "edge"), SECRET, 1, file.state()),
             machines: vec![file],
             machine: 0,
             jobs: VecDeque::new(),
@@ -81,7 +81,7 @@ impl Simulation {
         &self.machines[self.machine]
     }
 
-    /// Calls the sending end, and performs its actions.
+    /// Calls the sending end, sends its frames, and queues its actions for the spool.
     pub(super) fn agent<T>(&mut self, act: impl FnOnce(&mut Sending, Stamp) -> T) -> T {
         let result = act(&mut self.sending, at(self.now));
         while let Some(action) = self.sending.next(at(self.now).mono) {
@@ -216,8 +216,8 @@ impl Simulation {
         }
     }
 
-    /// Flips a bit of a batch in flight. Hellos are excluded, because no hash protects a hello and a lost hello is not
-    /// repeated.
+    /// Flips a bit of a batch in flight. Other frames are excluded: no hash protects them, and the simulated aggregator
+    /// panics if the proof of a damaged hello is wrong.
     pub(super) fn damage(&mut self, index: usize, bit: usize) {
         let batches = self.up.iter_mut().filter(|(_, frame)| codec::decode_batch_head(frame).is_some());
         let mut batches: Vec<_> = batches.collect();
@@ -232,18 +232,24 @@ impl Simulation {
         *frame = Bytes::from(damaged);
     }
 
-    /// Commits `count` tasks. If `is_acknowledged` is `false`, the aggregator is killed between commit and
-    /// acknowledgement.
-    pub(super) fn commit(&mut self, count: usize, is_acknowledged: bool) {
+    /// Commits `count` tasks, and sends the acknowledgements.
+    pub(super) fn commit(&mut self, count: usize) {
+        let streams = self.commit_without_report(count);
+        let replies = self.aggregator.report_commit(streams);
+        self.down.extend(replies);
+    }
+
+    /// Commits `count` tasks, and kills the aggregator before it acknowledges them.
+    pub(super) fn commit_and_kill(&mut self, count: usize) {
+        self.commit_without_report(count);
+        self.aggregator.kill();
+    }
+
+    /// Commits `count` tasks. Returns the streams of the stored entries.
+    fn commit_without_report(&mut self, count: usize) -> Vec<StreamId> {
         let stored = self.aggregator.commit(count);
         stored.iter().for_each(|(stream, entry)| self.expected_content.record_committed(*stream, entry));
-        if is_acknowledged {
-            let replies =
-                self.aggregator.report_commit(stored.into_iter().map(|(stream, _)| stream).collect());
-            self.down.extend(replies);
-        } else {
-            self.aggregator.kill();
-        }
+        stored.into_iter().map(|(stream, _)| stream).collect()
     }
 
     pub(super) fn fail_commit(&mut self) {
@@ -268,7 +274,7 @@ impl Simulation {
         self.machine = machine;
         self.processes += 1;
         self.connection += 1;
-        let spool = self.machines[self.machine].start();
+        let spool = self.machines[self.machine].open_for_process();
         self.sending =
             Sending::new(self.config, super::host(self.host, "edge"), SECRET, self.processes, spool);
         self.agent(|sending, now| sending.on_connected(now.mono));
@@ -333,7 +339,7 @@ impl Simulation {
             {
                 self.deliver_up(0, false);
                 self.complete_job();
-                self.commit(usize::MAX, true);
+                self.commit(usize::MAX);
                 self.deliver_down(0, false);
                 self.check();
             }
@@ -384,7 +390,7 @@ fn missing_in_gaps(events: u32, body: &[u8]) -> u64 {
     events.into_iter().map(count).sum()
 }
 
-/// Returns the numbers of the events in a body in order, without gaps.
+/// Returns the numbers of the events in a body in order. Gap events have no number.
 fn event_numbers(events: u32, body: &[u8]) -> Vec<u64> {
     let events = codec::decode_events(body, events).expect("the agent's events are readable");
     let event_number = |event| match event {
