@@ -20,11 +20,11 @@ INTERRUPTIONS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="run.sh", description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(parts.ALL)}; default: all")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"one of {', '.join(parts.ALL)}; default: all")
     parser.add_argument("--quick", action="store_true", help="short runs, whose figures are too noisy to be quoted")
     arguments = parser.parse_args()
     if unknown := set(arguments.parts) - set(parts.ALL):
-        parser.error(f"unknown part {', '.join(sorted(unknown))}; known are {', '.join(parts.ALL)}")
+        parser.error(f"unknown part {', '.join(sorted(unknown))}; known parts are {', '.join(parts.ALL)}")
     for number in INTERRUPTIONS:
         signal.signal(number, _interrupt)
     # The order is fixed: the fastest parts run first, so that failures show early.

@@ -1,4 +1,8 @@
-"""Two agents whose clocks are one kernel's, the edge's made wrong on purpose: true delays behind what they store."""
+"""Two agents that read the clocks of one kernel, with artificial errors of the edge's clocks.
+
+The artificial errors are known. The true delays therefore follow from the stored stamps, and are compared with the
+stored delays.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +23,10 @@ from quantiles import quantile
 
 DIRECTIONS = ("upload", "download")
 HZ = 100
-# The edge's clocks are ahead of the cloud's.
+# The edge's clocks are ahead of the cloud's by this time.
 AHEAD_S = 0.5
-# 500 ppm for four seconds, then 40,000 ppm for one: what a kernel and chrony slew at. Begin, length, rate.
+# Begin in seconds after the start, length in seconds, and rate in ppm of each slew. A kernel slews at 500 ppm, and
+# chrony at 40,000 ppm.
 SLEWS = ((3.0, 4.0, 500.0), (8.0, 1.0, 40_000.0))
 SLEW_HZ = 10
 # Values are stored in seconds with 53 bits, and undoing a drift rounds.
@@ -32,15 +37,15 @@ BELIEVED = ("ok", "limited")
 
 @dataclass(frozen=True)
 class Path:
-    """What lies between edge and cloud."""
+    """The network path between edge and cloud."""
 
     name: str
-    # Up and down.
+    # Delays of the two directions: up, down.
     delays_ms: tuple[int, int] = (0, 0)
 
     @contextmanager
     def hosts(self) -> Iterator[tuple[Host, Host]]:
-        """Edge and cloud at its ends."""
+        """Yields the two ends of the path: edge, cloud."""
         if self == LOOP:
             yield LOOPBACK, LOOPBACK
         elif self == VETH:
@@ -56,12 +61,12 @@ VETH = Path("veth")
 
 
 def wire(up_ms: int, down_ms: int) -> Path:
-    """A wire with these delays."""
+    """Returns a path with these delays."""
     return Path(f"{up_ms}/{down_ms} ms", (up_ms, down_ms))
 
 
 def slews() -> tuple[tuple[float, float], ...]:
-    """Many small steps in place of rates."""
+    """Returns many small steps in place of the slews: time after the start and size of each step, in seconds."""
     return tuple(
         (begin + number / SLEW_HZ, ppm * 1e-6 / SLEW_HZ)
         for begin, lasts, ppm in SLEWS
@@ -75,16 +80,16 @@ class Clocks:
 
     drift_ppm: float = 0.0
     ahead_s: float = AHEAD_S
-    # Steps of either clock, seconds after the start and by how much.
+    # Steps of the wall clock and of the free-running clock: time after the start and size of each step, in seconds.
     wall_steps: tuple[tuple[float, float], ...] = ()
     raw_steps: tuple[tuple[float, float], ...] = ()
-    # What time daemons are taken to say of a clock that is wrong.
+    # Claim of the edge about its wall clock, as in [clock_fault].
     discipline: str = "none"
     # Lines of [clock] on both hosts.
     settings: str = "discipline = []"
 
     def clock_fault(self) -> str:
-        """The table that makes them so."""
+        """Returns the table [clock_fault] that causes these errors of the edge's clocks."""
         steps = [(at, by, "wall") for at, by in self.wall_steps] + [(at, by, "raw") for at, by in self.raw_steps]
         text = ", ".join(f'{{ at_s = {at}, by_ms = {by * 1e3}, clock = "{clock}" }}' for at, by, clock in steps)
         return f"""
@@ -96,7 +101,10 @@ class Clocks:
         """
 
     def true_ns(self, shown: int) -> int:
-        """What the kernel's raw clock showed when the edge's showed `shown`, both since the start of the fault injection."""
+        """Returns the time on the kernel's free-running clock at which the edge's free-running clock showed `shown`.
+
+        Both times count from the start of the fault injection.
+        """
         steps = sorted(self.raw_steps)
         for passed in range(len(steps), -1, -1):
             stepped = sum(by for _, by in steps[:passed])
@@ -104,12 +112,12 @@ class Clocks:
             truth = elapsed - round(elapsed - elapsed / (1 + self.drift_ppm * 1e-6))
             if passed == 0 or truth >= steps[passed - 1][0] * 1e9:
                 return truth
-        raise AssertionError("nothing passed is always possible")
+        raise AssertionError("the case without a passed step always returns")
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A delay that was reported, and the true one. Seconds; `at` since the start of the edge."""
+class JudgedDelay:
+    """A reported delay and the true delay. All values in seconds; `at` is the time since the start of the edge."""
 
     at: float
     verdict: str
@@ -123,32 +131,36 @@ class Judged:
 
     @property
     def is_outside(self) -> bool:
-        """Whether its interval is believed and does not contain the truth."""
+        """Whether the delay's interval is believed and does not contain the true delay."""
         if self.bounds is None or not self.is_believed:
             return False
         return self.excess > ROUNDING_S
 
     @property
     def excess(self) -> float:
-        """How far the truth is beyond its interval."""
+        """How far the true delay is outside the delay's interval; negative inside."""
         lo, hi = self.bounds or (self.truth, self.truth)
         return max(lo - self.truth, self.truth - hi)
 
 
 @dataclass(frozen=True)
 class Errors:
-    """What the believed delays of one direction are worth. Seconds, but for the counts."""
+    """Errors of the believed delays of one direction, in seconds."""
 
+    # Number of all delays, of believed delays, and of believed delays whose interval does not contain the true delay.
     count: int
     believed: int
     outside: int
+    # Median of the true delays.
     truth: float
+    # Mean and 99th percentile of the errors without their sign.
     mean: float
     p99: float
+    # Median width of the intervals.
     width: float
 
     @classmethod
-    def of(cls, delays: list[Judged]) -> Errors:
+    def of(cls, delays: list[JudgedDelay]) -> Errors:
         believed = [one for one in delays if one.is_believed and one.value is not None and one.bounds is not None]
         if not believed:
             raise Failure(f"none of {len(delays)} delays has a value that is believed")
@@ -171,31 +183,36 @@ class Scene:
     clocks: Clocks
     seconds: float
     timestamps: str = "kernel"
+    # A second pipeline fills the path.
     saturated: bool = False
-    # The cloud is shown a time that is so much ahead, by libfaketime; the edge's clocks are right, and both tell one boot id.
+    # If given, libfaketime shows the cloud a time that is ahead by this many seconds. The edge's clocks are then right,
+    # and both agents state the same boot id.
     false_time_s: float | None = None
 
-    def run(self, edge: Host, cloud: Host) -> dict[str, list[Judged]]:
-        """Measures, and returns the delays of both directions; those of the warm-up do not count."""
-        with deployment() as it:
+    def run(self, edge: Host, cloud: Host) -> dict[str, list[JudgedDelay]]:
+        """Measures, and returns the delays of both directions, without the delays of the warm-up."""
+        with deployment() as daemons:
             events, web, data = free_ports(3)
-            it.aggregator(edge, events=events, web=web)
-            shown = {} if self.false_time_s is None else others.false_time(self.false_time_s, every_clock=True)
-            it.daemon("cloud", self._cloud(it, cloud, data), cloud, shown)
-            ahead_ns = _wall_less_raw_ns()
-            text = self._edge(it, f"{edge.address}:{events}", f"{cloud.address}:{data}")
-            agent = it.daemon("edge", text, edge)
-            # libfaketime shows the free-running clock on the scale of the wall clock.
+            daemons.aggregator(edge, events=events, web=web)
+            environment = {} if self.false_time_s is None else others.false_time(self.false_time_s, every_clock=True)
+            daemons.daemon("cloud", self._cloud(daemons, cloud, data), cloud, environment)
+            wall_minus_raw_ns = _wall_minus_raw_ns()
+            text = self._edge(daemons, f"{edge.address}:{events}", f"{cloud.address}:{data}")
+            agent = daemons.daemon("edge", text, edge)
+            # Under libfaketime, the cloud's free-running clock shows the time of the wall clock, so the stamps of the
+            # wall clocks are compared. Otherwise the stamps are those of the free-running clocks, and the start of the
+            # fault injection is converted to the free-running clock.
             wall = self.false_time_s is not None
-            since_ns = time.time_ns() if wall else _since_ns(agent, edge, web) - ahead_ns
-            agent.wait_until("its run is stored", lambda: it.is_stored("small"), self.seconds + 60)
-            run = store.run_of(it.database, "small")
+            since_ns = time.time_ns() if wall else _since_ns(agent, edge, web) - wall_minus_raw_ns
+            agent.wait_until("its run is stored", lambda: daemons.is_stored("small"), self.seconds + 60)
+            run = store.run_of(daemons.database, "small")
             if run is None:
                 raise Failure("the run that was stored is gone")
-            rows = {direction: store.delays(it.database, run, direction, wall=wall) for direction in DIRECTIONS}
-            return {direction: self._judged(of, since_ns, direction) for direction, of in rows.items()}
+            database = daemons.database
+            rows = {direction: store.delays(database, run, direction, wall=wall) for direction in DIRECTIONS}
+            return {direction: self._judged(delays, since_ns, direction) for direction, delays in rows.items()}
 
-    def _judged(self, rows: list[store.Delay], since_ns: int, direction: str) -> list[Judged]:
+    def _judged(self, rows: list[store.Delay], since_ns: int, direction: str) -> list[JudgedDelay]:
         judged = []
         for row in rows:
             bounds = None if row.lo is None or row.hi is None else (row.lo, row.hi)
@@ -205,7 +222,7 @@ class Scene:
             else:
                 edge, cloud = self._edge_ns(row.received_ns - since_ns), self._cloud_ns(row.sent_ns - since_ns)
                 truth = edge - cloud
-            judged.append(Judged(edge * 1e-9, row.verdict, row.value, bounds, truth * 1e-9))
+            judged.append(JudgedDelay(edge * 1e-9, row.verdict, row.value, bounds, truth * 1e-9))
         return judged
 
     def _edge_ns(self, shown: int) -> int:
@@ -214,11 +231,13 @@ class Scene:
     def _cloud_ns(self, shown: int) -> int:
         return shown - round((self.false_time_s or 0.0) * 1e9)
 
-    def _agent(self, it: Deployment, name: str, more: str) -> str:
+    def _agent(self, daemons: Deployment, name: str, more: str) -> str:
+        # With equal clock identities, the agents could find that they read one clock. With libfaketime, both agents
+        # keep the boot id of the machine as their identity, because two clocks with one boot id are to be measured.
         return f"""
         [agent]
         name = "{name}"
-        state_dir = "{it.folder}/{name}"
+        state_dir = "{daemons.folder}/{name}"
         {"" if self.false_time_s is not None else f'clock_identity = "{name}"'}
         {more}
         [clock]
@@ -226,9 +245,9 @@ class Scene:
         {self.clocks.settings}
         """
 
-    def _cloud(self, it: Deployment, host: Host, data: int) -> str:
+    def _cloud(self, daemons: Deployment, host: Host, data: int) -> str:
         return f"""
-        {self._agent(it, "cloud", "")}
+        {self._agent(daemons, "cloud", "")}
         [serve]
         listen = "tcp://{host.address}:{data}"
         [[model]]
@@ -236,13 +255,13 @@ class Scene:
         kind = "echo"
         """
 
-    def _edge(self, it: Deployment, aggregator: str, peer: str) -> str:
-        # The path may hold so many.
-        timed = f'load = {{ mode = "rate", hz = {HZ:.1f} }}\nmax_in_flight = 64'
-        pipelines = _pipeline("small", peer, 1000, timed, self.seconds)
+    def _edge(self, daemons: Deployment, aggregator: str, peer: str) -> str:
+        # Even on the longest path, fewer messages are in flight at once.
+        load = f'load = {{ mode = "rate", hz = {HZ:.1f} }}\nmax_in_flight = 64'
+        pipelines = _pipeline("small", peer, 1000, load, self.seconds)
         if self.saturated:
             pipelines += _pipeline("images", peer, 1_200_000, "", self.seconds + 2)
-        agent = self._agent(it, "edge", f'aggregator = "tcp://{aggregator}"')
+        agent = self._agent(daemons, "edge", f'aggregator = "tcp://{aggregator}"')
         return agent + ("" if self.false_time_s is not None else self.clocks.clock_fault()) + pipelines
 
 
@@ -257,24 +276,26 @@ def _pipeline(name: str, peer: str, size: int, load: str, seconds: float) -> str
     """
 
 
-def _wall_less_raw_ns() -> int:
+def _wall_minus_raw_ns() -> int:
+    """Returns the reading of the kernel's wall clock minus the reading of its free-running clock."""
     raw = time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)
     wall = time.clock_gettime_ns(time.CLOCK_REALTIME)
     return wall - (raw + time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)) // 2
 
 
 def _since_ns(agent: Program, edge: Host, web: int) -> int:
-    """When the edge's clock fault injection began, by the kernel's wall clock."""
+    """Returns the time on the kernel's wall clock at which the edge's clock fault injection began."""
     url = f"http://127.0.0.1:{web}/api/v1/hosts/edge"
-    told: list[str] = []
+    reported: list[str] = []
 
-    def is_told() -> bool:
+    def is_reported() -> bool:
         answer = output(edge.inside(["curl", "--silent", url]) if edge.name else ["curl", "--silent", url])
         clock = json.loads(answer).get("clock") or {}
-        told[:] = [fault["since"]] if (fault := clock.get("rehearsal")) else []
-        return bool(told)
+        # The API calls the clock fault by its former name.
+        reported[:] = [fault["since"]] if (fault := clock.get("rehearsal")) else []
+        return bool(reported)
 
-    agent.wait_until("the edge tells of its clocks", is_told)
-    seconds, _, fraction = told[0].rstrip("Z").partition(".")
+    agent.wait_until("the edge reports its clock fault", is_reported)
+    seconds, _, fraction = reported[0].rstrip("Z").partition(".")
     whole = int(datetime.fromisoformat(seconds + "+00:00").timestamp())
     return whole * 1_000_000_000 + int(fraction.ljust(9, "0"))

@@ -1,4 +1,5 @@
-"""The closed loop over two hosts by three programs: PEERNet, the paper's program's work, and bare TCP."""
+"""The closed loop over two hosts by several programs: PEERNet, a Python program that does the same work as the paper's
+program, and Rust programs that use bare TCP or bare UDP."""
 
 from __future__ import annotations
 
@@ -18,9 +19,9 @@ DATA_PORT = 5551
 BARE_PORT = 5560
 # What zmq-udp sends by default.
 DATAGRAM_BYTES = 1_200
-# Iterations in which caches fill and TCP windows open. The other two programs have the same number built in.
+# Iterations in which caches fill and TCP windows open. The programs of peers/ have the same number built in.
 WARM_UP = 200
-# Letters of /proc/net/tcp and /proc/net/udp.
+# Codes of a socket's state in /proc/net/tcp and /proc/net/udp.
 ESTABLISHED, LISTENING, BOUND = "01", "0A", "07"
 
 Stages = dict[str, dict[str, float]]
@@ -47,8 +48,9 @@ class Slice:
     # Messages sent and answered.
     sent: int
     answered: int
-    # Of both ends, from their start to their end.
+    # Processor time of both ends.
     cpu_seconds: float
+    # Events that the database lacks; 0 for programs without a database.
     missing: int = 0
 
 
@@ -68,33 +70,34 @@ def peernet(arena: Arena, shape: Shape, peer: str | None = None) -> Slice:
 
     `peer` is the cloud's address; TCP unless it is given.
     """
-    with deployment() as it:
-        it.aggregator(arena.edge)
+    with deployment() as daemons:
+        daemons.aggregator(arena.edge)
         reporting = f'aggregator = "tcp://{arena.edge.address}:5550"'
-        cloud = it.daemon("cloud", _cloud(it, arena, shape, reporting, peer), arena.cloud)
-        edge = it.daemon("edge", _edge(it, arena, shape, reporting, f"duration_s = {arena.seconds}.0", peer), arena.edge)
-        edge.wait_until("the run is stored", lambda: it.is_stored("loop"), arena.seconds + 60)
+        cloud = daemons.daemon("cloud", _cloud(daemons, arena, shape, reporting, peer), arena.cloud)
+        limit = f"duration_s = {arena.seconds}.0"
+        edge = daemons.daemon("edge", _edge(daemons, arena, shape, reporting, limit, peer), arena.edge)
+        edge.wait_until("the run is stored", lambda: daemons.is_stored("loop"), arena.seconds + 60)
         cpu_seconds = edge.cpu_seconds() + cloud.cpu_seconds()
-        it.stop()
-        run = store.run_of(it.database, "loop")
+        daemons.stop()
+        run = store.run_of(daemons.database, "loop")
         may_lose = peer is not None and peer.startswith(("udp://", "ros2://"))
         if run is None or not run.ok or (run.unsuccessful and not may_lose):
             raise Failure(f"the loop of {shape} did not go well: {run}; the edge said:\n{edge.text()}")
         return Slice(
-            store.iterations_per_second(it.database, run),
-            store.stages(it.database, run),
+            store.iterations_per_second(daemons.database, run),
+            store.stages(daemons.database, run),
             run.ok + run.unsuccessful,
             run.ok,
             cpu_seconds,
-            store.missing(it.database),
+            store.missing(daemons.database),
         )
 
 
 def peernet_alone(arena: Arena, shape: Shape, iterations: int) -> float:
     """Iterations per second of both agents without an aggregator, over the life of their connection."""
-    with deployment() as it:
-        it.daemon("cloud", _cloud(it, arena, shape, ""), arena.cloud)
-        edge = it.daemon("edge", _edge(it, arena, shape, "", f"iterations = {iterations}"), arena.edge)
+    with deployment() as daemons:
+        daemons.daemon("cloud", _cloud(daemons, arena, shape, ""), arena.cloud)
+        edge = daemons.daemon("edge", _edge(daemons, arena, shape, "", f"iterations = {iterations}"), arena.edge)
         # The daemon may be connected before it reports ready; the difference is small.
         edge.wait_until("the edge is connected", lambda: sees(edge, DATA_PORT, ESTABLISHED))
         begin = time.perf_counter()
@@ -108,6 +111,7 @@ def peernet_alone(arena: Arena, shape: Shape, iterations: int) -> float:
 def published(arena: Arena, shape: Shape) -> Slice:
     """The Python program of peers/published.py."""
     answer = [] if shape.answer is None else ["--answer-bytes", shape.answer]
+    # Each end takes its own address, then the address of the other end.
     ends = arena.cloud.address, arena.edge.address
     with tempfile.TemporaryDirectory(prefix="peernet-bench-") as folder:
         server = arena.cloud.inside(peer("published", "server", *ends, *answer))
@@ -165,11 +169,11 @@ def _slice(
     )
 
 
-def _cloud(it: Deployment, arena: Arena, shape: Shape, reporting: str, peer: str | None = None) -> str:
+def _cloud(daemons: Deployment, arena: Arena, shape: Shape, reporting: str, peer: str | None = None) -> str:
     return f"""
         [agent]
         name = "cloud"
-        state_dir = "{it.folder}/cloud"
+        state_dir = "{daemons.folder}/cloud"
         {reporting}
         [serve]
         listen = "{peer or _tcp(arena)}"
@@ -180,11 +184,11 @@ def _cloud(it: Deployment, arena: Arena, shape: Shape, reporting: str, peer: str
     """
 
 
-def _edge(it: Deployment, arena: Arena, shape: Shape, reporting: str, limit: str, peer: str | None = None) -> str:
+def _edge(daemons: Deployment, arena: Arena, shape: Shape, reporting: str, limit: str, peer: str | None = None) -> str:
     return f"""
         [agent]
         name = "edge"
-        state_dir = "{it.folder}/edge"
+        state_dir = "{daemons.folder}/edge"
         {reporting}
         [[pipeline]]
         name = "loop"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 import others
-from clocks import AHEAD_S, DIRECTIONS, HZ, VETH, Clocks, Errors, Judged, Path, Scene, slews, wire
+from clocks import AHEAD_S, DIRECTIONS, HZ, VETH, Clocks, Errors, JudgedDelay, Path, Scene, slews, wire
 from namespaces import Host, need_root
 from report import Section, Table, micros
 
@@ -14,7 +14,7 @@ DRIFTS_PPM = (0, 100, 200)
 AIM_ERROR_S = 5e-6
 AIM_WIDTH_S = 20e-6
 
-Rows = list[tuple[str, dict[str, list[Judged]]]]
+Rows = list[tuple[str, dict[str, list[JudgedDelay]]]]
 
 
 def prepare() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
 
 import others
-from clocks import LOOP, VETH, Clocks, Judged, Path, Scene, slews, wire
+from clocks import LOOP, VETH, Clocks, JudgedDelay, Path, Scene, slews, wire
 from namespaces import Host, need_root
 from programs import Program, output, peer
 from report import Section, Table, micros
@@ -65,7 +65,7 @@ def measure(quick: bool) -> Section:
     return section
 
 
-def _row(table: Table, case: Case, delays: list[Judged]) -> float:
+def _row(table: Table, case: Case, delays: list[JudgedDelay]) -> float:
     wrong = [one for one in delays if one.is_outside]
     until = max((one.at - case.begins_s for one in wrong), default=0.0)
     believed = sum(one.is_believed for one in delays)
@@ -82,7 +82,7 @@ def _row(table: Table, case: Case, delays: list[Judged]) -> float:
     return until
 
 
-def _again(case: Case, delays: list[Judged]) -> str:
+def _again(case: Case, delays: list[JudgedDelay]) -> str:
     """Returns the time from which on delays are good again; a dash if they always were."""
     after = [one for one in delays if one.at >= case.begins_s]
     if all(one.is_believed for one in after):
