@@ -11,14 +11,17 @@ from processes import Process, free_port, wait_until
 HOPS = [("/camera", "/a", 0.005), ("/a", "/b", 0.02), ("/b", "/c", 0.05)]
 # Largest difference between reported and real durations on an idle machine. Seconds.
 TOLERANCE = 0.001
-# Number of messages of a median, as in the nodes.
+# Number of messages of a median. The nodes print a median after as many messages.
 WINDOW = 20
 # Time limit of the comparisons. On a busy machine they only succeed while neither nodes nor agent wait for a processor. Seconds.
 TIMEOUT_S = 120
 
 
 def pipeline(name, ros_version, source, target, keys="", peer=""):
-    """Returns the configuration of a pipeline that observes the nodes between two topics, with the agent at the address `peer`."""
+    """Returns the configuration of a pipeline that observes the nodes between two topics.
+
+    `peer` is the address of the agent on the host of the middle nodes; empty if all nodes are on one host.
+    """
     peer_key = f', peer = "{peer}"' if peer else ""
     return (
         f'[[pipeline]]\nname = "{name}"\n{keys}\n'
@@ -57,6 +60,7 @@ class Observer(Process):
     def answered_iterations(self, name):
         """Returns the newest answered iterations of the newest run of a pipeline, at most WINDOW."""
         run = self.newest_run(name)
+        # Lost and failed iterations are left out, so more iterations than WINDOW are requested.
         after = max(0, sum(run["counts"].values()) - 5 * WINDOW) if run else 0
         found = run and self.get(f"runs/{run['number']}/iterations?after={after}&limit=1000")
         return [one for one in found["iterations"] if one["outcome"] == "ok"][-WINDOW:] if found else []
@@ -65,8 +69,9 @@ class Observer(Process):
 def tolerance():
     """Returns the largest allowed difference between reported and real durations, in seconds.
 
-    A node measures from the moment at which it runs until it publishes. The agent measures between the moments at which it is woken.
-    On a busy machine both wait for a processor, as a sleeping process does.
+    A node measures from the moment at which it runs until it publishes. The agent measures between the moments at which
+    it is woken. On a busy machine both wait for a processor. A sleeping process waits as long, so its median delay is
+    measured and allowed for both.
     """
     delays = []
     for _ in range(WINDOW):
@@ -80,6 +85,7 @@ def check_latencies(observer, relays):
     """Waits until the medians of the pipelines `hop0`, `hop1`, … agree with those that the nodes print."""
 
     def medians(index):
+        """Returns the reported and the real median of a hop; None while there are too few messages."""
         printed = relays[index].newest("median")
         totals = [one["total"] for one in observer.answered_iterations(f"hop{index}")]
         if printed is None or len(totals) < WINDOW:
@@ -93,16 +99,17 @@ def check_latencies(observer, relays):
             found.append(medians(index))
             return found[-1] is not None and abs(found[-1][0] - found[-1][1]) < tolerance()
 
-        wait_until(agrees, lambda: f"reported and real medians of {seconds} s agree within a millisecond: {found[-1]}", TIMEOUT_S)
-        reported, taken = found[-1]
-        print(f"ok      hop {index}: {reported * 1e3:.2f} ms reported, {taken * 1e3:.2f} ms real", flush=True)
-        assert taken >= seconds
+        wait_until(agrees, lambda: f"reported and real medians of {seconds} s agree: {found[-1]}", TIMEOUT_S)
+        reported, real = found[-1]
+        print(f"ok      hop {index}: {reported * 1e3:.2f} ms reported, {real * 1e3:.2f} ms real", flush=True)
+        assert real >= seconds
 
 
 def check_two_agents(peernetd, folder, ros_version, relays):
-    """Observes the chain as if its second node were on another host: the first node is the upload, the third one the download.
+    """Observes the chain as if its second node were on another host.
 
-    The clock of that host's agent is 5 s ahead. Waits until the medians of all three stages agree with those that the nodes print.
+    The time of the first node must be reported as the upload, that of the third node as the download. The clock of the
+    other host's agent is 5 s ahead. Waits until the medians of all three stages agree with those that the nodes print.
     """
     data, topics = free_port(), [source for source, _, _ in HOPS] + [HOPS[-1][1]]
     serve = f'[serve]\nlisten = "tcp://127.0.0.1:{data}"\n[clock_fault]\noffset_ms = 5000.0\n'
@@ -120,11 +127,11 @@ def check_two_agents(peernetd, folder, ros_version, relays):
                 if printed and len(seconds) == WINDOW:
                     found[name] = (statistics.median(seconds), float(printed.split()[1]))
             allowed = tolerance()
-            return len(found) == len(HOPS) and all(abs(reported - taken) < allowed for reported, taken in found.values())
+            return len(found) == len(HOPS) and all(abs(reported - real) < allowed for reported, real in found.values())
 
         wait_until(agrees, lambda: f"reported and real stages of both hosts agree: {found}", TIMEOUT_S)
         detail = observer.get(f"runs/{observer.newest_run('chain')['number']}")
         assert detail["placement"]["peer"] == "rack", detail
         observer.stop()
-    for name, (reported, taken) in found.items():
-        print(f"ok      {name}: {reported * 1e3:.2f} ms reported, {taken * 1e3:.2f} ms real, clocks 5 s apart", flush=True)
+    for name, (reported, real) in found.items():
+        print(f"ok      {name}: {reported * 1e3:.2f} ms reported, {real * 1e3:.2f} ms real, clocks 5 s apart", flush=True)

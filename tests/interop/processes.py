@@ -27,6 +27,7 @@ class Process:
     def _read(stream, take):
         for line in stream:
             take(line.rstrip("\n"))
+        # None marks the end of the output.
         take(None)
 
     def line(self):
@@ -46,7 +47,10 @@ class Process:
                 return line
 
     def newest(self, part):
-        """Returns the newest line that contains a text, if there is one since the last call."""
+        """Returns the newest line that contains a text, if there is one since the last call.
+
+        Discards all other lines.
+        """
         lines = [self.lines.get() for _ in range(self.lines.qsize())]
         return next((line for line in reversed(lines) if line and part in line), None)
 

@@ -68,26 +68,29 @@ class Session:
         descriptions = descriptions or [["bytes", [], None] for _ in parts]
         wall, mono = time.time_ns(), time.monotonic_ns()
         tree = msgpack.packb([1, [[self.host, wall]], [[None, ITERATION, 0, 0, CONTAINER]]])
+        # The last element is the epoch, which may be 0.
         departure = [time.time_ns(), time.monotonic_ns() - mono, 0]
         header = {"request": [self.id, number, departure, [descriptions, source, label]]}
         self.send_header(header, tree, *parts)
         return number
 
     def answer(self):
-        """Returns the number of the next answered request, the partial answers and the cloud's nodes."""
+        """Returns the number of the next answered request, the parts of its answer and the cloud's nodes."""
         (kind, content), frames = self.receive()
         assert kind == "reply", (kind, content)
         session, number, _departure, _epoch, outcome = content
         assert session == self.id
-        [(outcome, about)] = outcome.items()
-        assert outcome == "answer", (outcome, about)
-        growth, *parts = frames
-        version, base, anchor, anchors, closed, received, nodes = msgpack.unpackb(growth)
-        # The request's tree has its root; the receiver adds `upload` to it and closes it.
+        [(outcome, detail)] = outcome.items()
+        assert outcome == "answer", (outcome, detail)
+        tree_delta, *parts = frames
+        version, base, anchor, anchors, closed, received, nodes = msgpack.unpackb(tree_delta)
+        # The request's tree has only the root, at position 0. The receiver adds `upload` at position 1 and closes
+        # `upload`.
         assert (version, base, closed) == (1, 2, 1), (version, base, closed)
         assert anchor[0] == self.accepted["host"] and not anchors
         assert received > 0
-        assert len(about[0]) == len(parts)
+        # The sample of an answer begins with the descriptions of its parts.
+        assert len(detail[0]) == len(parts)
         return number, parts, nodes
 
     def close(self, reason="finished"):

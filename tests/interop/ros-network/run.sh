@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The published commands over the network `ros`, with the rosmaster of Debian and rostopic as a viewer.
+# The commands of the paper's program over the network `ros`, with the rosmaster of Debian and rostopic as a viewer.
 set -euo pipefail
 cd "$(dirname "$0")/../../.."
 tests/interop/build.sh

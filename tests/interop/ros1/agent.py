@@ -11,7 +11,8 @@ from processes import Process, wait_until
 PICTURES = 50
 PICTURE_BYTES = 1_000_000
 
-# The actuator `log` writes a line for each answer. `/answer` is published for all subscribers.
+# The actuator `log` writes a line for each answer, and the check counts these lines. `rostopic echo` receives
+# `/answer`.
 CONFIGURATION = """
 [agent]
 name = "robot"
@@ -59,11 +60,12 @@ def main():
         with agent() as robot:
             wait_until(lambda: "/seen" in run_tool("rostopic", "list").split(), "the agent publishes its answers")
             nodes = [node for node in run_tool("rosnode", "list").split() if node.startswith("/peernet_")]
-            assert len(nodes) == 2, f"one node, and another for the second pipeline on a topic: {nodes}"
+            assert len(nodes) == 2, f"one node, and another for the second subscription of /camera: {nodes}"
             assert run_tool("rostopic", "type", "/seen").strip() == "std_msgs/UInt8MultiArray"
             with Process(*ROSPY, "collect", "collector", "/seen", PICTURES) as collector:
                 collector.wait_for("ready")
                 wait_until(lambda: "/collector" in run_tool("rostopic", "info", "/seen"), "the collector subscribes")
+                # The source waits for two subscribers, `camera` and `camera-again`.
                 with Process(*ROSPY, "publish", "source", "/camera", PICTURES, PICTURE_BYTES, 2) as source:
                     for number in range(PICTURES):
                         assert collector.wait_for("picture") == f"picture {number} {PICTURE_BYTES} intact"
@@ -71,7 +73,7 @@ def main():
                 collector.finish()
             print(f"ok    {PICTURES} pictures of {PICTURE_BYTES} bytes of rospy passed sensor and actuator", flush=True)
             answers = sum(f"bytes={PICTURE_BYTES}" in (line or "") for line in robot.errors)
-            assert answers == PICTURES, f"the other pipeline had {answers} answers"
+            assert answers == PICTURES, f"the pipeline camera-again had {answers} answers"
             print("ok    another pipeline received the same topic", flush=True)
             with Process("rostopic", "echo", "/answer") as echo:
                 wait_until(lambda: "rostopic_" in run_tool("rostopic", "info", "/answer"), "rostopic subscribes")

@@ -110,12 +110,14 @@ def check_rospy_with_other_type_is_refused():
             "sensor_msgs/CompressedImage (md5sum 8f7a12909da2c9d3332d540a0977563f) here, "
             "std_msgs/String (md5sum 992ce8a1687cec8c8bd883ec73ca41d1) at node /wrong"
         )
+        # The text is in the log of the refused rospy node or in that of our node.
         assert expected in texts or typed.has_error(expected), typed.errors
 
 
 def check_rospy_refuses_us_with_its_text():
     with rospy("publish", "typed", "/typed", 1, 10) as typed:
         typed.wait_for("ready")
+        # `state` prints the states of the topic's publishers until one fails.
         with ours("state", "wrong", "/typed") as wrong:
             line = wrong.wait_for("failed")
             assert "the publisher of topic /typed refuses the subscription: " in line, line
@@ -154,6 +156,7 @@ def tcp_options(pid, port):
                 found.append(connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
             connection.close()
         except (OSError, TypeError, IndexError):
+            # The descriptor is not an established connection.
             pass
     os.close(process)
     return found

@@ -7,7 +7,7 @@ import xmlrpc.client
 
 from processes import TIMEOUT_S, free_port, wait_until
 
-# Debian's packages belong to Debian's Python.
+# Only Debian's Python can import the rospy of Debian's packages.
 ROSPY = ["/usr/bin/python3", os.path.join(os.path.dirname(os.path.abspath(__file__)), "rospy_peer.py")]
 
 

@@ -1,7 +1,7 @@
 """Observes a chain of unmodified rospy nodes. Usage: observe.py PEERNETD
 
 Each of three nodes takes a known time. The medians of 20 messages that an agent reports must be within a millisecond of those that
-the node measured, with one agent and with two.
+each node measured, with one agent and with two.
 """
 import contextlib
 import os
@@ -13,7 +13,7 @@ from harness import start_master
 from observing import HOPS, Observer, check_latencies, check_two_agents, pipeline
 from processes import Process
 
-# Debian's packages belong to Debian's Python.
+# Only Debian's Python can import the rospy of Debian's packages.
 CHAIN = ["/usr/bin/python3", pathlib.Path(__file__).resolve().parent / "rospy_chain.py"]
 
 

@@ -74,6 +74,7 @@ def rate(topic, count):
     first = last = stamps.get()
     for _ in range(1, int(count)):
         last = stamps.get()
+    # rospy does not report dropped messages. The 0 gives the line the form of ros1_peer's line.
     print_line(f"rate {(int(count) - 1) / (last - first):.0f} dropped 0")
 
 
