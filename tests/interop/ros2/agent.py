@@ -26,7 +26,7 @@ sensor = {{ kind = "ros", topic = "/camera", type = "sensor_msgs/msg/CompressedI
 placement = {{ kind = "local", model = "echo" }}
 actuator = {{ kind = "ros", topic = "/seen", type = "std_msgs/UInt8MultiArray" }}
 
-# The publisher is best-effort. One sensor requests more than it offers, the other does not.
+# The publisher is best-effort. The sensor of `strict` requests reliable messages, the sensor of `lenient` does not.
 [[pipeline]]
 name = "strict"
 sensor = {{ kind = "ros", topic = "/sketchy", type = "sensor_msgs/msg/CompressedImage" }}

@@ -2,8 +2,9 @@
 
 cyclonedds_chain.py camera TOPIC HZ
 cyclonedds_chain.py relay IN OUT DELAY_S [DROPPED EXTRA]
-The camera is best-effort, the relays are reliable. A relay prints the median of its real processing times, in seconds, after each
-20 messages. It leaves each DROPPED-th message without an answer, and publishes a message of another stamp after each EXTRA-th.
+The camera publishes best-effort. The relays subscribe best-effort and publish reliably. A relay prints the median of
+its real processing times, in seconds, after each 20 messages. It leaves each DROPPED-th message without an answer, and
+publishes a message of another stamp after each EXTRA-th.
 """
 import statistics
 import sys

@@ -8,7 +8,7 @@ from cyclonedds.util import duration
 
 from cyclonedds_peer import CompressedImage_, Incoming
 
-# As tools of ROS 2 subscribe.
+# The QoS with which tools of ROS 2 subscribe.
 QOS = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(10))
 
 

@@ -1,7 +1,7 @@
 """Observes a chain of unmodified Cyclone DDS nodes. Usage: observe.py PEERNETD
 
 Each of three nodes takes a known time. The medians of 20 messages that an agent reports must be within a millisecond of those that
-the node measured, with one agent and with two. Another node drops some messages and publishes others without an input.
+each node measured, with one agent and with two. Another node drops some messages and publishes others without an input.
 """
 import contextlib
 import os
@@ -15,7 +15,7 @@ from processes import Process, wait_until
 HERE = pathlib.Path(__file__).resolve().parent
 CHAIN = [sys.executable, HERE / "cyclonedds_chain.py"]
 OFFER = [sys.executable, HERE / "cyclonedds_peer.py", "offer"]
-# Each DROPPED-th message has no answer. Each EXTRA-th message has a second one with another stamp.
+# Each DROPPED-th message has no answer. Each EXTRA-th message has a second answer with another stamp.
 MESSAGES, DROPPED, EXTRA = 120, 4, 5
 TIMEOUT_MS, HZ = 500, 20
 
@@ -32,6 +32,7 @@ def check_chain(started, peernetd, folder):
         facts = str(observer.get(f"runs/{observer.newest_run('hop0')['number']}")["facts"])
         for part in ("ROS 2, domain 0 on lo (127.0.0.1)", "/camera (sensor_msgs/msg/CompressedImage)", "on this host"):
             assert part in facts, f"{part} is missing in {facts}"
+        # The facts use these words for a publisher on another host.
         assert "measures nothing" not in facts, facts
         observer.stop()
     check_two_agents(peernetd, folder, 2, relays)
@@ -49,13 +50,14 @@ def check_counts(started, peernetd, folder):
         assert (counts["ok"], counts["lost"]) == (MESSAGES - MESSAGES // DROPPED, MESSAGES // DROPPED), counts
         stages = observer.get(f"runs/{run}/stages")["stages"]
         unmatched = sum(one["count"] * one["mean"] for one in stages if one["name"] == "output-unmatched")
-        # An EXTRA-th message that is also a DROPPED-th has no answer at all. Those of the first and the last half second are not
-        # counted, because they may still be matched.
+        # An EXTRA-th message that is also a DROPPED-th has no answer at all. Second answers of the first TIMEOUT_MS are
+        # not counted, because they may belong to inputs before the run. Those of the last TIMEOUT_MS may still be
+        # matched.
         max_unmatched = MESSAGES // EXTRA - MESSAGES // (EXTRA * DROPPED)
         undecided = 2 * (HZ * TIMEOUT_MS // 1000 // EXTRA + 1)
         assert max_unmatched - undecided <= unmatched <= max_unmatched, f"{unmatched} of {max_unmatched}"
         observer.stop()
-    print(f"ok      {counts['lost']} of {MESSAGES} messages were lost, {unmatched:.0f} of others were unmatched", flush=True)
+    print(f"ok      {counts['lost']} of {MESSAGES} messages lost, {unmatched:.0f} second answers unmatched", flush=True)
 
 
 def check_errors(started, peernetd, folder):

@@ -54,7 +54,8 @@ for load in "string 50 10" "string 50 60000" "image 50 150000" "image 40 1000000
     message=(/interop/topic "$kind" "$count" "$size")
     check "Cyclone DDS to us, $kind of $size bytes" "$ours" receive "${message[@]}" -- cyclone publish "${message[@]}"
     check "us to Cyclone DDS, $kind of $size bytes" cyclone receive "${message[@]}" -- "$ours" publish "${message[@]}"
-    # With the kernel's default of 212,992 bytes Fast DDS loses fragments of large messages faster than it repairs them.
+    # With the kernel's default receive buffer of 212,992 bytes Fast DDS loses fragments of large messages faster than
+    # it repairs them. Therefore the last argument sets buffers of 4 MiB.
     check "Fast DDS to us, $kind of $size bytes" "$ours" receive "${message[@]}" -- "$fast" publish "${message[@]}" 4194304
     check "us to Fast DDS, $kind of $size bytes" "$fast" receive "${message[@]}" 4194304 -- "$ours" publish "${message[@]}"
 done
@@ -72,6 +73,6 @@ done
 PYTHONPATH=$root/tests/interop "$venv/bin/python" "$here/session.py" "$root/target/debug/peernet" \
     "$root/models/quality-control/pictures/part-0001.jpg" || failed=1
 
-# The client and sessions between nodes of PEERNet.
+# Tests of the ROS 2 client and of sessions between nodes of PEERNet.
 "$root/tests/interop/build.sh" --test ros2 || failed=1
 exit "$failed"

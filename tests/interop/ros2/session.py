@@ -1,4 +1,7 @@
-"""Runs the published commands over ROS 2 while Cyclone DDS receives the pictures. Usage: session.py PEERNET JPEG"""
+"""Runs the commands of the paper's program over ROS 2 while Cyclone DDS receives the pictures.
+
+Usage: session.py PEERNET JPEG
+"""
 import csv
 import os
 import pathlib
@@ -47,7 +50,7 @@ def main():
             rows = list(csv.DictReader(file))
         outcomes = {row["outcome"] for row in rows}
         assert (len(rows), outcomes) == (ITERATIONS, {"ok"}), (len(rows), outcomes)
-    print(f"ok      {ITERATIONS} iterations of the published commands over ROS 2; Cyclone DDS {seen}")
+    print(f"ok      {ITERATIONS} iterations of the paper's commands over ROS 2; Cyclone DDS {seen}")
 
 
 main()

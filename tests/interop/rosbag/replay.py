@@ -1,7 +1,8 @@
 """Plays the bag of a session and compares what agents receive with it. Usage: replay.py BAG
 
-The agents subscribe to `/robot/request` and `/robot/response` and publish the samples on `/seen/request` and `/seen/response`: of
-a picture its file, of any other message its serialised bytes.
+The agents subscribe to `/robot/request` and `/robot/response` and publish the samples on `/seen/request` and
+`/seen/response`. The sample of a picture is the picture's file. The sample of any other message is the serialised
+message.
 """
 import subprocess
 import sys
@@ -17,17 +18,18 @@ TIMEOUT_S = 60
 TOPICS = ["request", "response"]
 
 
-def recorded(bag, topic):
-    """Returns the bytes of each message as an agent publishes them."""
+def recorded_samples(bag, topic):
+    """Returns the bytes of each recorded message as an agent publishes them."""
     raw = bag.read_messages(topics=[f"/robot/{topic}"], raw=True)
     if topic == "response":
+        # A raw message is a tuple of the type's name, the serialised message and other elements.
         return [message[1] for _, message, _ in raw]
     return [bytes(message.data) for _, message, _ in bag.read_messages(topics=[f"/robot/{topic}"])]
 
 
 def main():
     with rosbag.Bag(sys.argv[1]) as bag:
-        expected = {topic: recorded(bag, topic) for topic in TOPICS}
+        expected = {topic: recorded_samples(bag, topic) for topic in TOPICS}
     assert all(len(messages) > 50 for messages in expected.values()), {t: len(m) for t, m in expected.items()}
     seen = {topic: [] for topic in TOPICS}
     progress = threading.Condition()

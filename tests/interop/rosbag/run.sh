@@ -17,6 +17,7 @@ until rostopic list >/dev/null 2>&1; do sleep 0.2; done
 
 rosbag record --output-name=session.bag /robot/request /robot/response __name:=recorder >record.log 2>&1 &
 recorder=$!
+# The recorder must have subscribed before the session begins. `-s` lists topics with subscribers.
 until rostopic list -s 2>/dev/null | grep --quiet /robot/request; do sleep 0.2; done
 cat >net.yaml <<'YAML'
 devices: {robot: 127.0.0.1, cluster: 127.0.0.1}

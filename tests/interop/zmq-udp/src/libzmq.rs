@@ -79,6 +79,7 @@ impl Context {
             bail!("libzmq has no draft sockets");
         }
         for option in [SNDHWM, RCVHWM, LINGER] {
+            // 0 means queues without a limit, and no wait for unsent messages at the end.
             let value: c_int = 0;
             // SAFETY: the options are of type int.
             check(unsafe { zmq_setsockopt(socket.0, option, (&raw const value).cast(), size_of::<c_int>()) })?;

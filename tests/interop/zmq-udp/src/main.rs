@@ -40,7 +40,8 @@ fn main() -> Result<()> {
     edge_side.bind(&SocketAddr::from(([127, 0, 0, 1], 0)).into())?;
     let edge_side = UdpSocket::from(edge_side);
     println!("{}", edge_side.local_addr()?);
-    // libzmq does not report the sender of a message, so the first datagram is read here.
+    // libzmq does not report the sender of a message, so the first datagram is read here. The edge sends this datagram,
+    // a hello, again.
     let (_, edge) = edge_side.recv_from(&mut [0; 65_536])?;
     let context = Context::new();
     let cloud_side_port = free_port()?;
@@ -53,6 +54,7 @@ fn main() -> Result<()> {
         eprintln!("the relay from cloud to edge ends: {end:?}");
         std::process::exit(1);
     });
+    // The cloud must answer to the DISH `from_cloud`. Without the change, it answers to another port.
     forward(&from_edge, &to_cloud, |body| {
         for (kind, offset) in REPLY_PORTS {
             if body.first() == Some(&kind)
