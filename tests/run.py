@@ -28,9 +28,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 CARGO = os.environ.get("CARGO", "cargo")
+# Number of slowest tests that are listed.
 SLOWEST = 10
+# Package of the end-to-end tests.
 END_TO_END = "peernet-tests"
+# Beginning of the names of the tests that flood a host.
 FLOODS = "limits::"
+# Line of the test harness with a test's name, result and time.
 RESULT = re.compile(r"^test (.+) \.\.\. (\w+) <([0-9.]+)s>$")
 
 
@@ -45,7 +49,7 @@ class Program:
 
 
 @dataclass(frozen=True)
-class Run:
+class ProgramResult:
     """The result of a test program."""
 
     program: Program
@@ -84,8 +88,8 @@ def package_in(folder: Path) -> str:
         return tomllib.load(manifest)["package"]["name"]
 
 
-def run(program: Program, threads: int, filters: list[str], *, shows: bool = False) -> Run:
-    """Runs a test program. With `shows`, prints the result of each test immediately.
+def run(program: Program, threads: int, filters: list[str], *, prints_tests: bool = False) -> ProgramResult:
+    """Runs a test program. With `prints_tests`, prints the result of each test immediately.
 
     The times of tests are an unstable feature of the test harness, which RUSTC_BOOTSTRAP enables.
     """
@@ -104,9 +108,9 @@ def run(program: Program, threads: int, filters: list[str], *, shows: bool = Fal
     ) as process:
         for line in process.stdout or ():
             lines.append(line)
-            if shows and RESULT.match(line):
+            if prints_tests and RESULT.match(line):
                 print(f"  {line}", end="", flush=True)
-    return Run(program, process.returncode, time.monotonic() - begin, "".join(lines))
+    return ProgramResult(program, process.returncode, time.monotonic() - begin, "".join(lines))
 
 
 @contextmanager
@@ -136,26 +140,27 @@ def main() -> int:
 def run_all(programs: list[Program], cores: int, filters: list[str]) -> int:
     """Runs all tests and returns the exit status."""
     crates = [program for program in programs if program.package != END_TO_END]
-    runs = []
+    results = []
     with ThreadPoolExecutor(cores) as pool:
-        for ended in pool.map(lambda program: run(program, cores, filters), crates):
-            ended.report()
-            runs.append(ended)
+        for result in pool.map(lambda program: run(program, cores, filters), crates):
+            result.report()
+            results.append(result)
     for program in programs:
         if program.package == END_TO_END:
-            runs.append(run(program, 2 * cores, ["--skip", FLOODS, *filters], shows=True))
-            runs[-1].report()
+            results.append(run(program, 2 * cores, ["--skip", FLOODS, *filters], prints_tests=True))
+            results[-1].report()
+            # A filter selects tests that flood a host only if it begins with FLOODS.
             floods = [name for name in filters or [FLOODS] if name.startswith(FLOODS)]
             if floods:
-                runs.append(run(program, cores, floods, shows=True))
-                runs[-1].report()
-    failed = [f"{ended.program.package} {ended.program.name}" for ended in runs if ended.code]
+                results.append(run(program, cores, floods, prints_tests=True))
+                results[-1].report()
+    failed = [f"{result.program.package} {result.program.name}" for result in results if result.code]
     examples = [CARGO, "test", "--workspace", "--locked", "--doc", "--quiet", "--", *filters]
     ended = subprocess.run(examples, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     if ended.returncode:
         print(ended.stdout)
         failed.append("the examples in the documentation")
-    slowest = sorted((test for ended in runs for test in ended.tests()), reverse=True)[:SLOWEST]
+    slowest = sorted((test for result in results for test in result.tests()), reverse=True)[:SLOWEST]
     print("the slowest:", *(f"  {seconds:6.1f} s  {name}" for seconds, name in slowest), sep="\n")
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! ros1-node camera NAME TOPIC HZ              publishes stamped messages
-//! ros1-node relay NAME IN OUT DELAY_MS DROP   publishes what it receives after a delay, but not every DROPth message (0: all)
+//! ros1-node relay NAME IN OUT DELAY_MS DROP   publishes messages DELAY_MS later, not every DROPth (0: all)
 //! ros1-node restamp NAME IN OUT DELAY_MS      as relay; keeps the sequence number and stamps each message with the present time
 //! ros1-node talk NAME TOPIC                   publishes texts, which have no header
 //! ```
@@ -125,5 +125,5 @@ async fn main() -> anyhow::Result<()> {
         ("talk", [topic]) => publish_texts(&node, topic).await,
         _ => bail!("unknown command {command} with {} arguments", rest.len()),
     }?;
-    node.shutdown().await.context("the end of the node")
+    node.shutdown().await.context("cannot shut down the node")
 }

@@ -12,11 +12,12 @@ const PORTS: std::ops::Range<u32> = 10_000..32_000;
 /// # Panics
 /// If no port is free.
 pub fn free_port() -> u16 {
-    static RETURNED_PORTS: AtomicU32 = AtomicU32::new(0);
+    static TRIED_PORTS: AtomicU32 = AtomicU32::new(0);
+    // Concurrent processes begin with different ports.
     let first = std::process::id().wrapping_mul(97);
     for _ in PORTS {
         let offset =
-            first.wrapping_add(RETURNED_PORTS.fetch_add(1, Ordering::Relaxed)) % (PORTS.end - PORTS.start);
+            first.wrapping_add(TRIED_PORTS.fetch_add(1, Ordering::Relaxed)) % (PORTS.end - PORTS.start);
         let port = u16::try_from(PORTS.start + offset).expect("the range ends below 65,536");
         let address = ("127.0.0.1", port);
         if TcpListener::bind(address).is_ok() && UdpSocket::bind(address).is_ok() {
