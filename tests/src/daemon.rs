@@ -45,6 +45,7 @@ impl Daemon {
     /// # Panics
     /// If it is already running.
     pub fn start_without_pipelines(&mut self, deployment: &LoopbackDeployment) {
+        // All tables from the first pipeline on are left out.
         let (idle, _) = self.configuration.split_once("[[pipeline]]").unwrap_or((&self.configuration, ""));
         let file = format!("{}-idle.toml", self.name);
         deployment.write(&file, idle);
@@ -146,12 +147,12 @@ impl Daemon {
         self.spooled.extend(SpooledIterations::parse_log(&end.log));
     }
 
-    /// Returns what ended processes logged as spooled.
+    /// Returns the spooled iterations in the logs of the processes that have ended.
     pub fn spooled_iterations(&self) -> &[SpooledIterations] {
         &self.spooled
     }
 
-    /// Returns what all processes logged as spooled, including the running process.
+    /// Returns the spooled iterations in the logs of all processes, including the running process.
     pub fn all_spooled_iterations(&self) -> Vec<SpooledIterations> {
         let current = self
             .process

@@ -56,6 +56,8 @@ impl EventCounts {
             host["last_seen"].as_str().and_then(|text| DateTime::parse_from_rfc3339(text).ok())?;
         let age_s = (DateTime::<Utc>::from_timestamp_nanos(wall().unix_nanos()) - last_seen.to_utc())
             .as_seconds_f64();
+        // The host's clock when it sent the update, minus the aggregator's clock at the arrival. On one machine this is
+        // the negative time that the update took.
         let ahead_s = live_state["clock_ahead_s"].as_f64().unwrap_or_default();
         Some(Self {
             connected: host["connected"] == true,

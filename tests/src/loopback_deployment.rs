@@ -82,11 +82,11 @@ impl LoopbackDeployment {
 
     /// Starts an aggregator with its dashboard, and waits until it answers.
     pub fn start_aggregator(&self) -> (Process, Api) {
-        self.start_aggregator_for("127.0.0.1")
+        self.start_aggregator_at("127.0.0.1")
     }
 
-    /// Starts an aggregator for agents that reach it at this address.
-    pub(crate) fn start_aggregator_for(&self, address: &str) -> (Process, Api) {
+    /// Starts an aggregator that listens for agents at this address.
+    pub(crate) fn start_aggregator_at(&self, address: &str) -> (Process, Api) {
         let local_address = "127.0.0.1:{events}";
         self.write(
             "aggregator.toml",

@@ -81,7 +81,7 @@ impl MisbehavingPeer {
     }
 
     /// Answers a challenge for the stream of `hello` with the proof of its host. Returns whether `message` is a
-    /// challenge.
+    /// challenge; a challenge for another stream is one, too, but is not answered.
     pub fn answer_challenge(&self, hello: &Hello, secret: &HostSecret, message: &ToAgent) -> bool {
         let ToAgent::Challenge { aggregator, stream, nonce, enrol, .. } = message else { return false };
         if *stream == hello.stream {
@@ -201,7 +201,8 @@ impl InventedHost {
                 rmp_serde::to_vec(&Event::Incident(incident)).expect("plain data serialises")
             })
             .collect();
-        self.batch_of(events, &body, false)
+        let compress = false;
+        self.batch_of(events, &body, compress)
     }
 
     /// Sends the hello until it is refused; returns the reason.
@@ -224,7 +225,8 @@ impl InventedHost {
     pub fn batch_with(&mut self, events: &[Event]) -> Vec<u8> {
         let encode = |event| rmp_serde::to_vec(event).expect("plain data serialises");
         let body: Vec<u8> = events.iter().flat_map(encode).collect();
-        self.batch_of(events.len() as u32, &body, false)
+        let compress = false;
+        self.batch_of(events.len() as u32, &body, compress)
     }
 
     /// Returns the next batch of the stream with an arbitrary body. The head is correct; `events` is its number of

@@ -22,6 +22,7 @@ const DEFAULT_SIGNALS: &str = "--default-signal=HUP,INT,QUIT,TERM";
 /// A running program.
 #[derive(Debug)]
 pub struct Process {
+    /// Last argument; distinguishes the programs of a test in messages.
     name: String,
     child: Child,
     log: Arc<Log>,
@@ -165,7 +166,7 @@ impl Process {
         kill_process(pid, signal).expect("the child has not been waited for");
     }
 
-    /// Waits for the end.
+    /// Waits for the end: until standard output and standard error are closed, and then for the exit.
     ///
     /// # Panics
     /// If the program does not end within [`TEST_TIMEOUT`].
@@ -182,7 +183,7 @@ impl Process {
         ProcessEnd { status, log: self.log() }
     }
 
-    /// Waits for the end of a program that ends without a signal, and consumes it.
+    /// Waits for the end without sending a signal, and consumes the process.
     pub fn wait_for_end(mut self) -> ProcessEnd {
         self.wait()
     }

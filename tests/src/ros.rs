@@ -26,7 +26,7 @@ impl Ros1System {
         system
     }
 
-    /// Starts the master at the port that it had before.
+    /// Starts the master at the system's port, which does not change.
     pub fn start_master(&mut self) {
         let arguments = ["--core", "-p", &self.port.to_string()];
         let home = std::env::temp_dir().display().to_string();

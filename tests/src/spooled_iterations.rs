@@ -23,21 +23,22 @@ pub(crate) const SPOOL_LOG_LEVEL: &str = "info,peernet_agent::outbox::spool=debu
 
 impl SpooledIterations {
     /// Parses `… spooled batch=7 run=UUID first=1 last=90 count=90`; returns `None` for any other line and for a
-    /// truncated one.
+    /// line that lacks a field.
     pub fn parse_line(line: &str) -> Option<Self> {
         let (_, rest) = line.split_once("spooled batch=")?;
         let fields = format!("batch={rest}");
         let fields: BTreeMap<&str, &str> =
             fields.split_whitespace().filter_map(|field| field.split_once('=')).collect();
         let number = |key: &str| fields.get(key)?.parse().ok();
-        // The count is the last field: a truncated line lacks it, or some of its digits, which only the end of the
-        // line excludes.
+        // The id of a run is a UUID.
         let run = fields.get("run").filter(|run| run.len() == 36)?;
         let spooled = Self {
             run: (*run).to_owned(),
             batch: number("batch")?,
             first: number("first")?,
             last: number("last")?,
+            // The count is the last field, so a truncated line lacks the count or some of its digits. Missing digits
+            // are not visible here. `parse_log` therefore ignores a line without a line feed.
             count: number("count")?,
         };
         (spooled.first <= spooled.last && spooled.count <= spooled.last - spooled.first + 1)

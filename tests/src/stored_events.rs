@@ -62,6 +62,7 @@ pub struct StoredHost {
     pub streams: u64,
 }
 
+// `quantity = 0` selects the roll-ups of the values themselves, not of their bounds.
 const RUNS: &str = "
 SELECT r.uuid, p.name, coalesce(r.end_reason, ''), r.warm_up + r.ok + r.failed + r.lost + r.timeout, r.ok,
        (SELECT coalesce(sum(count), 0) FROM rollup WHERE run = r.number AND resolution_s = 0 AND quantity = 0
@@ -215,7 +216,7 @@ impl StoredRun {
         self.ranges.last().map_or(0, |range| *range.end()) - self.iterations()
     }
 
-    /// Returns whether all iterations from the first to the last are stored.
+    /// Returns whether all iterations from number 1 to the last stored one are stored.
     pub fn is_contiguous(&self) -> bool {
         matches!(self.ranges.as_slice(), [range] if *range.start() == 1)
     }

@@ -42,7 +42,7 @@ impl TwoHostTestbed {
     pub fn with_scheme(scheme: &'static str, network: impl FnOnce(&Path) -> Network) -> Self {
         let deployment = LoopbackDeployment::new();
         let network = network(deployment.folder());
-        let (aggregator, api) = deployment.start_aggregator_for("0.0.0.0");
+        let (aggregator, api) = deployment.start_aggregator_at("0.0.0.0");
         Self { api, aggregator, deployment, scheme, network, start: stamp() }
     }
 
@@ -116,6 +116,7 @@ impl TwoHostTestbed {
     /// Returns the clocks of a host, from the injected faults that the host reports.
     pub fn clock_of(&self, host: &str) -> HostClock {
         let path = format!("/api/v1/hosts/{host}");
+        // `rehearsal` is the API's name for injected clock faults.
         self.api.wait_until(&path, |host| {
             HostClock::from_report(&host["clock"]["rehearsal"], |wall| self.raw_at(wall))
         })

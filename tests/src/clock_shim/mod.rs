@@ -167,6 +167,7 @@ impl ClockShim {
         let last = segments.last();
         assert!(last.is_none_or(|last| last.begin < begin), "a change must be later than the one before");
         let ahead = last.map_or(Span::ZERO, |last| last.ahead_at(begin));
+        // 1 ppm per second is 1e-15 per nanosecond.
         let segment =
             Segment { begin, ahead: ahead + step, rate: ppm * 1e-6, rate_change: ppm_per_s * 1e-15 };
         let number = segments.len();

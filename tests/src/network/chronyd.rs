@@ -65,6 +65,7 @@ fn start_chronyd(host: &Host, port: u16, folder: &Path) -> Process {
 fn configuration(folder: &Path, name: &str, lines: &str) -> PathBuf {
     let file = folder.join(format!("{name}.chrony.conf"));
     let pid = file.with_extension("pid").display().to_string();
+    // `bindcmdaddress /` means no Unix socket for commands.
     std::fs::write(&file, format!("{lines}bindcmdaddress /\npidfile {pid}\n"))
         .expect("the temporary folder is writable");
     file

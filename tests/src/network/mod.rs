@@ -37,6 +37,13 @@ pub const CONTROL_INTERFACE: &str = "home";
 /// Last octet that means that a host has no address on a link. It belongs to the address of the subnet, so no host has it.
 const NO_ADDRESS: u8 = 0;
 
+// Last octets of the addresses of a network:
+// - On the measured path the edge has 18 and the cloud 19. With a router the cloud has 34, and the router has 17
+//   towards the edge and 33 towards the cloud.
+// - A third host has 50 behind the router's 49, or 98 on a link to the cloud's 97.
+// - On the links to the namespace of the tests, the tests have 65, 69 and 73; edge, cloud and third host have 66, 70
+//   and 74.
+
 /// Properties of one direction of a wire.
 #[derive(Clone, Copy, Debug)]
 pub struct WireProperties {
@@ -73,7 +80,8 @@ impl Network {
     /// # Panics
     /// If this process has no permission to create namespaces, or if a tool is missing.
     pub fn direct() -> Self {
-        let network = Self::create_hosts(false);
+        let with_router = false;
+        let network = Self::create_hosts(with_router);
         let (edge, cloud) = (&network.edge, &network.cloud);
         veth(edge, DATA_INTERFACE, cloud, DATA_INTERFACE);
         edge.configure_interface(DATA_INTERFACE, edge.address, 28);
@@ -86,13 +94,14 @@ impl Network {
     /// # Panics
     /// As [`direct`](Self::direct).
     pub fn routed() -> Self {
-        let network = Self::create_hosts(true);
+        let with_router = true;
+        let network = Self::create_hosts(with_router);
         let router = network.router();
         router.run("sysctl", &["-qw", "net.ipv4.ip_forward=1"]);
-        for (host, port, gateway) in [(&network.edge, "edge", 17), (&network.cloud, "cloud", 33)] {
+        for (host, interface, gateway) in [(&network.edge, "edge", 17), (&network.cloud, "cloud", 33)] {
             let gateway = network.slot.address(gateway);
-            veth(router, port, host, DATA_INTERFACE);
-            router.configure_interface(port, gateway, 30);
+            veth(router, interface, host, DATA_INTERFACE);
+            router.configure_interface(interface, gateway, 30);
             host.configure_interface(DATA_INTERFACE, host.address, 30);
             let subnet = format!("{}/24", network.slot.address(0));
             ip(&["-n", &host.namespace, "route", "add", &subnet, "via", &gateway.to_string()]);
@@ -108,7 +117,8 @@ impl Network {
     pub fn wire(folder: &Path, up: WireProperties, down: WireProperties) -> Self {
         // With a FIFO, `wirefilter` makes packets of the fast direction wait for packets of the slow direction. A FIFO is used
         // only with jitter, because jitter would reorder packets without a FIFO.
-        Self::new_wire(folder, up, down, up.jitter_ms + down.jitter_ms > 0)
+        let with_fifo = up.jitter_ms + down.jitter_ms > 0;
+        Self::new_wire(folder, up, down, with_fifo)
     }
 
     /// Connects edge and cloud by a wire on which packets overtake each other if the delay varies.
@@ -116,11 +126,13 @@ impl Network {
     /// # Panics
     /// As [`direct`](Self::direct).
     pub fn reordering_wire(folder: &Path, up: WireProperties, down: WireProperties) -> Self {
-        Self::new_wire(folder, up, down, false)
+        let with_fifo = false;
+        Self::new_wire(folder, up, down, with_fifo)
     }
 
     fn new_wire(folder: &Path, up: WireProperties, down: WireProperties, with_fifo: bool) -> Self {
-        let mut network = Self::create_hosts(false);
+        let with_router = false;
+        let mut network = Self::create_hosts(with_router);
         let start_switch = |host: &Host| {
             let socket = folder.join(&host.namespace).display().to_string();
             host.run("vde_switch", &["--sock", &socket, "--tap", DATA_INTERFACE, "--daemon"]);
@@ -237,7 +249,8 @@ impl Network {
             };
             ip(&["netns", "add", &host.namespace]);
             ip(&["-n", &host.namespace, "link", "set", "lo", "up"]);
-            // Reno does not pace packets; BBR, the default of some machines, does.
+            // Reno does not pace packets; BBR, the default of some machines, does. Delays must not depend on the
+            // machine's default.
             host.run("sysctl", &["-qw", "net.ipv4.tcp_congestion_control=reno"]);
             host
         };

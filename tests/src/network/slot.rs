@@ -68,6 +68,7 @@ impl Slot {
 
     /// Ends all processes in the namespaces of this number and removes the namespaces and their interfaces.
     pub(super) fn remove_namespaces(&self) {
+        // Edge, cloud and third host.
         for role in ["e", "c", "t"] {
             // The interface need not exist.
             let _ = try_run("ip", &["link", "delete", &self.interface(role)]);
@@ -103,7 +104,7 @@ fn kill_and_await_exit(pid: Pid) -> io::Result<()> {
         Ok(()) | Err(rustix::io::Errno::SRCH) => {}
         Err(error) => return Err(error.into()),
     }
-    // The kernel ends a killed process later than the signal returns; until then it keeps its namespace.
+    // The call returns before the kernel has ended the process. Until its end the process keeps its namespace.
     match poll(&mut [PollFd::new(&process, PollFlags::IN)], Some(&EXIT_TIMEOUT))? {
         0 => Err(io::Error::new(io::ErrorKind::TimedOut, "it has not exited 10 s after it was killed")),
         _ => Ok(()),

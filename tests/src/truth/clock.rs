@@ -9,6 +9,8 @@ use crate::clock_shim::ClockErrors;
 /// Relation between a host's clocks and the kernel's.
 #[derive(Clone, Debug)]
 pub struct HostClock {
+    /// Possible errors of the wall clock. The clock has one of them at each time. If there is none, stamps of the wall
+    /// clock cannot be converted.
     wall: Vec<ClockFaults>,
     raw: RawError,
 }
@@ -116,12 +118,13 @@ impl HostClock {
             RawError::None => vec![shown],
             RawError::Shown(errors) => errors.truths(shown),
             RawError::Faulty(description, since) => {
-                // The formula is that of the wall clock, with another scale and other steps.
+                // The formula is that of the wall clock. Times of the free-running clock are converted to times of the
+                // wall clock, and other steps apply.
                 let steps = description.steps.iter().filter(|step| step.clock == SteppedClock::Raw).copied();
                 let free_running = ClockFaults { steps: steps.collect(), ..description.clone() };
-                let scale = description.since - WallTime::from_unix_nanos(since.nanos());
-                let shown = WallTime::from_unix_nanos(shown.nanos()) + scale;
-                let raw = |truth: WallTime| RawTime::from_nanos((truth - scale).unix_nanos());
+                let wall_minus_raw = description.since - WallTime::from_unix_nanos(since.nanos());
+                let shown = WallTime::from_unix_nanos(shown.nanos()) + wall_minus_raw;
+                let raw = |truth: WallTime| RawTime::from_nanos((truth - wall_minus_raw).unix_nanos());
                 truths(&free_running, shown).map(raw).collect()
             }
         }
@@ -133,10 +136,10 @@ fn truths(faults: &ClockFaults, shown: WallTime) -> impl Iterator<Item = WallTim
     let steps = &faults.steps;
     (0..=steps.len()).filter_map(move |passed_steps| {
         let stepped: Span = steps[..passed_steps].iter().map(|step| step.by).sum();
-        let drifting = shown - faults.offset - stepped;
-        let nanos = (drifting - faults.since).nanos() as f64;
+        let shown_with_drift_only = shown - faults.offset - stepped;
+        let nanos = (shown_with_drift_only - faults.since).nanos() as f64;
         let drift = nanos - nanos / (1.0 + faults.drift_ppm * 1e-6);
-        let truth = drifting - Span::from_nanos(drift.round() as i64);
+        let truth = shown_with_drift_only - Span::from_nanos(drift.round() as i64);
         let elapsed = truth - faults.since;
         let is_after_last_step = passed_steps == 0 || steps[passed_steps - 1].at <= elapsed;
         let is_before_next_step = passed_steps == steps.len() || elapsed < steps[passed_steps].at;
@@ -178,7 +181,7 @@ mod tests {
         let mut faults_with_raw_step = faults.clone();
         faults_with_raw_step.steps[0].clock = SteppedClock::Raw;
         let truth = raw_since + Span::from_seconds(25);
-        for (description, times) in [(faults, [1, 1]), (faults_with_raw_step, [1, 0])] {
+        for (description, truth_counts) in [(faults, [1, 1]), (faults_with_raw_step, [1, 0])] {
             let clock = HostClock::new(description.clone(), raw_since);
             let shown = description.shown_raw(truth, raw_since);
             assert!(
@@ -188,7 +191,7 @@ mod tests {
                     .all(|computed| (*computed - truth).abs() <= Span::from_nanos(1))
             );
             let skipped = raw_since + Span::from_seconds(20);
-            assert_eq!([shown, skipped].map(|shown| clock.raw_truths(shown).len()), times);
+            assert_eq!([shown, skipped].map(|shown| clock.raw_truths(shown).len()), truth_counts);
         }
     }
 }

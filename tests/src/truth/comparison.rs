@@ -111,7 +111,8 @@ pub fn true_delay(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> Sp
 }
 
 /// Returns the true times of departure and arrival, by the kernel's free-running clock. A clock that was set back
-/// shows some times twice; the pair with the shortest delay is the right one.
+/// shows some times twice; the pair with the shortest delay is the right one, because delays are much shorter than
+/// steps.
 ///
 /// # Panics
 /// As [`true_delay`].

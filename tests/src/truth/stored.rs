@@ -58,6 +58,7 @@ pub fn iterations(database: &Path) -> Vec<Iteration> {
     let text = query_database(database, DELAYS);
     let rows: Vec<(u64, u64, &str, Delay)> =
         text.lines().map(|line| parse_row(line).expect("twelve columns")).collect();
+    // Of an iteration's rows, `upload` precedes `download`, because the query sorts names in descending order.
     let pairs = rows.windows(2).filter_map(|pair| {
         let [(run, number, "upload", up), (_, next_number, "download", down)] = pair else { return None };
         (number == next_number).then(|| Iteration {
