@@ -8,6 +8,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 /// Cloud whose clock differs from that of `peernet`: a second ahead, with another clock identity.
+/// Port 0 of `[probes]` means any free port.
 const CLOUD: &str = r#"
 [agent]
 name = "cloud"
@@ -88,6 +89,7 @@ impl CalibratedHosts {
         let arguments = ["--sizes", "100,1kB,10kB", "--repeats", "1000000", "--seconds", "600"];
         let running =
             self.peernet(&[&["calibrate", &self.peer, "--result-loc", "results"], &arguments[..]].concat());
+        // A line of progress ends with the time that is left.
         running.wait_for(" left");
         running
     }
@@ -144,6 +146,7 @@ fn calibration_is_right_despite_clock_errors() {
         assert!(picture.width() >= 1000 && picture.height() >= 600, "{name}");
     }
     let samples = std::fs::read_to_string(folder.join("samples.csv")).expect("it was written");
+    // The header, 300 measured payloads and 10 payloads of the warm-up.
     assert_eq!(samples.lines().count(), 311);
     assert_delays_within_bounds(&samples);
 
@@ -295,14 +298,14 @@ fn peer_with_new_clock_ends_the_calibration() {
 #[test]
 fn calibration_reports_interruption_of_peer() {
     let hosts = CalibratedHosts::new();
-    // The cloud calls the system's clock by another identity, so that exchanges relate the clock, and it keeps its identity
-    // after a restart.
+    // The cloud gives the system's clock another identity than `peernet` does, so that exchanges relate the two clocks.
+    // The identity stays the same when the cloud restarts.
     let configuration = CLOUD
         .replace("[clock_fault]\noffset_ms = 1000\n", "")
         .replace("[probes]", "clock_identity = \"cloud\"\n\n[probes]");
     let cloud = hosts.start("cloud.toml", &configuration);
     let running = hosts.start_endless_calibration();
-    // The cloud is stopped first, so that a payload is certainly lost.
+    // The cloud is suspended before it is killed, so that a payload is certainly lost.
     cloud.signal(Signal::STOP);
     running.wait_for("cloud is away");
     cloud.kill();
@@ -364,19 +367,19 @@ fn recompute_leaves_stored_run_unchanged() {
     assert_eq!(edge.stop().code(), 0);
     let before = api.json(&format!("/api/v1/runs/{run}/stages"));
 
-    let number = run.to_string();
-    let recomputed = hosts.peernet(&["recompute", &number, "--url", &url]).wait_for_end();
+    let run_number = run.to_string();
+    let recomputed = hosts.peernet(&["recompute", &run_number, "--url", &url]).wait_for_end();
     assert_eq!(recomputed.code(), 0, "{}", recomputed.log);
     let faults = "wrong on purpose: cloud's (offset +1000 ms), the edge's (offset -500 ms)";
     for part in ["upload", "download", "before", "after", "nothing stored was changed", faults] {
         assert!(recomputed.log.contains(part), "{part} is missing in\n{}", recomputed.log);
     }
-    let json = hosts.peernet(&["recompute", &number, "--url", &url, "--json"]).wait_for_end();
+    let json = hosts.peernet(&["recompute", &run_number, "--url", &url, "--json"]).wait_for_end();
     let json: Value = serde_json::from_str(&json.log).unwrap_or_else(|error| panic!("{error}: {}", json.log));
     for stage in json["stages"].as_array().expect("a list") {
         let after = &stage["after"];
         assert_eq!(after["delay"]["count"], stage["before"]["delay"]["count"], "{stage:#}");
-        let half_width = |judgement: &Value| self::number(&judgement["half_width"]["mean"]);
+        let half_width = |judgement: &Value| number(&judgement["half_width"]["mean"]);
         assert!(
             half_width(after) <= half_width(&stage["before"]) * 1.001,
             "later clock samples widen the interval: {stage:#}"

@@ -139,7 +139,7 @@ sensor = { kind = "exec", command = ["{root}/docs/examples/external/light.sh", "
 "#;
 
 #[test]
-fn run_json_keeps_arguments_from_other_users() {
+fn run_json_with_arguments_is_closed_to_others() {
     let deployment = LoopbackDeployment::new();
     let file = deployment.write("arguments.toml", &EXPERIMENT.replace("{secret}", SECRET));
     let results = Results::of(deployment.folder().join("results"));

@@ -16,7 +16,7 @@ fn connection(deployment: &LoopbackDeployment, from: [u8; 4]) -> TcpStream {
     stream
 }
 
-/// Returns the first line of the answer to a request, which may be incomplete if the server closes early.
+/// Returns the first line of the answer to a request. The answer may be incomplete if the server closes early.
 fn answer(deployment: &LoopbackDeployment, request: &str) -> String {
     let mut stream = connection(deployment, [127, 0, 0, 1]);
     let _ = stream.write_all(request.as_bytes());
@@ -99,7 +99,9 @@ fn headers_beyond_64_kib_are_refused() {
             answer_to(target, header)
         );
     }
+    // Such a long target is refused as a long URI (414) or as long headers (431).
     assert!(answer_to(100_000, 1).starts_with("HTTP/1.1 4"), "{}", answer_to(100_000, 1));
+    // hyper also limits the number of headers, to 100.
     let headers = "X: y\r\n".repeat(500);
     let request = format!("GET /healthz HTTP/1.1\r\nHost: localhost\r\n{headers}Connection: close\r\n\r\n");
     assert!(answer(&deployment, &request).starts_with("HTTP/1.1 431 "), "{}", answer(&deployment, &request));
@@ -117,6 +119,7 @@ fn repeated_http_failures_are_logged_at_limited_rate() {
         api.get("/api/v1/runs");
     }
     let log = aggregator.stop().log;
+    // tower-http's own line for each failure is switched off, because it has no limit.
     assert!(!log.contains("response failed"), "{log}");
     // One line for each kind of failure.
     assert!(log.matches("a request failed").count() < 5, "{log}");
