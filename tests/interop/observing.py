@@ -86,6 +86,7 @@ def check_latencies(observer, relays):
 
     def medians(index):
         """Returns the reported and the real median of a hop; None while there are too few messages."""
+        # A node prints `median SECONDS`.
         printed = relays[index].newest("median")
         totals = [one["total"] for one in observer.answered_iterations(f"hop{index}")]
         if printed is None or len(totals) < WINDOW:
