@@ -61,7 +61,7 @@ class Deployment:
     def is_stored(self, pipeline: str) -> bool:
         """Returns whether the database has a finished run of this pipeline."""
         run = store.run_of(self.database, pipeline)
-        return run is not None and run.ended
+        return run is not None and run.has_ended
 
     def link(self, name: str) -> None:
         """Links a folder of the checkout under the same relative path, for configurations that name it."""

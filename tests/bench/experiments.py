@@ -91,15 +91,15 @@ def read_answers(file: Path) -> dict[str, Any]:
 
 
 def _listens(program: Program, port: int) -> bool:
-    # Raises a failure if the program has ended, because then it will never listen.
-    program.check()
+    # A program that has ended never listens.
+    program.raise_if_ended()
     return sees(program, port, LISTENING)
 
 
 def _read(data: Path) -> Run:
-    place = json.loads((data.parent / "run.json").read_text())["experiment"]
+    experiment = json.loads((data.parent / "run.json").read_text())["experiment"]
     with data.open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["warm-up"] == "0"]
     if failed := [row for row in rows if row["outcome"] != "ok"]:
         raise Failure(f"{len(failed)} iterations of {data.parent} failed, the first with: {failed[0]['reason']}")
-    return Run(dict(place["configuration"]), place["repeat"], rows)
+    return Run(dict(experiment["configuration"]), experiment["repeat"], rows)

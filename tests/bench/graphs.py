@@ -14,7 +14,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from programs import Failure
 
-# Name of the open first dimension in the graph.
+# Name of the graph's first dimension after it is opened, which means that it may have any size.
 BATCH = "batch"
 # Number of samples in the batch whose results are compared with those of single samples, and largest difference.
 COMPARED_BATCH = 4
@@ -57,6 +57,7 @@ def copy_with_open_batch(source: Path, target: Path) -> None:
     shutil.copy(source / "model.toml", target)
     model = onnx.load(source / "model.onnx")
     graph = model.graph
+    # The recorded shapes of intermediate values have a first dimension of 1.
     del graph.value_info[:]
     for value in (*graph.input, *graph.output):
         value.type.tensor_type.shape.dim[0].dim_param = BATCH
@@ -89,12 +90,12 @@ def seconds_per_sample(folder: Path, sizes: tuple[int, ...], rounds: int) -> dic
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     session = onnxruntime.InferenceSession(folder / "model.onnx", options, providers=["CPUExecutionProvider"])
-    taken = session.get_inputs()[0]
+    model_input = session.get_inputs()[0]
     times: dict[int, list[float]] = {size: [] for size in sizes}
     for size in (*sizes, *sizes * rounds):
-        batch = np.zeros((size, *taken.shape[1:]), np.float32)
+        batch = np.zeros((size, *model_input.shape[1:]), np.float32)
         begin = time.perf_counter()
-        session.run(None, {taken.name: batch})
+        session.run(None, {model_input.name: batch})
         times[size].append((time.perf_counter() - begin) / size)
     # The first round warms up.
     return {size: median(values[1:]) for size, values in times.items()}
@@ -102,11 +103,11 @@ def seconds_per_sample(folder: Path, sizes: tuple[int, ...], rounds: int) -> dic
 
 def _compare(file: Path) -> None:
     session = onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"])
-    taken = session.get_inputs()[0]
-    shape = (COMPARED_BATCH, *taken.shape[1:])
+    model_input = session.get_inputs()[0]
+    shape = (COMPARED_BATCH, *model_input.shape[1:])
     batch = np.random.default_rng(1).standard_normal(shape, dtype=np.float32)
-    together = session.run(None, {taken.name: batch})[0]
-    alone = np.concatenate([session.run(None, {taken.name: one[None]})[0] for one in batch])
+    together = session.run(None, {model_input.name: batch})[0]
+    alone = np.concatenate([session.run(None, {model_input.name: one[None]})[0] for one in batch])
     if together.shape != alone.shape or not np.allclose(together, alone, atol=TOLERANCE, rtol=TOLERANCE):
         raise Failure(f"{file} gives other results for a batch of {COMPARED_BATCH} than for one sample at a time")
 
@@ -131,9 +132,9 @@ def make_detector(folder: Path) -> None:
         numpy_helper.from_array(np.ones(4, np.int64), "end"),
         numpy_helper.from_array(np.zeros((), np.float32), "zero"),
     ]
-    taken = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, SIDE, SIDE])
-    given = helper.make_tensor_value_info("output0", TensorProto.FLOAT, [1, 4 + CLASSES, CANDIDATES])
-    graph = helper.make_graph(nodes, "detector", [taken], [given], initializers)
+    model_input = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, SIDE, SIDE])
+    model_output = helper.make_tensor_value_info("output0", TensorProto.FLOAT, [1, 4 + CLASSES, CANDIDATES])
+    graph = helper.make_graph(nodes, "detector", [model_input], [model_output], initializers)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
     onnx.checker.check_model(model)
     onnx.save(model, folder / "model.onnx")

@@ -1,4 +1,4 @@
-"""What a running aggregator says over HTTP, asked over one connection that stays open."""
+"""Client of the REST API of a running aggregator, with one connection that stays open."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Api:
         self._connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
 
     def get(self, path: str) -> dict[str, Any] | None:
-        """The answer; `None` when there is nothing of that name yet."""
+        """Returns the answer; `None` if the item does not exist yet."""
         self._connection.request("GET", f"/api/v1/{path}")
         response = self._connection.getresponse()
         body = response.read()
@@ -27,13 +27,13 @@ class Api:
         answer: dict[str, Any] = json.loads(body)
         return answer
 
-    def waiting(self, host: str) -> int | None:
-        """Events of a host that are not stored, by its own account; `None` before it was heard."""
+    def waiting_events(self, host: str) -> int | None:
+        """Returns the number of events that a host reports as not acknowledged; `None` before its first report."""
         answer = self.get(f"hosts/{host}")
         return None if answer is None or answer["now"] is None else int(answer["now"]["events"]["waiting"])
 
-    def ended(self, host: str, pipeline: str) -> int:
-        """Iterations of a pipeline in the last minute of the live figures."""
+    def iterations_in_last_minute(self, host: str, pipeline: str) -> int:
+        """Returns the number of iterations of a pipeline that the live figures count in the last minute."""
         answer = self.get(f"pipelines/{host}/{pipeline}")
         if answer is None:
             return 0

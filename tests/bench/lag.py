@@ -8,27 +8,27 @@ from dataclasses import dataclass, field
 
 from http_api import Api
 
-# A pipeline younger than the longest window of the live figures: that window counts all its iterations.
+# Longest measurement. It is shorter than the longest window of the live figures (60 s), so this window counts all
+# iterations of the pipeline.
 LONGEST_S = 55.0
 POLL_S = 0.01
 
 
 @dataclass
-class Watched:
+class CountTimes:
     """Times at which the live figures first counted each number of iterations."""
 
     host: str
     pipeline: str
     seen: list[tuple[float, int]] = field(default_factory=list)
 
-    def look(self, api: Api) -> int:
-        count = api.ended(self.host, self.pipeline)
+    def update(self, api: Api) -> None:
+        count = api.iterations_in_last_minute(self.host, self.pipeline)
         if not self.seen or count > self.seen[-1][1]:
             self.seen.append((time.time(), count))
-        return count
 
     def lags(self, ends: list[float]) -> list[float]:
-        """Seconds per iteration; `ends` are their ends, seconds since 1970, in increasing order."""
+        """Returns the lag of each iteration, seconds. `ends` are the ends of the iterations, Unix time, ascending."""
         lags, at = [], 0
         for when, count in self.seen:
             lags.extend(when - end for end in ends[at:count])
@@ -36,9 +36,9 @@ class Watched:
         return lags
 
 
-def watch(api: Api, watched: Watched, seconds: float, meanwhile: Callable[[], bool] = lambda: True) -> None:
-    """Polls for `seconds`, or until `meanwhile` returns false."""
+def poll(api: Api, count_times: CountTimes, seconds: float, should_continue: Callable[[], bool] = lambda: True) -> None:
+    """Polls for `seconds`, but at most for LONGEST_S, and only as long as `should_continue` returns true."""
     deadline = time.monotonic() + min(seconds, LONGEST_S)
-    while time.monotonic() < deadline and meanwhile():
-        watched.look(api)
+    while time.monotonic() < deadline and should_continue():
+        count_times.update(api)
         time.sleep(POLL_S)

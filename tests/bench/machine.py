@@ -23,7 +23,7 @@ def facts() -> list[str]:
     lines = [
         f"Measured {time.strftime('%Y-%m-%d %H:%M UTC', time.gmtime())} on {_processor()}, {os.cpu_count()} cores, "
         f"{int(memory) / 2**20:.0f} GiB, {platform.system()} {platform.release()}.",
-        f"PEERNet {_commit()}, {_said('rustc', '--version')}; Python {platform.python_version()}, {python}.",
+        f"PEERNet {_commit()}, {_output_of('rustc', '--version')}; Python {platform.python_version()}, {python}.",
     ]
     if (load := os.getloadavg()[0] / (os.cpu_count() or 1)) > BUSY:
         lines.append(
@@ -46,12 +46,12 @@ def _processor() -> str:
 
 
 def _commit() -> str:
-    commit = _said("git", "-C", str(ROOT), "rev-parse", "--short", "HEAD")
-    changed = _said("git", "-C", str(ROOT), "status", "--porcelain", "--untracked-files=no")
+    commit = _output_of("git", "-C", str(ROOT), "rev-parse", "--short", "HEAD")
+    changed = _output_of("git", "-C", str(ROOT), "status", "--porcelain", "--untracked-files=no")
     return f"{commit or 'of no known commit'}{' with changes' if changed else ''}"
 
 
-def _said(*command: str) -> str:
+def _output_of(*command: str) -> str:
     try:
         return subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT).stdout.strip()
     except OSError:

@@ -14,10 +14,11 @@ from programs import Failure, Program
 
 PREFIX = "peernet-bench-"
 DEVICE = "veth0"
-# Every kernel has it and it does not pace: with BBR, the default of some hosts, a megabyte over a cable without limits
-# takes three times as long, whatever program sends it, and the differences between programs drown in that.
+# Every kernel has reno, and reno does not pace. With BBR, the default of some hosts, a megabyte over a cable without
+# limits takes three times as long for every program, which hides the differences between the programs.
 CONGESTION_CONTROL = "reno"
-MADE_BY_IP = Path("/run/netns")
+# Folder in which `ip netns` keeps the named namespaces.
+NAMESPACES = Path("/run/netns")
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ def need_root() -> None:
     if os.geteuid() != 0:
         raise Failure(
             "this part makes two network namespaces, which needs root: run tests/bench/run.sh as root; "
-            "the parts node, model, ingest and idle need none"
+            "the parts node, model, ingest and idle do not need root"
         )
 
 
@@ -55,7 +56,10 @@ def two_hosts() -> Iterator[tuple[Host, Host]]:
 def two_distant_hosts(
     up_ms: int, down_ms: int, bits_per_second: int | None = None
 ) -> Iterator[tuple[Host, Host]]:
-    """Yields edge and cloud, joined by a wire with a delay per direction. With a rate limit its queues hold 4 MB."""
+    """Yields edge and cloud, joined by a wire with a delay per direction.
+
+    With a rate limit, the queue of each host's interface holds 4 MB.
+    """
     with _hosts() as (edge, cloud), tempfile.TemporaryDirectory(prefix=PREFIX) as folder, ExitStack() as stack:
         for host in (edge, cloud):
             switch = ["vde_switch", "--sock", f"{folder}/{host.name}", "--tap", DEVICE]
@@ -99,21 +103,21 @@ def _has_device(host: Host) -> bool:
 
 @contextmanager
 def third_host(cloud: Host) -> Iterator[tuple[Host, str]]:
-    """Yields a third host with its own link to the cloud, and the address at which it reaches the cloud."""
-    third, faces = Host(f"{PREFIX}{os.getpid()}-third", "10.77.1.3"), "10.77.1.2"
+    """Yields a third host with its own link to the cloud, and the cloud's address on this link."""
+    third, second_address = Host(f"{PREFIX}{os.getpid()}-third", "10.77.1.3"), "10.77.1.2"
     with ExitStack() as stack:
         _ip("netns", "add", third.name)
         stack.callback(_ip, "netns", "delete", third.name)
         _ip("link", "add", "third", "netns", cloud.name, "type", "veth", "peer", "name", "veth0", "netns", third.name)
-        for name, device, address in ((cloud.name, "third", faces), (third.name, "veth0", third.address)):
+        for name, device, address in ((cloud.name, "third", second_address), (third.name, "veth0", third.address)):
             _ip("-n", name, "address", "add", f"{address}/24", "dev", device)
             _ip("-n", name, "link", "set", device, "up")
-        yield third, faces
+        yield third, second_address
 
 
 def _remove_abandoned() -> None:
     """Removes the namespaces of killed benchmarks: their names contain a process id that does not exist any more."""
-    for leftover in MADE_BY_IP.glob(f"{PREFIX}*"):
+    for leftover in NAMESPACES.glob(f"{PREFIX}*"):
         pid = leftover.name.removeprefix(PREFIX).split("-")[0]
         if pid.isdecimal() and not Path("/proc", pid).exists():
             _ip("netns", "delete", leftover.name)

@@ -17,7 +17,9 @@ from programs import ROOT, Failure, Program, output
 from quantiles import quantile
 
 CHRONY = ROOT / ".venv-tools/chrony/usr"
-COMMANDS = 323
+# Port on which the edge's chronyd answers chronyc.
+COMMAND_PORT = 323
+CLIENT_LINES = f"port 0\ncmdport {COMMAND_PORT}\nbindcmdaddress 127.0.0.1\n"
 SERVER_PORT = 11_123
 STAMP_PORT = 8620
 STAMP_PROBES = 300
@@ -26,8 +28,8 @@ SYSTEM_TIME, ROOT_DELAY, ROOT_DISPERSION = 4, 10, 11
 
 
 @dataclass(frozen=True)
-class Claim:
-    """Seconds; `outside` is the share of claims that do not contain the true offset."""
+class ClaimErrors:
+    """Mean error and median width of chrony's claims, seconds; and the share of claims without the true offset."""
 
     error: float
     width: float
@@ -38,15 +40,18 @@ def prepare() -> None:
     """Raises a failure if one of the programs is missing."""
     for program in (CHRONY / "sbin/chronyd", CHRONY / "bin/chronyc", stamp_suite_program(), faketime()):
         if not program.exists():
-            raise Failure(f"{program} is not there: deploy/install-tools.sh test")
+            raise Failure(f"{program} does not exist; install it with deploy/install-tools.sh test")
 
 
-def chrony(edge: Host, cloud: Host, seconds: float) -> Claim:
-    """Measures a chronyd on the edge that follows one on the cloud. Neither changes the clock that both read."""
+def chrony(edge: Host, cloud: Host, seconds: float) -> ClaimErrors:
+    """Measures the claims of a chronyd on the edge that follows a chronyd on the cloud.
+
+    Both read the clock of this machine and neither changes it, so the true offset is zero.
+    """
     with tempfile.TemporaryDirectory(prefix="peernet-bench-") as name:
         folder = Path(name)
         serve = f"local stratum 10\nallow all\nbindaddress {cloud.address}\ncmdport 0\n"
-        follow = f"server {cloud.address} iburst minpoll -2 maxpoll 0\nport 0\ncmdport {COMMANDS}\nbindcmdaddress 127.0.0.1\n"
+        follow = f"server {cloud.address} iburst minpoll -2 maxpoll 0\n{CLIENT_LINES}"
         with _chronyd(cloud, folder / "cloud", serve), _chronyd(edge, folder / "edge", follow):
             _wait_for_synchronisation(edge)
             offsets, widths, outside = [], [], 0
@@ -54,19 +59,19 @@ def chrony(edge: Host, cloud: Host, seconds: float) -> Claim:
             while time.monotonic() < end:
                 fields = output(_chronyc(edge, "-c", "tracking")).strip().split(",")
                 offset = abs(float(fields[SYSTEM_TIME]))
-                either_way = float(fields[ROOT_DELAY]) / 2 + float(fields[ROOT_DISPERSION])
+                half_width = float(fields[ROOT_DELAY]) / 2 + float(fields[ROOT_DISPERSION])
                 offsets.append(offset)
-                widths.append(2 * either_way)
-                outside += offset > either_way
+                widths.append(2 * half_width)
+                outside += offset > half_width
                 time.sleep(0.25)
-    return Claim(fmean(offsets), quantile(sorted(widths), 0.5), outside / len(offsets))
+    return ClaimErrors(fmean(offsets), quantile(sorted(widths), 0.5), outside / len(offsets))
 
 
 @contextmanager
-def sure_daemons(edge: Host, cloud: Host) -> Iterator[None]:
-    """Runs a chronyd on each host that follows another one on the same host, and claims an error of some microseconds."""
+def daemons_with_small_claims(edge: Host, cloud: Host) -> Iterator[None]:
+    """Runs two chronyd on each host; the second follows the first, so the second claims an error of microseconds."""
     serve = f"local stratum 10\nallow 127.0.0.1\nport {SERVER_PORT}\ncmdport 0\n"
-    follow = f"server 127.0.0.1 port {SERVER_PORT} iburst minpoll -2 maxpoll 0\nport 0\ncmdport {COMMANDS}\nbindcmdaddress 127.0.0.1\n"
+    follow = f"server 127.0.0.1 port {SERVER_PORT} iburst minpoll -2 maxpoll 0\n{CLIENT_LINES}"
     with tempfile.TemporaryDirectory(prefix="peernet-bench-") as folder, ExitStack() as stack:
         for host in (edge, cloud):
             for name, lines in (("server", serve), ("client", follow)):
@@ -78,7 +83,7 @@ def sure_daemons(edge: Host, cloud: Host) -> Iterator[None]:
 
 def chronyc_settings() -> str:
     """Returns the lines of `[clock]` with which an agent queries its host's chronyd."""
-    return f'chronyc = "{CHRONY}/bin/chronyc"\nchronyc_arguments = ["-h", "127.0.0.1", "-p", "{COMMANDS}"]'
+    return f'chronyc = "{CHRONY}/bin/chronyc"\nchronyc_arguments = ["-h", "127.0.0.1", "-p", "{COMMAND_PORT}"]'
 
 
 def _wait_for_synchronisation(host: Host) -> None:
@@ -86,13 +91,14 @@ def _wait_for_synchronisation(host: Host) -> None:
 
 
 def _chronyc(host: Host, *command: str) -> list[str]:
-    return host.inside([CHRONY / "bin/chronyc", "-h", "127.0.0.1", "-p", COMMANDS, *command])
+    return host.inside([CHRONY / "bin/chronyc", "-h", "127.0.0.1", "-p", COMMAND_PORT, *command])
 
 
 def _chronyd(host: Host, folder: Path, lines: str) -> Program:
     folder.mkdir()
     file = folder / "chrony.conf"
     file.write_text(f"{lines}bindcmdaddress /\npidfile {folder}/pid\n")
+    # With -x, chronyd does not change the clock.
     command = [CHRONY / "sbin/chronyd", "-x", "-d", "-U", "-u", "root", "-f", file]
     return Program(host.inside(command), folder / "log")
 
@@ -107,13 +113,16 @@ def faketime() -> Path:
 
 
 def false_time(ahead_s: float, *, every_clock: bool = False) -> dict[str, str]:
-    """Returns the environment of a program whose wall clock, or all clocks, are shown `ahead_s` ahead."""
+    """Returns the environment of a program that sees its wall clock, or all its clocks, `ahead_s` ahead."""
     shown = {"LD_PRELOAD": str(faketime()), "FAKETIME": f"{ahead_s:+}s"}
     return shown if every_clock else shown | {"DONT_FAKE_MONOTONIC": "1"}
 
 
 def stamp_suite(edge: Host, cloud: Host, ahead_s: float, truths: tuple[float, float]) -> float:
-    """Returns the larger error of its mean delays, up and down, if its sender's clock is `ahead_s` ahead of its reflector's."""
+    """Returns the larger error of stamp-suite's mean delays, up and down.
+
+    The sender's clock is `ahead_s` ahead of the reflector's.
+    """
     program = stamp_suite_program()
     reflect = [program, "--is-reflector", "--local-addr", cloud.address, "--local-port", STAMP_PORT]
     send = [program, "--remote-addr", cloud.address, "--remote-port", STAMP_PORT, "--count", STAMP_PROBES]

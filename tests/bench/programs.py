@@ -76,7 +76,7 @@ class Program:
         fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
-    def check(self) -> None:
+    def raise_if_ended(self) -> None:
         """Raises a failure if the program has ended."""
         if (code := self._child.poll()) is not None:
             raise Failure(f"{self.command} ended unexpectedly (exit code {code}); its last output:\n{tail(self.text())}")
@@ -85,7 +85,7 @@ class Program:
         """Waits until a condition holds that this program should fulfil."""
         deadline = time.monotonic() + timeout_s
         while not condition():
-            self.check()
+            self.raise_if_ended()
             if time.monotonic() > deadline:
                 raise Failure(
                     f"timeout after {timeout_s:.0f} s while waiting until {what}; last output of {self.command}:\n"

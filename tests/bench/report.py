@@ -35,7 +35,7 @@ class Aim:
     """An aim with the measured value."""
 
     promise: str
-    seen: str
+    measured: str
     met: bool
 
 
@@ -53,8 +53,8 @@ class Section:
     def table(self, table: Table) -> None:
         self.blocks.append(table.markdown())
 
-    def aim(self, promise: str, seen: str, met: bool) -> None:
-        self.aims.append(Aim(promise, seen, met))
+    def aim(self, promise: str, measured: str, met: bool) -> None:
+        self.aims.append(Aim(promise, measured, met))
 
     def markdown(self) -> str:
         return "\n\n".join([f"## {self.title}", *self.blocks])
@@ -65,12 +65,12 @@ def aims_table(sections: list[Section]) -> str:
     table = Table("aim", "seen", "")
     for section in sections:
         for aim in section.aims:
-            table.row(aim.promise, aim.seen, "met" if aim.met else "MISSED")
+            table.row(aim.promise, aim.measured, "met" if aim.met else "MISSED")
     return table.markdown()
 
 
 def size(count: int) -> str:
-    """1000 → `1 kB`."""
+    """Formats a number of bytes, such as 1000 as `1 kB`."""
     for unit, factor in (("MB", 1_000_000), ("kB", 1_000)):
         if count >= factor:
             return f"{count / factor:g} {unit}"

@@ -17,10 +17,11 @@ COUNTED = "iteration.run = ? AND iteration.warm_up = 0 AND iteration.outcome = 0
 
 @dataclass(frozen=True)
 class Run:
-    """The one run of a pipeline."""
+    """A run of a pipeline."""
 
     number: int
-    ended: bool
+    has_ended: bool
+    # Numbers of iterations that succeeded and that did not.
     ok: int
     unsuccessful: int
 
@@ -62,7 +63,7 @@ def iterations_per_second(database: Path, run: Run) -> float:
 
 
 def samples(database: Path, run: Run, names: tuple[str, ...] | None = None) -> dict[str, list[float]]:
-    """The values of all nodes by name, in SI units, in the order of iterations; of the names given, or of all."""
+    """The values of all nodes by name, in SI units, in the order of iterations; all names if `names` is `None`."""
     only = "" if names is None else f"AND name.text IN ({', '.join('?' * len(names))})"
     query = (
         "SELECT name.text, node.value FROM iteration"
@@ -83,7 +84,7 @@ def stages(database: Path, run: Run) -> dict[str, dict[str, float]]:
 
 @dataclass(frozen=True)
 class Delay:
-    """A one-way delay as it was reported, seconds, beside what the two hosts' clocks showed."""
+    """A one-way delay as it was reported, seconds, and the stamps of both hosts."""
 
     sent_ns: int
     received_ns: int

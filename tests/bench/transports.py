@@ -18,13 +18,13 @@ UDP_PORT = 5552
 MASTER_PORT = 11311
 ROSPY_PEER = ROOT / "tests/interop/ros1/rospy_peer.py"
 
-# Round trips that fit a slice whatever is measured. Bytes per second, in both directions together.
+# Assumed speed of rospy, which gives the number of its round trips in a slice. Bytes of both directions together.
 ROSPY_BYTES_PER_SECOND = 100e6
 ROSPY_ROUND_TRIPS_PER_SECOND = 500
 
 
 class Shared:
-    """What runs beside all contenders on two hosts: a master of ROS 1 on the cloud."""
+    """What all contenders share: a master of ROS 1 on the cloud."""
 
     def __init__(self, edge: Host, cloud: Host) -> None:
         self._hosts = (edge, cloud)
@@ -54,7 +54,7 @@ def prepare() -> None:
     needed = {"rospy": "/usr/lib/python3/dist-packages/rospy", "OpenSSL for roslibrust": "/usr/include/openssl"}
     for name, folder in needed.items():
         if not Path(folder).is_dir():
-            raise Failure(f"{name} is not installed: deploy/install-tools.sh interop")
+            raise Failure(f"{name} is not installed; install it with deploy/install-tools.sh interop")
 
 
 def _rospy(arena: Arena, shared: Shared, shape: Shape) -> Slice:

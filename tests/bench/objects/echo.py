@@ -1,10 +1,10 @@
-"""A sensor and a model in the published style, for the part `python`."""
+"""A sensor and a model with the methods that the paper's program calls, for the part `python`."""
 
 import os
 
 
 class Source:
-    """The same bytes over and over."""
+    """Sensor that yields the same bytes again and again."""
 
     def __init__(self):
         self.data = os.urandom(int(os.environ["BENCH_BYTES"]))
@@ -14,7 +14,7 @@ class Source:
 
 
 class Echo:
-    """Answers with what it was given."""
+    """Model that returns its input."""
 
     def infer(self, x):
         return x

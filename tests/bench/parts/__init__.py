@@ -27,7 +27,7 @@ from . import (
     violations,
 )
 
-# Each has `prepare()`, which builds and checks what it needs, and `measure(quick) -> Section`.
+# Each part has `prepare()`, which builds and checks what the part needs, and `measure(quick) -> Section`.
 ALL: dict[str, ModuleType] = {
     "node": node,
     "loop": loop,

@@ -11,7 +11,7 @@ from report import Section, Table, micros
 
 from . import idle
 
-# Iterations of a local pipeline have 10 nodes.
+# Iterations per second. An iteration of a local pipeline has 10 nodes, so 100 Hz are the 1,000 nodes/s of the aims.
 RATES_HZ = (100, 2_000)
 PROCESSOR_AIM = 0.02
 MEMORY_AIM = 60 * 2**20
@@ -27,14 +27,14 @@ def measure(quick: bool) -> Section:
     section.say(
         f"A pipeline with the model `echo` at a fixed rate, {seconds:.0f} s, median of {repeats}: an agent without an "
         "aggregator, which measures and keeps live figures, and one with, which also encodes, spools and sends. The "
-        "difference, divided by the nodes, is the way from the timer's stop to the spool and on to the acknowledgement."
+        "difference, divided by the nodes, is the cost of a node from the timer's stop to the acknowledgement."
     )
     table = Table(
         "rate", "nodes/s", "without, % of a core", "with, % of a core", "per node, µs", "resident, MiB", "spool's share, MiB"
     )
     for hz in RATES_HZ:
         rows = sorted((_pair(hz, seconds) for _ in range(repeats)), key=lambda row: row[2] - row[1])
-        nodes, without, using, resident, more = rows[len(rows) // 2]
+        nodes, without, using, resident, added = rows[len(rows) // 2]
         table.row(
             f"{hz:,} Hz",
             f"{nodes:,.0f}",
@@ -42,7 +42,7 @@ def measure(quick: bool) -> Section:
             f"{100 * using:.2f}",
             micros((using - without) / nodes),
             f"{resident / 2**20:.1f}",
-            f"{more / 2**20:.1f}",
+            f"{added / 2**20:.1f}",
         )
         if hz == RATES_HZ[0]:
             section.aim("agent at 1,000 nodes/s ≤ 2 % of a core", f"{100 * using:.2f} %", using <= PROCESSOR_AIM)
@@ -52,7 +52,10 @@ def measure(quick: bool) -> Section:
 
 
 def _pair(hz: int, seconds: float) -> tuple[float, float, float, float, float]:
-    """Nodes per second, processor share without and with, memory with, how much more that is than without."""
+    """Measures an agent without and an agent with an aggregator.
+
+    Returns the nodes per second, both processor shares, the memory with an aggregator, and the memory that it adds.
+    """
     events, web = free_ports(2)
     with deployment() as it:
         it.aggregator(events=events, web=web)
@@ -61,20 +64,20 @@ def _pair(hz: int, seconds: float) -> tuple[float, float, float, float, float]:
             "with": it.daemon("with", _agent(it, "with", hz, f'aggregator = "tcp://127.0.0.1:{events}"')),
         }
         before, began = store.nodes(it.database), time.monotonic()
-        costs = idle.watch(agents, seconds)
+        costs = idle.measure_costs(agents, seconds)
         nodes = (store.nodes(it.database) - before) / (time.monotonic() - began)
     if nodes < hz:
-        raise Failure(f"{nodes:.0f} nodes/s were stored at {hz} Hz: fewer than iterations")
+        raise Failure(f"{nodes:.0f} nodes/s were stored at {hz} Hz, fewer than one per iteration")
     without, using = costs["without"], costs["with"]
     return nodes, without.processor, using.processor, using.resident, using.resident - without.resident
 
 
-def _agent(it: Deployment, name: str, hz: int, reporting: str) -> str:
+def _agent(it: Deployment, name: str, hz: int, aggregator_line: str) -> str:
     return f"""
         [agent]
         name = "{name}"
         state_dir = "{it.folder}/{name}"
-        {reporting}
+        {aggregator_line}
         [[model]]
         name = "echo"
         kind = "echo"

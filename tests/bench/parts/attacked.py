@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from statistics import median
 
@@ -20,8 +20,8 @@ AIM = 1.2
 HZ = 100
 SIZE = 150_000
 BYTES_PER_SECOND = 2_000_000
-# Longer than PEERNet waits for a hello.
-LIFE_S = 6
+# Time after which an attacking connection is replaced; longer than PEERNet waits for a hello.
+LIFETIME_S = 6
 # The ports of PEERNet, and those of a process that reads and discards.
 PORTS = {"events": 5550, "data": 5551, "udp-data": 5552, "http": 8040, "probes": 8620}
 DISCARD_PORTS = {name: port + 10_000 for name, port in PORTS.items()}
@@ -39,15 +39,15 @@ def measure(quick: bool) -> Section:
         f"Edge and cloud in two network namespaces, aggregator and dashboard beside the cloud; {SIZE // 1000} kB at "
         f"{HZ} Hz, echoed, stored. A third host on a cable of its own to the cloud sends garbage, silence, false sizes "
         f"and unfinished frames, {BYTES_PER_SECOND / 1e6:g} MB/s in all and 60 connections of each kind, each replaced "
-        f"after {LIFE_S} s: to every port of PEERNet, or at the same rate to a process on the cloud that reads and discards it. "
-        f"{repeats} repeats of {seconds} s in turn; medians, ratios repeat by repeat."
+        f"after {LIFETIME_S} s: to every port of PEERNet, or at the same rate to a process on the cloud that reads and "
+        f"discards it. {repeats} repeats of {seconds} s in turn; medians, ratios repeat by repeat."
     )
     totals: dict[str, list[dict[str, float]]] = {"discarded": [], "attacked": []}
     peaks: list[float] = []
-    with two_hosts() as (edge, cloud), third_host(cloud) as (third, faces):
+    with two_hosts() as (edge, cloud), third_host(cloud) as (third, target):
         for repeat in range(repeats):
             for name in list(totals) if repeat % 2 == 0 else reversed(list(totals)):
-                total, peak = _slice(edge, cloud, third, faces, name, seconds)
+                total, peak = _slice(edge, cloud, third, target, name, seconds)
                 totals[name].append(total)
                 if name == "attacked":
                     peaks.append(peak)
@@ -64,20 +64,21 @@ def measure(quick: bool) -> Section:
 
 
 def _slice(
-    edge: Host, cloud: Host, third: Host, faces: str, name: str, seconds: int
+    edge: Host, cloud: Host, third: Host, target: str, name: str, seconds: int
 ) -> tuple[dict[str, float], float]:
+    """Measures once with new daemons. Returns the spread of `total`, and the peak memory of the larger daemon, bytes."""
     with deployment() as it:
         aggregator = it.daemon("aggregator", _aggregator(it), cloud)
         agent = it.daemon("cloud", _cloud(it, cloud), cloud)
         edge_agent = it.daemon("edge", _edge(it, cloud, seconds), edge)
         edge_agent.wait_until("the pipeline is stored", lambda: store.run_of(it.database, "loop") is not None)
         ports = PORTS if name == "attacked" else DISCARD_PORTS
-        with _discarding(it, cloud, faces, name == "discarded"):
-            attack = [sys.executable, "-B", ATTACK, "attack", faces, *_flags(ports), "--seconds", seconds]
-            attack += ["--bytes-per-second", BYTES_PER_SECOND, "--life", LIFE_S]
+        with _discarding(it, cloud, target) if name == "discarded" else nullcontext():
+            attack = [sys.executable, "-B", ATTACK, "attack", target, *_flags(ports), "--seconds", seconds]
+            attack += ["--bytes-per-second", BYTES_PER_SECOND, "--life", LIFETIME_S]
             counts = json.loads(output(third.inside(attack), timeout_s=seconds + 60))
         edge_agent.wait_until("the run is stored", lambda: it.is_stored("loop"), seconds + 60)
-        peak = max(_peak(program.pid) for program in (aggregator, agent))
+        peak = max(_peak_memory(program.pid) for program in (aggregator, agent))
         it.stop()
         run = store.run_of(it.database, "loop")
         if run is None or run.unsuccessful or not run.ok or store.missing(it.database):
@@ -86,11 +87,9 @@ def _slice(
 
 
 @contextmanager
-def _discarding(it: Deployment, cloud: Host, faces: str, wanted: bool) -> Iterator[None]:
-    if not wanted:
-        yield
-        return
-    command = cloud.inside([sys.executable, "-B", ATTACK, "discard", faces, *_flags(DISCARD_PORTS)])
+def _discarding(it: Deployment, cloud: Host, target: str) -> Iterator[None]:
+    """Runs the process on the cloud that reads the attack and discards it."""
+    command = cloud.inside([sys.executable, "-B", ATTACK, "discard", target, *_flags(DISCARD_PORTS)])
     with Program(command, it.folder / "discard.log") as discard:
         discard.wait_until("it discards", lambda: "discarding" in discard.text())
         yield
@@ -100,7 +99,7 @@ def _flags(ports: dict[str, int]) -> list[object]:
     return [part for name, port in ports.items() for part in (f"--{name}", port)]
 
 
-def _peak(pid: int) -> int:
+def _peak_memory(pid: int) -> int:
     status = Path(f"/proc/{pid}/status").read_text()
     line = next(line for line in status.splitlines() if line.startswith("VmHWM:"))
     return int(line.split()[1]) * 1024

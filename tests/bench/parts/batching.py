@@ -16,7 +16,7 @@ from quantiles import spread
 from report import Section, Table, micros, rate, ratio, times
 
 MODEL = ROOT / "models/quality-control"
-# Width and height of the model's input: pictures of this size need little preprocessing.
+# Width and height of the model's input. Pictures of this size need little preprocessing.
 SIZE = (224, 168)
 USERS = (1, 4, 16)
 OFF, ON = "off", "on"
@@ -45,17 +45,18 @@ def measure(quick: bool) -> Section:
     repeats, seconds = (2, 2) if quick else (5, 5)
     with deployment() as it:
         graphs.copy_with_open_batch(MODEL, it.folder / "open-batch")
-        alone = graphs.seconds_per_sample(it.folder / "open-batch", BATCH_SIZES, 10 if quick else 100)
+        model_times = graphs.seconds_per_sample(it.folder / "open-batch", BATCH_SIZES, 10 if quick else 100)
         _shrink(MODEL / "pictures", it.folder / "pictures")
         (port,) = free_ports(1)
-        models = "".join(_model(it, name, key) for name, key in MODELS.items())
+        models = "".join(_model(it, name, batch_line) for name, batch_line in MODELS.items())
         with cloud(it.folder, port, models):
             text = _experiment(it, port, repeats, seconds)
-            runs = run_experiment(it.folder, "batching", text, timeout_s=120 + repeats * 6 * (seconds + 60))
-    return _section(runs, alone, repeats, seconds)
+            configurations = len(MODELS) * len(USERS)
+            runs = run_experiment(it.folder, "batching", text, timeout_s=120 + repeats * configurations * (seconds + 60))
+    return _section(runs, model_times, repeats, seconds)
 
 
-def _section(runs: list[Run], alone: dict[int, float], repeats: int, seconds: int) -> Section:
+def _section(runs: list[Run], model_times: dict[int, float], repeats: int, seconds: int) -> Section:
     section = Section("Batches")
     section.say(
         f"An agent offers `quality-control` twice, with and without `{BATCH}`; the first dimension of its graph, the batch, is open. "
@@ -65,24 +66,26 @@ def _section(runs: list[Run], alone: dict[int, float], repeats: int, seconds: in
         "over the repeats, ratios taken repeat by repeat."
     )
     cells = {(name, users): _cell(runs, name, users, repeats) for users in USERS for name in MODELS}
-    middle = ("total p50, µs, off", "on", "p99 off", "on", "on to off")
-    table = Table("users", "answers/s off", "on", "on to off", *middle)
+    table = Table(
+        "users", "answers/s off", "on", "on to off", "total p50, µs, off", "on", "p99 off", "on", "on to off"
+    )
     for users in USERS:
         off, on = cells[OFF, users], cells[ON, users]
-        rates, tails = ([[getattr(one, key) for one in side] for side in (off, on)] for key in ("rate", "p99"))
-        middles = [[one.p50 for one in side] for side in (off, on)]
+        rates, p50s, p99s = (
+            [[getattr(one, key) for one in side] for side in (off, on)] for key in ("rate", "p50", "p99")
+        )
         table.row(
             users,
             *(rate(median(side)) for side in rates),
             times(ratio(rates[1], rates[0])),
-            *(micros(median(side)) for side in middles),
-            *(micros(median(side)) for side in tails),
-            times(ratio(tails[1], tails[0])),
+            *(micros(median(side)) for side in p50s),
+            *(micros(median(side)) for side in p99s),
+            times(ratio(p99s[1], p99s[0])),
         )
     section.table(table)
     section.say(
         "Largest possible gain by batches: median time per sample in Python's onnxruntime with one thread, "
-        + ", ".join(f"{micros(one)} µs in a batch of {size}" for size, one in alone.items())
+        + ", ".join(f"{micros(one)} µs in a batch of {size}" for size, one in model_times.items())
         + "."
     )
     for users in USERS:
@@ -104,10 +107,11 @@ def _cell(runs: list[Run], name: str, users: int, repeats: int) -> list[Combined
 
 
 def _combine(edges: list[Run]) -> CombinedUsers:
-    times = [[(float(row["at"]), float(row["total"])) for row in run.rows] for run in edges]
-    begin = max(one[0][0] for one in times)
-    end = min(at + total for at, total in (one[-1] for one in times))
-    totals = [total for one in times for at, total in one if at >= begin and at + total <= end]
+    # Start and total of each iteration, by user.
+    iterations = [[(float(row["at"]), float(row["total"])) for row in run.rows] for run in edges]
+    begin = max(one[0][0] for one in iterations)
+    end = min(at + total for at, total in (one[-1] for one in iterations))
+    totals = [total for one in iterations for at, total in one if at >= begin and at + total <= end]
     if not totals:
         raise Failure(f"{len(edges)} users measured at different times, so no iteration counts")
     figures = spread(totals)
@@ -115,14 +119,14 @@ def _combine(edges: list[Run]) -> CombinedUsers:
 
 
 def _recorded(runs: list[Run], users: int) -> str:
-    """Returns the medians of all columns about batches."""
+    """Returns the medians of all columns about batches, over the runs with batches."""
     rows = [row for run in runs if run.configuration == {"Batches": ON, "Users": str(users)} for row in run.rows]
     columns = sorted({column for row in rows for column in row if "batch" in column})
     medians = {column: [float(row[column]) for row in rows if row.get(column)] for column in columns}
     return ", ".join(f"`{column}` {median(values):g}" for column, values in medians.items() if values)
 
 
-def _model(it: Deployment, name: str, key: str) -> str:
+def _model(it: Deployment, name: str, batch_line: str) -> str:
     return f"""
 [[model]]
 name = "{name}"
@@ -131,7 +135,7 @@ path = "{it.folder}/open-batch"
 intra_threads = 1
 inter_threads = 1
 queue = 64
-{key}
+{batch_line}
 """
 
 

@@ -27,24 +27,26 @@ def measure(quick: bool) -> Section:
     section = Section("What the overview costs a browser")
     section.say(
         f"{PIPELINES} pipelines of {RATE_HZ:.0f} iterations a second, two of them remote; the overview in a headless "
-        f"Chromium of 1440 × 900 pixels, over {seconds} s. Share of one core that the page's main thread takes for all its "
-        "tasks (TaskDuration), and of it for scripts, layout and styles, by the browser's own counters, in time of that "
-        "thread on the processor and in time that passed, in which it may have waited for the processor."
+        f"Chromium of 1440 × 900 pixels, over {seconds} s. The browser's own counters: the share of one core "
+        "that the page's main thread takes for all tasks (TaskDuration), for scripts, for layout and for styles. "
+        "*Processor time* is the time of this thread on the processor; *time that passed* includes its waits for the "
+        "processor."
     )
     events, data, web = free_ports(3)
     with deployment() as it:
         it.aggregator(events=events, web=web)
-        agent = f'aggregator = "tcp://127.0.0.1:{events}"'
-        it.daemon("rack", _agent("rack", agent, it.folder) + f'[serve]\nlisten = "tcp://127.0.0.1:{data}"\n' + MODEL)
+        aggregator_line = f'aggregator = "tcp://127.0.0.1:{events}"'
+        serve = f'[serve]\nlisten = "tcp://127.0.0.1:{data}"\n'
+        it.daemon("rack", _agent("rack", aggregator_line, it.folder) + serve + MODEL)
         lines = "".join(_pipeline(at, data) for at in range(PIPELINES))
-        it.daemon("cam", _agent("cam", agent, it.folder) + MODEL + lines)
+        it.daemon("cam", _agent("cam", aggregator_line, it.folder) + MODEL + lines)
         address = f"http://127.0.0.1:{web}"
         costs = json.loads(output(["node", "cost.mjs", address, seconds], folder=BROWSER, timeout_s=seconds * 3 + 120))
     table = Table("counted in", "all tasks, %", "scripts, %", "layout, %", "styles, %")
     for name, cost in (("processor time", costs["processor"]), ("time that passed", costs["passed"])):
         table.row(name, *(f"{100 * cost[key]:.1f}" for key in ("task", "script", "layout", "style")))
     section.table(table)
-    # On a machine that does something else as well, time that passed counts that, too.
+    # The time that passed depends on the other programs of the machine.
     task = costs["processor"]["task"]
     section.aim(f"overview of {PIPELINES} pipelines ≤ {AIM:.0%} of a core", f"{task:.1%}", task <= AIM)
     return section
@@ -60,8 +62,9 @@ postprocessing_ms = 1
 """
 
 
-def _agent(name: str, reporting: str, folder: object) -> str:
-    return f'[agent]\nname = "{name}"\nstate_dir = "{folder}/{name}"\nclock_identity = "{name}"\n{reporting}\n'
+def _agent(name: str, aggregator_line: str, folder: object) -> str:
+    # With different clock identities the agents relate their clocks, as agents of two machines do.
+    return f'[agent]\nname = "{name}"\nstate_dir = "{folder}/{name}"\nclock_identity = "{name}"\n{aggregator_line}\n'
 
 
 def _pipeline(at: int, data: int) -> str:

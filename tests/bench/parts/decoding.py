@@ -13,7 +13,7 @@ from report import Section, Table, micros, ratio, times
 
 MODEL = ROOT / "models/quality-control"
 BATCH = 8
-# Threads of the agent's decoder: its own number, and one.
+# Threads of the agent's decoder: as many as it uses by default, and one.
 ALL, ONE = "all", "one"
 ENVIRONMENTS = {ALL: {}, ONE: {"RAYON_NUM_THREADS": "1"}}
 WARM_UP = 5

@@ -26,32 +26,33 @@ def measure(quick: bool) -> Section:
     seconds = 4 if quick else 12
     section = Section("Errors of one-way delays")
     section.say(
-        f"1 kB, {HZ} times a second for {seconds} s, echoed. The clocks of both agents are the kernel's; the edge's are "
-        f"{AHEAD_S * 1e3:g} ms ahead and drift as each row says, which undone gives the truth. No time daemon is asked, the "
-        "drift limit is 200 ppm. Paths: up/down. *Saturated*: a second pipeline sends 1.2 MB back and forth as fast as it "
-        "can. *Slewed*: the edge's wall clock runs 500 ppm fast for 4 s and 40,000 ppm for 1 s. Error: reported minus true, "
-        "without its sign. Width: of the interval that is promised to contain the truth. All in µs."
+        f"1 kB, {HZ} times a second for {seconds} s, echoed. Both agents read the clocks of one kernel; those of the "
+        f"edge are made {AHEAD_S * 1e3:g} ms ahead and drift as each row says. The true delay is known because "
+        "both errors are known. No time daemon is asked, the drift limit is 200 ppm. Paths: up/down. *Saturated*: a second "
+        "pipeline sends 1.2 MB back and forth as fast as it can. *Slewed*: the edge's wall clock runs 500 ppm fast for 4 s "
+        "and 40,000 ppm for 1 s. Error: reported minus true, without its sign. Width: of the interval that is promised to contain the truth. All in µs."
     )
     table = Table("path, link, drift", "", "true p50", "error mean", "p99", "width p50", "believed", "outside")
-    beside = Table("path", "", "error mean", "width p50", "outside")
-    seen: dict[str, list[Errors]] = {}
+    comparison = Table("path", "", "error mean", "width p50", "outside")
+    # Errors of both directions, by names of path and scene.
+    errors_by_scene: dict[str, list[Errors]] = {}
     for path in PATHS:
         print(f"  {path.name}", file=sys.stderr, flush=True)
         with path.hosts() as (edge, cloud):
             for name, scene in _scenes(path, seconds):
                 errors = {way: Errors.of(delays) for way, delays in scene.run(edge, cloud).items()}
-                seen[f"{path.name}, {name}"] = list(errors.values())
+                errors_by_scene[f"{path.name}, {name}"] = list(errors.values())
                 _rows(table, f"{path.name}, {name}", errors)
-            _beside(beside, path, seen[f"{path.name}, idle, 0 ppm"], edge, cloud, seconds)
+            _compare_others(comparison, path, errors_by_scene[f"{path.name}, idle, 0 ppm"], edge, cloud, seconds)
     section.table(table)
     section.say(
         "On the same paths, what a user gets elsewhere. *chrony*: the stamps' difference minus the offset that chrony "
-        "(following the cloud's chronyd over the path, up to four polls a second) tells of equal clocks, with its root "
-        "delay and dispersion as interval. *stamp-suite*: its one-way delays with clocks 500 ms apart, which it takes for one. "
-        "All in µs."
+        "states; both clocks are equal, so each offset is an error. chrony follows the cloud's chronyd over the path "
+        "with up to four polls a second; root delay and dispersion are the interval. *stamp-suite*: its one-way delays if "
+        "the clocks are 500 ms apart; it assumes that they are equal. All in µs."
     )
-    section.table(beside)
-    _aims(section, seen)
+    section.table(comparison)
+    _aims(section, errors_by_scene)
     return section
 
 
@@ -68,13 +69,13 @@ def _scenes(path: Path, seconds: float) -> list[tuple[str, Scene]]:
 
 
 def _rows(table: Table, name: str, errors: dict[str, Errors]) -> None:
-    for way, of in errors.items():
-        figures = map(micros, (of.truth, of.mean, of.p99, of.width))
-        counts = f"{of.believed:,} of {of.count:,}", f"{of.outside} of {of.believed:,}"
+    for way, error in errors.items():
+        figures = map(micros, (error.truth, error.mean, error.p99, error.width))
+        counts = f"{error.believed:,} of {error.count:,}", f"{error.outside} of {error.believed:,}"
         table.row(name if way == DIRECTIONS[0] else "", way, *figures, *counts)
 
 
-def _beside(
+def _compare_others(
     table: Table, path: Path, ours: list[Errors], edge: Host, cloud: Host, seconds: float
 ) -> None:
     up, down = ours
@@ -87,12 +88,12 @@ def _beside(
     table.row("", "stamp-suite", micros(stamp), "none", "–")
 
 
-def _aims(section: Section, seen: dict[str, list[Errors]]) -> None:
-    every = [errors for both in seen.values() for errors in both]
+def _aims(section: Section, errors_by_scene: dict[str, list[Errors]]) -> None:
+    every = [errors for directions in errors_by_scene.values() for errors in directions]
     outside, count = sum(one.outside for one in every), sum(one.believed for one in every)
     section.aim("one-way delays: the truth is inside the interval", f"{outside} of {count:,} outside", outside == 0)
     for drift in DRIFTS_PPM:
-        quiet = seen[f"veth, idle, {drift} ppm"]
+        quiet = errors_by_scene[f"veth, idle, {drift} ppm"]
         mean, width = max(one.mean for one in quiet), max(one.width for one in quiet)
         what = f"one-way delays, veth, idle, {drift} ppm"
         section.aim(f"{what}: mean error ≤ {micros(AIM_ERROR_S)} µs", f"{micros(mean)} µs", mean <= AIM_ERROR_S)

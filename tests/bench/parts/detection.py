@@ -39,12 +39,13 @@ class Case:
     score_tolerance: float
     ours: list[Stages] = field(default_factory=list)
     theirs: list[Stages] = field(default_factory=list)
-    # Objects that both found in all pictures, and largest differences of their edges (pixels) and scores.
+    # Number of objects that PEERNet and Python found, over all pictures; largest differences of their edges (pixels) and
+    # scores.
     objects: int = 0
-    edge: float = 0.0
-    score: float = 0.0
+    edge_difference: float = 0.0
+    score_difference: float = 0.0
 
-    def ratio(self, stage: str) -> float:
+    def time_ratio(self, stage: str) -> float:
         return ratio([one[stage]["p50"] for one in self.ours], [one[stage]["p50"] for one in self.theirs])
 
 
@@ -102,14 +103,14 @@ def _section(cases: list[Case], version: str, repeats: int, seconds: int) -> Sec
         for stage in STAGES:
             ours, theirs = (median_spread([one[stage] for one in side]) for side in (case.ours, case.theirs))
             cells = [micros(spread[key]) for spread in (ours, theirs) for key in ("p50", "p99")]
-            table.row(stage, *cells, times(case.ratio(stage)))
+            table.row(stage, *cells, times(case.time_ratio(stage)))
         section.table(table)
         section.say(
-            f"Both found the same {case.objects} objects: edges differ by at most {case.edge:.2f} pixels, scores by at "
-            f"most {case.score:.4f}."
+            f"PEERNet and Python found the same {case.objects} objects: edges differ by at most "
+            f"{case.edge_difference:.2f} pixels, scores by at most {case.score_difference:.4f}."
         )
         for stage in ("preprocessing", "postprocessing"):
-            cost = case.ratio(stage)
+            cost = case.time_ratio(stage)
             promise = f"detection, {case.title}: `{stage}` ≤ {AIM:g} × Python's"
             section.aim(promise, times(cost), cost <= AIM)
     return section
@@ -121,7 +122,7 @@ def _peernet(it: Deployment, case: Case, seconds: int) -> Stages:
     return run.stages(STAGES)
 
 
-def _experiment(case: Case, limit: str, more: str) -> str:
+def _experiment(case: Case, limit: str, actuator: str) -> str:
     return f"""
 [experiment]
 {limit}
@@ -135,7 +136,7 @@ inter_threads = 1
 sensor = {{ kind = "images", path = "{case.pictures}" }}
 placement = {{ kind = "local", model = "detector" }}
 load = {{ mode = "closed" }}
-{more}
+{actuator}
 """
 
 
@@ -166,24 +167,28 @@ def _compare(case: Case, name: str, ours: list[dict[str, Any]], theirs: list[dic
     left = list(theirs)
     unmatched = []
     for found in ours:
-        near = [one for one in left if one["label"] == found["label"] and _edges(one, found) <= case.edge_tolerance]
+        near = [
+            one
+            for one in left
+            if one["label"] == found["label"] and _edge_difference(one, found) <= case.edge_tolerance
+        ]
         if not near:
             unmatched.append(found)
             continue
-        match = min(near, key=lambda one: _edges(one, found))
+        match = min(near, key=lambda one: _edge_difference(one, found))
         left.remove(match)
         case.objects += 1
-        case.edge = max(case.edge, _edges(match, found))
-        case.score = max(case.score, abs(match["score"] - found["score"]))
+        case.edge_difference = max(case.edge_difference, _edge_difference(match, found))
+        case.score_difference = max(case.score_difference, abs(match["score"] - found["score"]))
     # An object whose score is near the threshold may be missing in one of the answers.
     missing = [one for one in unmatched + left if one["score"] > case.score_threshold + case.score_tolerance]
-    if missing or case.score > case.score_tolerance:
+    if missing or case.score_difference > case.score_tolerance:
         raise Failure(
             f"{case.title}, {name}: PEERNet and Python found different objects (scores differ by up to "
-            f"{case.score:.4f}):\n    PEERNet {json.dumps(ours)}\n    Python  {json.dumps(theirs)}"
+            f"{case.score_difference:.4f}):\n    PEERNet {json.dumps(ours)}\n    Python  {json.dumps(theirs)}"
         )
 
 
-def _edges(one: dict[str, Any], other: dict[str, Any]) -> float:
+def _edge_difference(one: dict[str, Any], other: dict[str, Any]) -> float:
     """Returns the largest difference between the edges of two boxes, pixels."""
     return max(abs(a - b) for a, b in zip(one["box"], other["box"], strict=True))

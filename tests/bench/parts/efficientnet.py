@@ -18,16 +18,16 @@ from report import Section, Table, ratio, times
 NAME = "efficientnet_v2_s"
 PICTURES = ROOT / "models/quality-control/pictures"
 EXPORT = ROOT / "models/export_torchvision.py"
-# Debian packages torch and torchvision for its own Python only.
+# Debian's packages of torch and torchvision are for Debian's Python only.
 PYTHON = Path("/usr/bin/python3")
 PACKAGES = "python3-torch python3-torchvision python3-onnx"
-# Stages that both measure. Python's `decode` and `transforms` are the parts of its `preprocessing`.
+# Stages that PEERNet and Python measure. Python's `decode` and `transforms` are the parts of its `preprocessing`.
 COMPARED = ("preprocessing", "inference", "postprocessing", "total")
 THREADS = sorted({1, os.cpu_count() or 1})
 WARM_UP = 3
 
-# Largest relative difference of a score. The two decode and resize with different rounding, which changes scores of
-# random weights by up to 1 %.
+# Largest relative difference of a score. PEERNet and Python round differently when they decode and resize, which
+# changes scores of random weights by up to 1 %.
 SCORE_TOLERANCE = 0.05
 TOTAL_AIM = 1.0
 
@@ -111,7 +111,7 @@ def _peernet(it: Deployment, threads: int, seconds: int) -> Stages:
     return run.stages(COMPARED)
 
 
-def _experiment(it: Deployment, threads: int, limit: str, more: str) -> str:
+def _experiment(it: Deployment, threads: int, limit: str, actuator: str) -> str:
     return f"""
 [experiment]
 {limit}
@@ -125,7 +125,7 @@ inter_threads = 1
 sensor = {{ kind = "images", path = "{PICTURES}" }}
 placement = {{ kind = "local", model = "{NAME}" }}
 load = {{ mode = "closed" }}
-{more}
+{actuator}
 """
 
 

@@ -18,10 +18,12 @@ DEMO = ("aggregator", "cloud", "edge")
 
 @dataclass(frozen=True)
 class Cost:
-    """Over a stretch of time, and at its end."""
+    """What a process used in a measurement."""
 
+    # Processor time in seconds per second, and wake-ups per second, over the measurement.
     processor: float
     wake_ups: float
+    # Memory at the end, bytes: resident, and the part of it that is not mapped from files.
     resident: int
     own: int
 
@@ -61,11 +63,11 @@ def _idle(seconds: float) -> dict[str, Cost]:
                 "agent", _agent(it, "agent", f'aggregator = "tcp://127.0.0.1:{events}"')
             ),
         }
-        return watch(programs, seconds)
+        return measure_costs(programs, seconds)
 
 
 def _demo(seconds: float) -> dict[str, Cost]:
-    """The demo's own files, moved to free ports."""
+    """Runs the configuration files of the demo, with free ports."""
     ports = dict(zip(("5550", "5551", "8040"), map(str, free_ports(3)), strict=True))
     with deployment() as it:
         for folder in ("models", "onnxruntime"):
@@ -75,19 +77,20 @@ def _demo(seconds: float) -> dict[str, Cost]:
             text = (ROOT / "configs" / f"{role}.toml").read_text()
             moved = re.sub(r"(?<=:)(5550|5551|8040)\b", lambda match: ports[match[0]], text)
             programs[f"demo: {role}"] = it.daemon(role, moved)
-        return watch(programs, seconds)
+        return measure_costs(programs, seconds)
 
 
-def _agent(it: Deployment, name: str, reporting: str) -> str:
+def _agent(it: Deployment, name: str, aggregator_line: str) -> str:
     return f"""
         [agent]
         name = "{name}"
         state_dir = "{it.folder}/{name}"
-        {reporting}
+        {aggregator_line}
     """
 
 
-def watch(programs: dict[str, Program], seconds: float) -> dict[str, Cost]:
+def measure_costs(programs: dict[str, Program], seconds: float) -> dict[str, Cost]:
+    """Measures running programs for `seconds`, from SETTLE_S after the call. Raises a failure if one has ended."""
     time.sleep(SETTLE_S)
     begin = time.monotonic()
     before = {name: (_processor(program.pid), _wake_ups(program.pid)) for name, program in programs.items()}
@@ -95,7 +98,7 @@ def watch(programs: dict[str, Program], seconds: float) -> dict[str, Cost]:
     elapsed = time.monotonic() - begin
     costs = {}
     for name, program in programs.items():
-        program.check()
+        program.raise_if_ended()
         processor, wake_ups = before[name]
         costs[name] = Cost(
             (_processor(program.pid) - processor) / elapsed,
@@ -107,20 +110,20 @@ def watch(programs: dict[str, Program], seconds: float) -> dict[str, Cost]:
 
 
 def _processor(pid: int) -> float:
-    """Seconds of processor time since the process began."""
-    # The second field, the program's name, may hold anything but ends with the last parenthesis.
+    """Returns the processor time since the process began, seconds."""
+    # The program's name in parentheses may contain anything, so only the text after the last parenthesis is split.
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _wake_ups(pid: int) -> int:
-    """Voluntary context switches of the threads that there are."""
+    """Returns the voluntary context switches of the present threads."""
     statuses = (task.joinpath("status").read_text() for task in Path(f"/proc/{pid}/task").iterdir())
     return sum(_field(text, "voluntary_ctxt_switches") for text in statuses)
 
 
 def _memory(pid: int, field: str) -> int:
-    """Bytes."""
+    """Returns a memory field of the process's status, bytes."""
     return _field(Path(f"/proc/{pid}/status").read_text(), field) * 1024
 
 

@@ -41,12 +41,13 @@ def measure(quick: bool) -> Section:
         columns = list(zip(*(map(float, line) for line in ROUND.findall(printed)), strict=True))
         if not columns:
             raise Failure(f"{' '.join(BENCH)} printed no round:\n{printed}")
-        ours, bare, ratios, size = map(median, columns[:4])
+        ours, bare, share, node_bytes = map(median, columns[:4])
         peak, lost = max(columns[4]), int(sum(columns[5]))
-        table.row(f"{agents:,}", rate(ours), rate(bare), f"{ratios:.2f} ×", f"{size:.1f}", f"{peak:.0f}", f"{lost:,}")
+        figures = (f"{share:.2f} ×", f"{node_bytes:.1f}", f"{peak:.0f}", f"{lost:,}")
+        table.row(f"{agents:,}", rate(ours), rate(bare), *figures)
         if aim is not None:
             section.aim(f"ingest from {agents:,} agents ≥ {aim:,} nodes/s", rate(ours), ours >= aim)
-        section.aim(f"ingest from {agents:,} ≥ {RATIO_AIM} × a bare loop", f"{ratios:.2f} ×", ratios >= RATIO_AIM)
+        section.aim(f"ingest from {agents:,} ≥ {RATIO_AIM} × a bare loop", f"{share:.2f} ×", share >= RATIO_AIM)
         section.aim(f"lost of {agents:,} agents: 0", f"{lost:,}", lost == 0)
         if agents == max(RATE_AIMS):
             section.aim(f"memory with {agents:,} agents ≤ {MEMORY_AIM_MIB} MiB", f"{peak:.0f} MiB", peak <= MEMORY_AIM_MIB)
@@ -55,12 +56,12 @@ def measure(quick: bool) -> Section:
 
 
 def generator(log: Path, port: int, agents: int, nodes: int, speed: float) -> Program:
-    """Simulated agents that send so many nodes at a multiple of the rate that the aims promise."""
+    """Starts a process of simulated agents. They send `nodes` in all, at `speed` times the rate of the aim."""
     return Program([_program(), "generator", f"tcp://127.0.0.1:{port}", agents, nodes, speed], log)
 
 
 def _program() -> Path:
-    """The benchmark's own binary: cargo knows where."""
+    """Returns the path of the benchmark's binary, which cargo prints."""
     built = subprocess.run(
         [*BENCH, "--no-run", "--message-format", "json"], cwd=ROOT, capture_output=True, text=True, check=False
     )

@@ -6,7 +6,7 @@ import time
 
 import store
 from http_api import Api
-from lag import Watched, watch
+from lag import CountTimes, poll
 from deployment import Deployment, free_ports, deployment
 from programs import Failure, Program
 from quantiles import quantile
@@ -36,7 +36,7 @@ def measure(quick: bool) -> Section:
         "HTTP. Lag: from the end of an iteration to the first answer that counts it."
     )
     table = Table("meanwhile", "iterations", "p50, ms", "p99, ms", "max, ms", "other nodes/s stored")
-    for name, lags, stored in (_nothing(quick), _load(quick), _catching_up(section, quick)):
+    for name, lags, stored in (_with_nothing_else(quick), _under_load(quick), _while_catching_up(section, quick)):
         ordered = sorted(lags)
         if not ordered:
             raise Failure(f"{name}: no iteration was seen in the live figures")
@@ -47,30 +47,34 @@ def measure(quick: bool) -> Section:
     return section
 
 
-def _nothing(quick: bool) -> tuple[str, list[float], float]:
+def _with_nothing_else(quick: bool) -> tuple[str, list[float], float]:
     with deployment() as it:
         api = _aggregator(it)
         lags = _probe(it, api, 8.0 if quick else 40.0)
     return "nothing else", lags, 0.0
 
 
-def _load(quick: bool) -> tuple[str, list[float], float]:
-    """Simulated agents send at half the rate that the aggregator promises to store."""
+def _under_load(quick: bool) -> tuple[str, list[float], float]:
+    """Measures while simulated agents send at half the rate that the aggregator promises to store."""
     seconds = 8.0 if quick else 40.0
     with deployment() as it:
         api = _aggregator(it)
+        # The load begins before the measurement, so it has to last longer.
         nodes = int(LOAD_NODES_PER_S * (seconds + 15.0))
         with ingest.generator(it.folder / "load.log", api.events, LOAD_AGENTS, nodes, LOAD_SPEED) as load:
             load.wait_until("the load is being stored", lambda: store.nodes(it.database) > 0)
             before, began = store.nodes(it.database), time.monotonic()
             lags = _probe(it, api, seconds)
             stored = (store.nodes(it.database) - before) / (time.monotonic() - began)
-            load.check()
+            load.raise_if_ended()
     return f"{rate(LOAD_NODES_PER_S)} nodes/s from {LOAD_AGENTS} agents", lags, stored
 
 
-def _catching_up(section: Section, quick: bool) -> tuple[str, list[float], float]:
-    """An agent measures fast while its aggregator is stopped, and is restarted together with it."""
+def _while_catching_up(section: Section, quick: bool) -> tuple[str, list[float], float]:
+    """Measures while a backlog is stored.
+
+    An agent fills its spool while no aggregator runs. Then an aggregator and this agent, with the probe, are started.
+    """
     iterations = 60_000 if quick else 400_000
     with deployment() as it:
         events, web = free_ports(2)
@@ -82,19 +86,22 @@ def _catching_up(section: Section, quick: bool) -> tuple[str, list[float], float
         api = _Api(it, events, web)
         began = time.monotonic()
         probe = it.daemon("edge", _agent(it, events, _pipeline()))
-        watched, done = Watched("edge", "probe"), [0.0]
+        count_times = CountTimes("edge", "probe")
+        # One item as soon as the backlog is stored.
+        caught_up_at: list[float] = []
 
-        def behind() -> bool:
-            waiting = api.waiting("edge")
-            if waiting is not None and waiting < 1_000 and watched.seen and watched.seen[-1][1] > 0:
-                done[0] = time.monotonic()
-            return not done[0]
+        def is_behind() -> bool:
+            waiting = api.waiting_events("edge")
+            # The probe adds events all the time, so the number of waiting events need not become 0.
+            if waiting is not None and waiting < 1_000 and count_times.seen and count_times.seen[-1][1] > 0:
+                caught_up_at.append(time.monotonic())
+            return not caught_up_at
 
-        watch(api, watched, 50.0, behind)
-        if not done[0]:
+        poll(api, count_times, 50.0, is_behind)
+        if not caught_up_at:
             raise Failure(f"the backlog of {backlog / 2**20:.0f} MiB was not caught up within 50 s")
-        nodes, seconds = store.nodes(it.database), done[0] - began
-        lags = _lags(it, probe, watched)
+        nodes, seconds = store.nodes(it.database), caught_up_at[0] - began
+        lags = _lags(it, probe, count_times)
     section.say(
         f"Catching up: {nodes:,} nodes of one agent, {backlog / 2**20:.0f} MiB on its disk, were stored in {seconds:.1f} s, "
         "from the agent's start to the last acknowledgement."
@@ -118,17 +125,17 @@ def _aggregator(it: Deployment) -> _Api:
 
 def _probe(it: Deployment, api: _Api, seconds: float) -> list[float]:
     probe = it.daemon("edge", _agent(it, api.events, _pipeline()))
-    watched = Watched("edge", "probe")
-    watch(api, watched, seconds)
-    return _lags(it, probe, watched)
+    count_times = CountTimes("edge", "probe")
+    poll(api, count_times, seconds)
+    return _lags(it, probe, count_times)
 
 
-def _lags(it: Deployment, probe: Program, watched: Watched) -> list[float]:
+def _lags(it: Deployment, probe: Program, count_times: CountTimes) -> list[float]:
     probe.stop()
     probe_run = store.run_of(it.database, "probe")
     if probe_run is None:
         raise Failure("the pipeline's run was not stored")
-    return watched.lags(store.ends(it.database, probe_run))
+    return count_times.lags(store.ends(it.database, probe_run))
 
 
 def _agent(it: Deployment, events: int, pipeline: str) -> str:

@@ -36,7 +36,8 @@ class Results:
     """All slices of one shape: a list per program, with one entry per repeat."""
 
     slices: dict[str, list[Slice]] = field(default_factory=lambda: {name: [] for name in CONTENDERS})
-    alone: list[float] = field(default_factory=list)
+    # PEERNet's iterations per second without an aggregator, one entry per repeat.
+    rates_without_aggregator: list[float] = field(default_factory=list)
 
     def rates(self, name: str) -> list[float]:
         return [one.rate for one in self.slices[name]]
@@ -94,17 +95,17 @@ def _compare(arena: Arena, shape: Shape, repeat: int, results: Results) -> None:
         one = CONTENDERS[name](arena, shape)
         results.slices[name].append(one)
         if name == "peernet":
-            results.alone.append(contenders.peernet_alone(arena, shape, max(1, round(one.rate * arena.seconds))))
+            iterations = max(1, round(one.rate * arena.seconds))
+            results.rates_without_aggregator.append(contenders.peernet_alone(arena, shape, iterations))
 
 
 def _rates(section: Section, results: dict[Shape, Results]) -> None:
-    table = Table(
-        "iterations/s", "PEERNet", "nothing stored", "published", "bare TCP", "PEERNet to published", "bare TCP to it"
-    )
+    programs = ("PEERNet", "nothing stored", "published", "bare TCP")
+    table = Table("iterations/s", *programs, "PEERNet to published", "bare TCP to published")
     for shape, result in results.items():
         ours, published, tcp = (result.rates(name) for name in CONTENDERS)
         gain = ratio(ours, published)
-        rates = (rate(median(one)) for one in (ours, result.alone, published, tcp))
+        rates = (rate(median(one)) for one in (ours, result.rates_without_aggregator, published, tcp))
         table.row(_name(shape), *rates, times(gain), times(ratio(tcp, published)))
         if shape in ECHO:
             promise = f"iterations per second at {size(shape.up)} ≥ {RATE_AIM:g} × the paper's program's"

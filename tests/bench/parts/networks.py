@@ -20,7 +20,7 @@ SIZES = (1_000, 150_000, 1_200_000)
 # Iterations before the first that counts, on a link on which each may take a quarter of a second.
 SLOW_WARM_UP = 10
 
-# Contender, what it is compared with, and the least that its rate may be of the other's.
+# Contender, the contender that it is compared with, and smallest aimed-for ratio of their rates.
 AIMS = (
     ("zmq-tcp", "bare TCP", 0.9),
     ("zmq-udp", "bare UDP", 0.7),
@@ -58,7 +58,7 @@ def prepare() -> None:
     need_root()
     transports.prepare()
     build = ["cargo", "build", "--release", "--quiet"]
-    # They are built together, so that the daemon's features do not change what it is built of.
+    # One command builds both packages, because cargo chooses the features of their dependencies for each command.
     ours = [*build, "--locked", "--package", "peernetd", "--package", "peernet-tests", "--bins"]
     subprocess.run([*ours, "--features", "peernetd/ros2,peernet-tests/ros2"], cwd=ROOT, check=True)
     foreign = ["--manifest-path", "tests/bench/roslibrust/Cargo.toml", "--target-dir", "target/interop"]
@@ -68,8 +68,8 @@ def prepare() -> None:
 def measure(quick: bool) -> Section:
     section = Section("Networks")
     section.say(
-        "An edge sends so many bytes and an echo model answers with the same bytes, one iteration after the other; "
-        "edge agent, cloud agent and aggregator, every iteration stored. Beside it, without PEERNet: a ping-pong over one "
+        "An edge sends the bytes that each table names and an echo model returns them, one iteration after the other; "
+        "edge agent, cloud agent and aggregator, every iteration stored. Without PEERNet: a ping-pong over one "
         "TCP connection, one over UDP with the same datagrams, and round trips between two nodes of rospy, of roslibrust and of "
         "rustdds. Medians over the "
         "repeats, one program after the other in turn; ratios taken repeat by repeat. Processor time: both agents, or both "
@@ -96,7 +96,7 @@ def _link(section: Section, link: Link, quick: bool) -> None:
     for bytes_, result in results.items():
         _table(section, link, bytes_, result)
     if link.bits_per_second:
-        # The link sets the rate of all.
+        # The link limits the rates of all contenders, so their ratios say little about the contenders.
         return
     for contender, other, least in AIMS:
         for bytes_, result in results.items():

@@ -31,7 +31,10 @@ def measure(quick: bool) -> Section:
     if not {READS, NODE} <= nanos.keys():
         raise Failure(f"{' '.join(BENCH)} printed no figure for {READS!r} or {NODE!r}:\n{printed}")
 
-    section.say("The logger's own benchmark, medians over interleaved repeats; below it one like the paper's program's.")
+    section.say(
+        "The logger's own benchmark, medians over interleaved repeats; below it, a logger in Python like that of the "
+        "paper's program."
+    )
     table = Table("what", "cost", "")
     for name, number, rest in lines:
         table.row(name, number, rest)

@@ -11,6 +11,9 @@ BENCH = ["cargo", "bench", "--locked", "--quiet", "--package", "peernet-web", "-
 # A page with median and maximum time over the small and over the large database, in ms, and the medians' ratio.
 ROW = re.compile(r"^\| ([^|]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", re.MULTILINE)
 
+# Positions in a row: median time over the large database, and ratio of the medians.
+LARGE_MEDIAN, MEDIAN_RATIO = 3, 5
+
 TIME_AIM_MS = 200.0
 RATIO_AIM = 2.0
 # Below this, the ratio depends more on the machine than on the page.
@@ -36,12 +39,13 @@ def measure(quick: bool) -> Section:
     for name, *figures in rows:
         table.row(name, *(f"{figure:.2f}" for figure in figures))
     section.table(table)
-    slowest = max(rows, key=lambda row: row[3])
-    section.aim(f"every page ≤ {TIME_AIM_MS:.0f} ms", f"{slowest[3]:.1f} ms ({slowest[0]})", slowest[3] <= TIME_AIM_MS)
-    grown = max(rows, key=lambda row: row[5] if row[3] >= MEASURABLE_MS else 0.0)
+    slowest = max(rows, key=lambda row: row[LARGE_MEDIAN])
+    time_ms = slowest[LARGE_MEDIAN]
+    section.aim(f"every page ≤ {TIME_AIM_MS:.0f} ms", f"{time_ms:.1f} ms ({slowest[0]})", time_ms <= TIME_AIM_MS)
+    grown = max(rows, key=lambda row: row[MEDIAN_RATIO] if row[LARGE_MEDIAN] >= MEASURABLE_MS else 0.0)
     section.aim(
         f"every page that takes {MEASURABLE_MS:.0f} ms ≤ {RATIO_AIM:.0f} × the time over 1,000,000 nodes",
-        f"{grown[5]:.2f} × ({grown[0]})",
-        grown[5] <= RATIO_AIM or grown[3] < MEASURABLE_MS,
+        f"{grown[MEDIAN_RATIO]:.2f} × ({grown[0]})",
+        grown[MEDIAN_RATIO] <= RATIO_AIM or grown[LARGE_MEDIAN] < MEASURABLE_MS,
     )
     return section

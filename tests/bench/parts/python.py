@@ -1,4 +1,4 @@
-"""Custom Python objects: what the border of their processes costs, and the published commands with them."""
+"""Custom Python objects: cost of a call to their process, and the commands of the paper's program with such objects."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from report import Section, Table, micros, rate, ratio, size, times
 
 SIZES = (1_000, 150_000, 1_200_000)
 OBJECTS = HERE / "objects"
-BORDER = ["cargo", "bench", "--locked", "--quiet", "--package", "peernet-external", "--bench", "python"]
-# The benchmarks' own, which has numpy.
+CALL_BENCH = ["cargo", "bench", "--locked", "--quiet", "--package", "peernet-external", "--bench", "python"]
+# The Python of the benchmarks, which has numpy.
 PYTHON = f"PEERNET_PYTHON={sys.executable}"
-# Time for the clocks to be related and for the caches; these rows are left out.
+# Iterations in which the clocks are related and caches fill; their rows are left out.
 WARM_UP = 200
 NAMES = ("sensing", "capture_capture-ipc", "upload", "ipc", "inference", "download", "total", "unattributed")
 
@@ -35,12 +35,12 @@ def prepare() -> None:
     need_root()
     if not PEERNET.exists():
         raise Failure(f"{PEERNET} is not there: cargo build --release --package peernetd")
-    subprocess.run([*BORDER, "--no-run"], cwd=ROOT, check=True)
+    subprocess.run([*CALL_BENCH, "--no-run"], cwd=ROOT, check=True)
 
 
 def measure(quick: bool) -> Section:
     section = Section("Python objects")
-    _border(section, 200 if quick else 5000)
+    _measure_calls(section, 200 if quick else 5000)
     repeats, seconds = (1, 1) if quick else (7, 2)
     ours: dict[int, list[float]] = {count: [] for count in SIZES}
     theirs: dict[int, list[float]] = {count: [] for count in SIZES}
@@ -58,8 +58,8 @@ def measure(quick: bool) -> Section:
     section.say(
         "`peernet --server --model-name echo::Echo` and `peernet --client --sensor-object echo::Source` in two network "
         f"namespaces (TCP {CONGESTION_CONTROL}): a Python sensor yields bytes, a Python model returns them, results "
-        "are written meanwhile. Beside it the Python program that does the published one's work, where sensor and "
-        f"model are the program itself and no border is crossed. {repeats} repeats of about {seconds} s each, in turn; "
+        "are written meanwhile. Compared with the Python program that does the published one's work, where sensor and "
+        f"model are part of the program's own process. {repeats} repeats of about {seconds} s each, in turn; "
         "medians over the repeats, ratios taken repeat by repeat."
     )
     table = Table("iterations/s", "PEERNet, Python objects", "published", "to published")
@@ -80,9 +80,9 @@ def measure(quick: bool) -> Section:
     return section
 
 
-def _border(section: Section, rounds: int) -> None:
-    """One object in one process, called over and over, beside `cat` in its place."""
-    command = ["env", PYTHON, *BORDER, "--", "--json", rounds]
+def _measure_calls(section: Section, rounds: int) -> None:
+    """Measures calls to an object in a process, and the same calls with `cat` in place of the object."""
+    command = ["env", PYTHON, *CALL_BENCH, "--", "--json", rounds]
     rows = json.loads(output(command, folder=ROOT, timeout_s=600))
     section.say(
         "What a call costs beyond the custom code: a round trip to an object that returns what it got, "
@@ -97,7 +97,7 @@ def _border(section: Section, rounds: int) -> None:
 
 
 def _commands(arena: Arena, count: int, iterations: int) -> tuple[float, Stages]:
-    """The published commands with Python objects: iterations per second and stages."""
+    """Runs the commands of the paper's program with Python objects. Returns iterations per second and stages."""
     with tempfile.TemporaryDirectory(prefix="peernet-bench-") as folder:
         network = Path(folder, "net_config.yaml")
         network.write_text(
@@ -105,7 +105,7 @@ def _commands(arena: Arena, count: int, iterations: int) -> tuple[float, Stages]
         )
         common = ["--network", "zmq-tcp", "--network-config", network]
         server = [PEERNET, "--server", "--name", "cloud", *common, "--model-name", "echo::Echo", "--device", "cpu"]
-        # It is stopped when the client has all.
+        # The server is stopped after the client has ended, so the number only has to be large enough.
         server += ["--iterations", 1_000_000_000, "--quiet"]
         client = [PEERNET, "--client", "--name", "edge", *common, "--sensor-object", "echo::Source", "--quiet"]
         client += ["--iterations", iterations + WARM_UP, "--result-loc", f"{folder}/results"]
@@ -117,6 +117,6 @@ def _commands(arena: Arena, count: int, iterations: int) -> tuple[float, Stages]
             rows = list(csv.DictReader(file))[WARM_UP:]
     if bad := [row for row in rows if row["outcome"] != "ok"]:
         raise Failure(f"{len(bad)} iterations of {count} bytes did not go well: {bad[0]['reason']}")
-    taken = float(rows[-1]["at"]) + float(rows[-1]["total"]) - float(rows[0]["at"])
+    elapsed = float(rows[-1]["at"]) + float(rows[-1]["total"]) - float(rows[0]["at"])
     spreads = {name: spread(float(row[name]) for row in rows if row[name]) for name in NAMES if rows[0].get(name)}
-    return len(rows) / taken, spreads
+    return len(rows) / elapsed, spreads

@@ -58,19 +58,20 @@ class Bench:
     """Ports of the scripted server and of the cloud, and number of answers of each model in a run."""
 
     folder: Path
-    server: int
-    cloud: int
+    server_port: int
+    cloud_port: int
     counts: dict[str, int]
 
     def read(self, model: str, reader: str) -> list[Answer]:
         """Measures the answers of a model with one of READERS."""
         if not reader.startswith("PEERNet"):
-            command = peer("token_server", "read", self.server, model, self.counts[model])
+            command = peer("token_server", "read", self.server_port, model, self.counts[model])
             command += [] if reader == BARE else ["--parse"]
             return [Answer(one["at"], one["total"], one["first"]) for one in json.loads(output(command))]
         is_local = reader == "PEERNet, local"
         name = f"{model}-{'local' if is_local else 'cloud'}"
-        text = _experiment(model, self.counts[model], None if is_local else self.cloud, _openai(self.server, model))
+        port = None if is_local else self.cloud_port
+        text = _experiment(model, self.counts[model], port, _openai(self.server_port, model))
         (run,) = run_experiment(self.folder, name, text)
         first = "inference_time-to-first-token" if is_local else "first-part"
         return [
@@ -144,17 +145,19 @@ def _burst(section: Section, bench: Bench, repeats: int) -> None:
         whole = median(totals[reader])
         table.row(reader, micros(whole), micros(whole / BURST), "–" if reader == BARE else micros(median(beyond)))
         if reader.startswith("PEERNet"):
-            seen = median(beyond)
+            token_s = median(beyond)
             promise = f"streaming, {reader.removeprefix('PEERNet, ')}: ≤ {TOKEN_AIM_S * 1e6:g} µs per token"
-            section.aim(promise, f"{micros(seen)} µs", seen <= TOKEN_AIM_S)
+            section.aim(promise, f"{micros(token_s)} µs", token_s <= TOKEN_AIM_S)
     section.table(table)
     section.say(f"Median number of parts per answer that arrived at the edge: {median(parts):,.0f}.")
 
 
 def _paced(section: Section, bench: Bench, repeats: int) -> None:
     readers = (BARE, *READERS[2:])
-    seen: dict[str, list[AnswerDelays]] = {reader: [] for reader in readers}
-    _in_turn("paced", repeats, readers, lambda reader: seen[reader].append(_delays(bench, bench.read("paced", reader))))
+    delays: dict[str, list[AnswerDelays]] = {reader: [] for reader in readers}
+    _in_turn(
+        "paced", repeats, readers, lambda reader: delays[reader].append(_delays(bench, bench.read("paced", reader)))
+    )
     section.say(
         f"The same server sends {PACED} tokens, one each {INTERVAL_MS:g} ms; {repeats} repeats of "
         f"{bench.counts['paced']} answers, in turn. *First token*: from the request to the first token at the reader "
@@ -163,8 +166,8 @@ def _paced(section: Section, bench: Bench, repeats: int) -> None:
         "clock of one machine."
     )
     table = Table("delay, µs", "first token p50", "p99", "end p50", "p99")
-    for reader, delays in seen.items():
-        spreads = [median_spread([spread(getattr(one, key)) for one in delays]) for key in ("first", "end")]
+    for reader, repeated in delays.items():
+        spreads = [median_spread([spread(getattr(one, key)) for one in repeated]) for key in ("first", "end")]
         table.row(reader, *(micros(one[key]) for one in spreads for key in ("p50", "p99")))
     section.table(table)
 
@@ -184,29 +187,32 @@ def _delays(bench: Bench, answers: list[Answer]) -> AnswerDelays:
 
 def _whole(section: Section, bench: Bench, repeats: int, ports: list[int]) -> None:
     count, baseline = bench.counts["whole"], _baseline()
-    columns: dict[str, list[dict[str, dict[str, float]]]] = {}
+    # For each name and repeat: spreads of the total, and of the total without inference.
+    repeats_by_name: dict[str, list[dict[str, dict[str, float]]]] = {}
+    echo_port, old_port = ports
+    # Port of the cloud, and build of `peernet` that sends the requests.
+    targets = {"not streamed": (echo_port, PEERNET), "one part": (bench.cloud_port, PEERNET)}
+    if baseline:
+        targets["baseline"] = (old_port, baseline / "peernet")
 
     def add(name: str) -> None:
         model = "whole" if name == "one part" else "echo"
-        port, program = places[name]
+        port, program = targets[name]
         text = _experiment(model, count, port, "")
         (run,) = run_experiment(bench.folder, f"{name.replace(' ', '-')}-cloud", text, program=program)
         total, inference = run.samples("total"), run.samples("inference")
-        outside = [a - b for a, b in zip(total, inference, strict=True)]
-        columns.setdefault(name, []).append({"total": spread(total), "outside": spread(outside)})
+        without = [a - b for a, b in zip(total, inference, strict=True)]
+        spreads = {"total": spread(total), "without inference": spread(without)}
+        repeats_by_name.setdefault(name, []).append(spreads)
 
-    echo_port, old_port = ports
-    places = {"not streamed": (echo_port, PEERNET), "one part": (bench.cloud, PEERNET)}
-    if baseline:
-        places["baseline"] = (old_port, baseline / "peernet")
     for repeat in range(repeats):
-        # The two builds have the same models, and new processes in each repeat: a process may keep a faster or slower
-        # core, by up to 40 % of a request.
+        # These clouds are new processes in each repeat. A process may stay on a faster or on a slower core, which changes
+        # the time of a request by up to 40 %.
         with ExitStack() as clouds:
             clouds.enter_context(cloud(bench.folder, echo_port, _echo()))
             if baseline:
                 clouds.enter_context(cloud(bench.folder, old_port, _echo(), program=baseline / "peernetd"))
-            first, names = repeat % len(places), list(places)
+            first, names = repeat % len(targets), list(targets)
             _in_turn(f"not streamed, processes {repeat + 1}", 1, [*names[first:], *names[:first]], add)
     section.say(
         f"An answer of {WHOLE_BYTES:,} bytes through the cloud: *not streamed*, by the model `echo`; in *one part*, by "
@@ -215,12 +221,16 @@ def _whole(section: Section, bench: Bench, repeats: int, ports: list[int]) -> No
         + (f" *Baseline*: not streamed, by the build that `{BASELINE}` names." if baseline else "")
     )
     table = Table("µs", "total p50", "p99", "total without inference p50", "p99")
-    for name in places:
-        spreads = [median_spread([one[key] for one in columns[name]]) for key in ("total", "outside")]
+    for name in targets:
+        spreads = [
+            median_spread([one[key] for one in repeats_by_name[name]]) for key in ("total", "without inference")
+        ]
         table.row(name, *(micros(one[key]) for one in spreads for key in ("p50", "p99")))
     section.table(table)
     if baseline:
-        ours, old = ([one["total"]["p50"] for one in columns[name]] for name in ("not streamed", "baseline"))
+        ours, old = (
+            [one["total"]["p50"] for one in repeats_by_name[name]] for name in ("not streamed", "baseline")
+        )
         cost = ratio(ours, old)
         promise = f"a request that is not streamed ≤ {BASELINE_AIM:g} × the older build's"
         section.aim(promise, times(cost), cost <= BASELINE_AIM)

@@ -1,4 +1,4 @@
-"""Errors of one-way delays while an assumption is violated, and their duration."""
+"""Errors of one-way delays while an assumption is violated, and the time for which such errors occur."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ from report import Section, Table, micros
 
 # When a violation begins, seconds after the start of the edge; 0: from the start.
 BEGINS_S = 8.0
+# Window of the estimator (`[clock] window_s`); wrong delays must end within it.
 WINDOW_S = 10.0
 PROBE_PORT = 8620
 FORGER_PORT = 9999
+# Packet mark of the forger's own probes, which are not redirected.
 FORGER_MARK = 1
 FORGED_MS = 13
-PAUSE_S = 0.039
+# Jump of all clocks of a host, as after a pause of a virtual machine.
+JUMP_S = 0.039
 FALSE_TIME_S = -0.02
 
 
@@ -34,7 +37,8 @@ class Case:
     path: Path
     scene: Scene
     begins_s: float = 0.0
-    beside: Callable[[Host, Host], AbstractContextManager[object]] = lambda edge, cloud: nullcontext()
+    # Context in which the scene runs.
+    disturbance: Callable[[Host, Host], AbstractContextManager[object]] = lambda edge, cloud: nullcontext()
 
 
 def prepare() -> None:
@@ -54,7 +58,7 @@ def measure(quick: bool) -> Section:
     longest = 0.0
     for case in _cases(10.0 if quick else 30.0):
         print(f"  {case.name}, {case.path.name}", file=sys.stderr, flush=True)
-        with case.path.hosts() as (edge, cloud), case.beside(edge, cloud):
+        with case.path.hosts() as (edge, cloud), case.disturbance(edge, cloud):
             ways = case.scene.run(edge, cloud)
         delays = sorted((one for way in ways.values() for one in way), key=lambda one: one.at)
         longest = max(longest, _row(table, case, delays))
@@ -66,6 +70,7 @@ def measure(quick: bool) -> Section:
 
 
 def _row(table: Table, case: Case, delays: list[JudgedDelay]) -> float:
+    """Adds a row; returns the seconds from the beginning of the violation to its last wrong delay."""
     wrong = [one for one in delays if one.is_outside]
     until = max((one.at - case.begins_s for one in wrong), default=0.0)
     believed = sum(one.is_believed for one in delays)
@@ -98,13 +103,13 @@ def _again(case: Case, delays: list[JudgedDelay]) -> str:
 def _cases(seconds: float) -> list[Case]:
     begins = min(BEGINS_S, seconds / 2)
     limit = "discipline = []\nmax_drift_ppm = 50.0"
-    pause = Clocks(wall_steps=((begins, PAUSE_S),), raw_steps=((begins, PAUSE_S),))
+    jump = Clocks(wall_steps=((begins, JUMP_S),), raw_steps=((begins, JUMP_S),))
     chrony = f'discipline = ["chrony"]\ndiscipline_interval_s = 0.5\n{others.chronyc_settings()}'
     return [
         Case("drift of 150 ppm, limit 50 ppm", wire(5, 40), Scene(Clocks(150.0, settings=limit), seconds)),
         Case("drift of 150 ppm, limit 50 ppm", VETH, Scene(Clocks(150.0, settings=limit), seconds)),
-        Case("all clocks of a host jump by 39 ms", wire(20, 20), Scene(pause, seconds), begins),
-        Case("all clocks of a host jump by 39 ms", VETH, Scene(pause, seconds), begins),
+        Case("all clocks of a host jump by 39 ms", wire(20, 20), Scene(jump, seconds), begins),
+        Case("all clocks of a host jump by 39 ms", VETH, Scene(jump, seconds), begins),
         Case("the wall clock is slewed by 500 and 40,000 ppm", wire(5, 40), Scene(Clocks(wall_steps=slews()), seconds)),
         Case(f"probes are forged by {FORGED_MS} ms", wire(20, 20), Scene(Clocks(), seconds), 0.0, _forging),
         Case(
@@ -117,7 +122,7 @@ def _cases(seconds: float) -> list[Case]:
             wire(5, 40),
             Scene(Clocks(ahead_s=0.01, discipline="unaware", settings=chrony), seconds),
             0.0,
-            others.sure_daemons,
+            others.daemons_with_small_claims,
         ),
     ]
 

@@ -327,7 +327,7 @@ mod tests {
         // Most of this total is unattributed time.
         total.1.mean = 0.1;
         let stack = Stack::of_window(pipeline.window(10).expect("a window"));
-        let (title, bar) = (title(&pipeline, &stack), stack.finding((None, None)));
+        let (title, bar) = (title(&pipeline, &stack), stack.description((None, None)));
         assert!(
             title.contains("longest upload (6.3") && bar.contains("Longest stages: upload 6.3"),
             "{title}; {bar}"
