@@ -51,7 +51,8 @@ export async function violations(page) {
 // Returns how far the page can be scrolled sideways, in pixels.
 export const horizontalOverflow = (page) => page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
 
-// Waits until the live figures of an element have changed. It must be visible, because others are not updated.
+// Waits until the live figures of an element have changed. The element is scrolled into view, because only visible
+// elements are updated.
 export async function waitForUpdate(page, selector) {
   await page.locator(selector).first().scrollIntoViewIfNeeded();
   const before = await page.locator(selector).innerText();
@@ -63,14 +64,15 @@ export const waitForCharts = (page) => page.waitForFunction(() => Array.from(doc
 
 // Opens a page with charts whose data `change` has changed. The live stream is blocked, so that nothing is added.
 export async function openWithData(browser, base, path, change, options) {
+  // Another page is opened first, because the routes must be set before `path` is loaded.
   const opened = await open(browser, base, "/compare", options), { page } = opened;
   await page.route("**/api/v1/live*", (route) => route.abort());
   await page.route(`${base}${path}`, async (route) => {
     const answer = await route.fetch();
     const body = (await answer.text()).replace(/(<script[^>]*id="data"[^>]*>)(.*?)(<\/script>)/s, (_, begin, data, end) => {
-      const known = JSON.parse(data);
-      change(known);
-      return begin + JSON.stringify(known).replaceAll("<", "\\u003c") + end;
+      const changed = JSON.parse(data);
+      change(changed);
+      return begin + JSON.stringify(changed).replaceAll("<", "\\u003c") + end;
     });
     await route.fulfill({ response: answer, body });
   });

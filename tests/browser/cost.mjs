@@ -7,7 +7,8 @@ import { waitForCharts, launch, waitForUpdate, open } from "./browser.mjs";
 const [base, seconds] = [process.argv[2], Number(process.argv[3])];
 const NAMES = { task: "TaskDuration", script: "ScriptDuration", layout: "LayoutDuration", style: "RecalcStyleDuration" };
 
-// Returns the counters over a time. Shares refer to elapsed time, for both kinds of durations.
+// Measures the counters for `seconds` and returns each as a share of the elapsed time. `timeDomain` says whether a
+// counter adds up processor time (threadTicks) or elapsed time (timeTicks).
 async function costs(browser, timeDomain) {
   const { page, close } = await open(browser, base, "/");
   await waitForCharts(page);

@@ -9,8 +9,8 @@ const TIMEOUT_MS = 60000;
 // Set before the tests run.
 export let browser, pages;
 
-// Polls until the store has a run with enough iterations.
-async function stored() {
+// Waits for a run with enough iterations in the store and returns it, if possible a run of a remote pipeline.
+async function waitForRun() {
   const until = Date.now() + TIMEOUT_MS;
   for (;;) {
     const { runs } = await (await fetch(`${base}/api/v1/runs`)).json();
@@ -40,7 +40,7 @@ async function tasks() {
 
 before(async () => {
   browser = await launch(base);
-  const run = await stored();
+  const run = await waitForRun();
   const { iterations } = await (await fetch(`${base}/api/v1/runs/${run.number}/iterations?order=slowest&limit=1`)).json();
   pages = {
     overview: "/",

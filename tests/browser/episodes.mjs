@@ -32,8 +32,8 @@ describe("runs over time", () => {
         if (script) {
           await waitForCharts(page);
           const marks = await page.evaluate(() => globalThis.echarts.getInstanceByDom(document.getElementById("run-chart")).getOption().series.find((one) => one.name === "run-marks").data);
-          // Two periods of warm-up, which are the first episode with the first step of the second, and the first step of the third; then the
-          // borders of the episodes.
+          // Two marks are periods of warm-up: the first episode with the first step of the second, and the first step
+          // of the third. The other two are the borders of the episodes; each begins and ends at the same time.
           assert.equal(marks.filter(([from, to]) => from === to).length, 2);
           assert.equal(marks.length, 4);
         } else {

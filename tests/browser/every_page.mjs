@@ -70,6 +70,7 @@ describe("titles and print", () => {
   test("every page has a unique title", async () => {
     const titles = new Map();
     for (const [name, path] of Object.entries(pages)) {
+      // This is the page `link` with another chart, so the title is the same.
       if (name === "linkMeasured") continue;
       const { page, close } = await open(browser, base, path);
       const title = await page.title();

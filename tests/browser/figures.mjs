@@ -61,8 +61,9 @@ describe("navigation", () => {
 });
 
 describe("charts of few data", () => {
-  // Opens the overview with the given seconds in its first chart, without later updates.
-  async function first(change, options) {
+  // Opens the overview after `change` has replaced the data of its first chart, without later updates. Returns
+  // functions for the points of a series: `all`, and `of`, which omits points without a value.
+  async function openFirstChart(change, options) {
     const { page, errors, close } = await openWithData(browser, base, "/", (data) => change(data.charts[0]), options);
     const series = await page.evaluate(() => {
       const all = globalThis.echarts.getInstanceByDom(document.querySelector(".live-chart")).getOption().series;
@@ -73,14 +74,14 @@ describe("charts of few data", () => {
   }
 
   test("run of one second is a visible area and a dot", async () => {
-    const { of } = await first((chart) => Object.assign(chart, { remote: true, n: [32], p95: { size: 1, points: [[chart.from, 9]] }, means: { total: [8], inference: [5] }, transfers: { up: [[3e6, 1e6]], down: [null] }, obstacles: [null, null], cpu: [], gpu: [] }));
+    const { of } = await openFirstChart((chart) => Object.assign(chart, { remote: true, n: [32], p95: { size: 1, points: [[chart.from, 9]] }, means: { total: [8], inference: [5] }, transfers: { up: [[3e6, 1e6]], down: [null] }, obstacles: [null, null], cpu: [], gpu: [] }));
     assert.equal(of("inference").length, 2);
     assert.deepEqual(of("p95").map(({ value }) => value), [9, 9]);
     assert.deepEqual(of("strip 0").map(({ value, symbol }) => [value, symbol]), [[3, "circle"]]);
   });
 
-  // Ten minutes at 2 Hz with one iteration of 1.4 s. A minute has 120 iterations, and a shorter bucket too few. They end after those
-  // of all other charts, so that they determine the time range.
+  // Ten minutes at 2 Hz with one iteration of 1.4 s. A minute has 120 iterations, and a shorter bucket has too few for
+  // a percentile. The ten minutes end after the data of all other charts, so that they determine the time range.
   const slow = (chart) => {
     const from = (Math.floor(chart.from / 60) + 1) * 60, seconds = Array.from({ length: 600 }, (_, at) => at);
     const total = seconds.map((at) => (at === 333 ? 705 : 10)), points = [0, 60, 120, 240, 300, 360, 420, 480, 540].map((at) => [from + at, 11]);
@@ -89,7 +90,7 @@ describe("charts of few data", () => {
   test("percentiles and means do not depend on the width", async () => {
     const drawings = [];
     for (const width of [400, 1440, 2560]) {
-      const { all } = await first(slow, { width });
+      const { all } = await openFirstChart(slow, { width });
       drawings.push({ p95: all("p95"), inference: all("inference") });
     }
     assert.deepEqual(drawings[0], drawings[1]);
@@ -101,7 +102,7 @@ describe("charts of few data", () => {
   });
 
   test("CPU line is interrupted without reports", async () => {
-    const { all } = await first((chart) => {
+    const { all } = await openFirstChart((chart) => {
       const from = chart.from;
       Object.assign(chart, { remote: false, cpu: [[from, 90], [from + 5, 100], [from + 500, 100], [from + 505, 80]], gpu: [] });
     });

@@ -5,7 +5,8 @@ import { openWithData, waitForCharts, open } from "./browser.mjs";
 import { base, browser, pages } from "./dashboard.mjs";
 
 describe("charts", () => {
-  // Returns the plots of all charts, and the labels that exceed their canvas.
+  // Returns for each chart the left edges and widths of its plots, as configured (`wanted`) and as drawn (`found`), and
+  // the labels that exceed its canvas (`cut`).
   const plots = (page) => page.evaluate(() => Array.from(document.querySelectorAll(".chart"), (node) => {
     const chart = globalThis.echarts.getInstanceByDom(node), model = chart.getModel();
     const cut = chart.getZr().storage.getDisplayList(true).filter((one) => one.type === "tspan" && one.style.text).flatMap((one) => {

@@ -14,6 +14,7 @@ describe("failures", () => {
     await waitForUpdate(page, "#part-now");
     const figure = await page.locator("#part-now .p50").first().innerText();
     await page.route("**/api/v1/live*", (route) => route.abort());
+    // A page that returns from the back-forward cache opens its stream again, which now fails.
     await page.evaluate(() => dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true })));
     await page.waitForFunction(() => !document.getElementById("banner").hidden);
     assert.match(await page.locator("#banner").innerText(), /Connection to the aggregator lost at \d\d:\d\d:\d\d/);
@@ -37,6 +38,7 @@ describe("failures", () => {
       await page.locator("#banner", { hasText: "Connection to the aggregator lost at" }).waitFor();
       const live = (await page.locator("[id^=part-] h1").count()) > 0;
       assert.equal((await page.locator("h1").innerText()) !== alive, live, `${name}: a live title shows its time`);
+      // Without a connection, the dots of states are hollow.
       const dots = await page.locator("main .dot").evaluateAll((all) => all.map((dot) => getComputedStyle(dot).backgroundColor));
       assert.deepEqual(dots.filter((colour) => colour !== "rgba(0, 0, 0, 0)"), [], name);
       await close();

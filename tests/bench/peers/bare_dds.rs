@@ -29,7 +29,7 @@ const DOMAIN: u16 = 77;
 /// Socket buffers, bytes, as large as those that an agent requests.
 const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 
-/// Longest wait for an answer; the repair of a message takes some of it.
+/// Longest wait for an answer, which includes retransmissions.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Longest wait for the other end.

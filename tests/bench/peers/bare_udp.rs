@@ -18,7 +18,7 @@ use self::round_trips::RoundTrips;
 /// Socket buffers, bytes: all datagrams of a message fit.
 const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 
-/// Longest wait for the rest of a message.
+/// Longest wait for the next datagram of an answer.
 const RECEIVE_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// Length of the head of each datagram: number of the message, length of the message and of its answer, 32 bits each.

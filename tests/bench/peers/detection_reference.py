@@ -77,7 +77,7 @@ class Detector:
         """Returns the output of the graph, [1, 4 + classes, candidates]."""
         return self.session.run([self.output], {self.input: tensor})[0]
 
-    def answer(self, out: np.ndarray, fitted: Letterbox) -> str:
+    def answer(self, out: np.ndarray, letterbox: Letterbox) -> str:
         """Returns the objects in an output as JSON, the best first."""
         candidates = out[0].T
         scores = candidates[:, 4:]
@@ -92,14 +92,14 @@ class Detector:
         apart = boxes + (classes * np.float32(2 * max(self.width, self.height)))[:, None]
         kept = suppress(apart, best, self.iou_threshold)[: self.max_detections]
         boxes, classes, best = boxes[kept], classes[kept], best[kept]
-        boxes = (boxes - [fitted.left, fitted.top] * 2) / ([fitted.scale_x, fitted.scale_y] * 2)
-        boxes[:, [0, 2]] = boxes[:, [0, 2]].clip(0, fitted.width)
-        boxes[:, [1, 3]] = boxes[:, [1, 3]].clip(0, fitted.height)
+        boxes = (boxes - [letterbox.left, letterbox.top] * 2) / ([letterbox.scale_x, letterbox.scale_y] * 2)
+        boxes[:, [0, 2]] = boxes[:, [0, 2]].clip(0, letterbox.width)
+        boxes[:, [1, 3]] = boxes[:, [1, 3]].clip(0, letterbox.height)
         objects = [
             {"label": self.labels[number], "score": score, "box": box}
             for number, score, box in zip(classes.tolist(), best.tolist(), boxes.tolist(), strict=True)
         ]
-        return json.dumps({"detections": objects, "width": fitted.width, "height": fitted.height})
+        return json.dumps({"detections": objects, "width": letterbox.width, "height": letterbox.height})
 
 
 def suppress(boxes: np.ndarray, scores: np.ndarray, threshold: float) -> list[int]:
@@ -129,11 +129,11 @@ def main() -> None:
             end = time.perf_counter() + seconds
         data = path.read_bytes()
         stamps = [time.perf_counter()]
-        tensor, fitted = detector.prepare(data)
+        tensor, letterbox = detector.prepare(data)
         stamps.append(time.perf_counter())
         out = detector.run(tensor)
         stamps.append(time.perf_counter())
-        detector.answer(out, fitted)
+        detector.answer(out, letterbox)
         stamps.append(time.perf_counter())
         if end is not None:
             spans = [*(b - a for a, b in itertools.pairwise(stamps)), stamps[-1] - stamps[0]]
@@ -146,8 +146,8 @@ def main() -> None:
 
 
 def _prepare_and_run(detector: Detector, data: bytes) -> tuple[np.ndarray, Letterbox]:
-    tensor, fitted = detector.prepare(data)
-    return detector.run(tensor), fitted
+    tensor, letterbox = detector.prepare(data)
+    return detector.run(tensor), letterbox
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 //! Durable stream of one agent: a backlog of iterations is sent to an aggregator as fast as it is accepted, with or
 //! without the control of bytes in flight.
 //!
-//! State machine, socket and aggregator are those of PEERNet. The spool is in memory. All messages are delayed at both
-//! ends of the path, by half a round trip. Without control, requests for echoes are answered here as soon as the
-//! state machine has nothing more to send, so it always believes that everything has arrived.
+//! State machine, socket and aggregator are those of PEERNet. The spool is in memory. This program delays each message
+//! that it sends or receives by half a round trip. Without control, it answers requests for echoes itself as soon as
+//! the state machine has nothing more to send, so the state machine always believes that everything has arrived.
 //!
 //! `event-stream ADDRESS ITERATIONS ROUND-TRIP-MS on|off`, which prints one JSON object.
 
@@ -29,7 +29,11 @@ use zeromq::{Message, Options, Socket, SocketType, TrySendError};
 
 /// Number of batches in flight, as in agents.
 const WINDOW: u32 = 32;
+
+/// Capacity of the socket's queue, messages.
 const QUEUE_MESSAGES: u32 = 8;
+
+/// Longest time until the next tick of the state machine if no delayed message is due.
 const MAX_WAIT: Duration = Duration::from_millis(20);
 
 #[tokio::main]
@@ -79,9 +83,9 @@ impl Agent {
             compression: Compression::Never,
             ..SendingConfig::default()
         };
-        let spool = SpoolState::new(StreamId::random());
+        let spool_state = SpoolState::new(StreamId::random());
         let host = generate::host(HostId::random(), "edge");
-        let state_machine = Sending::new(config, host, HostSecret::random(), 1, spool);
+        let state_machine = Sending::new(config, host, HostSecret::random(), 1, spool_state);
         let (spool, up, down) = Default::default();
         Ok(Self {
             clock,
@@ -112,7 +116,7 @@ impl Agent {
         self.execute_actions();
     }
 
-    /// Returns the next action of the state machine.
+    /// Returns the next action of the state machine. If it has none, answers the requested echo and asks once more.
     fn next_action(&mut self) -> Option<Action> {
         loop {
             let action = self.state_machine.next(self.clock.mono());
@@ -163,9 +167,9 @@ impl Agent {
     fn load(&self, from: u64, max_bytes: usize) -> Vec<SpooledBatch> {
         let mut bytes = 0;
         let batches = self.spool.iter().skip_while(|batch| batch.number < from).take_while(|batch| {
-            let first = bytes == 0;
+            let is_first = bytes == 0;
             bytes += batch.body.len();
-            first || bytes <= max_bytes
+            is_first || bytes <= max_bytes
         });
         batches.cloned().collect()
     }
@@ -196,7 +200,7 @@ impl Agent {
             }
             while let Some((_, frame)) = self.down.pop_front_if(|(time, _)| *time <= Instant::now()) {
                 let message: ToAgent =
-                    codec::decode(&frame).context("the aggregator's message makes no sense")?;
+                    codec::decode(&frame).context("cannot decode the aggregator's message")?;
                 self.state_machine.on_message(&message, self.clock.stamp());
             }
         }

@@ -1,4 +1,4 @@
-"""Somebody on the path who sees probes and makes the reflector's clocks seem to be ahead.
+"""A program on the path that alters answers to probes, so that the reflector's clocks seem to be ahead.
 
     forge_probes.py --listen PORT --reflector ADDRESS:PORT --add-ms N --mark N
 
@@ -12,16 +12,17 @@ import select
 import socket
 import struct
 
-# Their positions in a base packet without and with authentication (RFC 8762, sections 4.2.1 and 4.3.1).
+# Offsets of the reflector's stamps in a packet without and with authentication (RFC 8762, sections 4.2.1 and 4.3.1).
 OPEN_STAMPS, AUTHENTICATED_STAMPS = (4, 16), (16, 32)
-# Begins the value of the TLV with stamps of the free-running clock.
+# First bytes of the value of the TLV with stamps of the free-running clock, and offsets of the stamps in this value.
 RAW_MARK = b"PRAW"
 RAW_STAMPS = (8, 16)
 
 
 def forged(answer: bytes, add_ns: int) -> bytes:
-    """The answer as another clock would have given it."""
+    """Returns the answer as a reflector would give it whose clocks are `add_ns` ahead."""
     packet = bytearray(answer)
+    # An authenticated packet has zeros where a packet without authentication has its first stamp.
     is_open = any(packet[4:12])
     ntp = (add_ns << 32) // 1_000_000_000
     for at in OPEN_STAMPS if is_open else AUTHENTICATED_STAMPS:
@@ -32,9 +33,9 @@ def forged(answer: bytes, add_ns: int) -> bytes:
     return bytes(packet)
 
 
-def _add(packet: bytearray, at: int, what: int) -> None:
+def _add(packet: bytearray, at: int, added: int) -> None:
     (stamp,) = struct.unpack_from(">Q", packet, at)
-    struct.pack_into(">Q", packet, at, (stamp + what) % (1 << 64))
+    struct.pack_into(">Q", packet, at, (stamp + added) % (1 << 64))
 
 
 def main() -> None:

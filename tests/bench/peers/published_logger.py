@@ -1,7 +1,7 @@
 """A logger that does the work of the logger of the paper's program: a tree of small objects that is pickled with every message.
 
-Nodes start when they are made, read the wall clock, and are found by walking the tree. Nothing more than the
-comparison needs.
+Nodes start when they are created, read the wall clock, and are found by walking the tree. The logger has only what
+the comparison needs.
 """
 
 from __future__ import annotations

@@ -13,10 +13,11 @@ const WARM_UP: usize = 200;
 pub(crate) struct RoundTrips {
     clock: SystemClock,
     limit: Span,
-    start: MonoTime,
+    warm_up_start: MonoTime,
     /// Beginning of the first round trip that counts.
-    begin: Option<MonoTime>,
-    count: usize,
+    first_counted: Option<MonoTime>,
+    /// Number of round trips that have begun, warm-up included.
+    begun: usize,
     lost: usize,
     /// Durations of the round trips, and of the stages that a driving end knows, by name.
     stages: BTreeMap<&'static str, Vec<Span>>,
@@ -26,19 +27,28 @@ impl RoundTrips {
     /// Begins the warm-up.
     pub(crate) fn new(seconds: u64) -> anyhow::Result<Self> {
         let clock = SystemClock::new(ClockIdentity::from_system(ClockIdentity::SYSTEM)?);
-        let (start, limit) = (clock.mono(), Span::from_seconds(i64::try_from(seconds)?));
-        Ok(Self { clock, limit, start, begin: None, count: 0, lost: 0, stages: BTreeMap::new() })
+        let (warm_up_start, limit) = (clock.mono(), Span::from_seconds(i64::try_from(seconds)?));
+        Ok(Self {
+            clock,
+            limit,
+            warm_up_start,
+            first_counted: None,
+            begun: 0,
+            lost: 0,
+            stages: BTreeMap::new(),
+        })
     }
 
     /// Returns the beginning of the next round trip; `None` if the time is over.
     pub(crate) fn next(&mut self) -> Option<MonoTime> {
         let now = self.clock.mono();
-        if self.begin.is_none() && (self.count == WARM_UP || now - self.start > Span::from_seconds(1)) {
-            (self.begin, self.lost) = (Some(now), 0);
+        let is_warm = self.begun == WARM_UP || now - self.warm_up_start > Span::from_seconds(1);
+        if self.first_counted.is_none() && is_warm {
+            (self.first_counted, self.lost) = (Some(now), 0);
             self.stages.clear();
         }
-        self.count += 1;
-        self.begin.is_none_or(|begin| now - begin < self.limit).then_some(now)
+        self.begun += 1;
+        self.first_counted.is_none_or(|first| now - first < self.limit).then_some(now)
     }
 
     /// Records the end of the round trip that began at this time: its stages, or `None` if no answer came.
@@ -55,7 +65,7 @@ impl RoundTrips {
 
     /// Returns the results as one JSON object; quantiles are nearest ranks, in seconds.
     pub(crate) fn figures(self) -> anyhow::Result<Value> {
-        let elapsed = self.clock.mono() - self.begin.unwrap_or(self.start);
+        let elapsed = self.clock.mono() - self.first_counted.unwrap_or(self.warm_up_start);
         let Some(answered) = self.stages.get("total").map(Vec::len) else {
             bail!("no message was answered, {} were lost", self.lost)
         };

@@ -1,4 +1,4 @@
-"""What one timed node of the paper's program's kind of logger costs: prints seconds per node, one per repeat.
+"""Cost of one timed node in a logger like that of the paper's program: prints the seconds per node of each repeat.
 
 Usage: timer.py NODES REPEATS
 """
