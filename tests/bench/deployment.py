@@ -77,11 +77,11 @@ class Deployment:
 def deployment() -> Iterator[Deployment]:
     """Yields an empty deployment. Its daemons are stopped and its folder is removed afterwards."""
     with tempfile.TemporaryDirectory(prefix="peernet-bench-") as folder:
-        it = Deployment(Path(folder))
+        daemons = Deployment(Path(folder))
         try:
-            yield it
+            yield daemons
         finally:
-            it.stop()
+            daemons.stop()
 
 
 def free_ports(count: int) -> list[int]:

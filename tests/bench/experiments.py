@@ -79,9 +79,9 @@ def cloud(
         f'[serve]\nlisten = "tcp://127.0.0.1:{port}"\n{models}'
     )
     environment = {"ORT_DYLIB_PATH": str(ONNX_RUNTIME), **(environment or {})}
-    with Program([program, "run", file], folder / f"cloud-{port}.log", folder=folder, environment=environment) as it:
-        it.wait_until("it listens", lambda: _listens(it, port))
-        yield it
+    with Program([program, "run", file], folder / f"cloud-{port}.log", folder=folder, environment=environment) as agent:
+        agent.wait_until("it listens", lambda: _listens(agent, port))
+        yield agent
 
 
 def read_answers(file: Path) -> dict[str, Any]:

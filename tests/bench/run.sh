@@ -4,5 +4,5 @@
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 python=$here/../../.venv-tools/bin/python
-[ -x "$python" ] || { echo "run.sh: $python is not there; make it with deploy/install-tools.sh bench" >&2; exit 69; }
+[ -x "$python" ] || { echo "run.sh: $python does not exist; create it with deploy/install-tools.sh bench" >&2; exit 69; }
 exec "$python" -B "$here" "$@"

@@ -45,7 +45,7 @@ def run_of(database: Path, pipeline: str) -> Run | None:
 
 
 def missing(database: Path) -> int:
-    """Events that were measured and never stored."""
+    """Returns the number of events that were measured but not stored."""
     with _open(database) as connection:
         return int(connection.execute("SELECT coalesce(sum(count), 0) FROM gap").fetchone()[0])
 
@@ -99,7 +99,10 @@ class Delay:
 
 
 def delays(database: Path, run: Run, name: str, *, wall: bool = False) -> list[Delay]:
-    """The delays of one name, in the order of iterations, with the stamps of the free-running clocks or of the wall clocks."""
+    """Returns the delays of one name in the order of iterations.
+
+    Their stamps are of the wall clocks if `wall`, else of the free-running clocks.
+    """
     sent, received = ("sent_ns", "received_ns") if wall else ("sent_raw_ns", "received_raw_ns")
     query = (
         f"SELECT transit.{sent}, transit.{received}, node.value, node.lo, node.hi, coalesce(verdict.text, '')"
@@ -113,20 +116,20 @@ def delays(database: Path, run: Run, name: str, *, wall: bool = False) -> list[D
 
 
 def ends(database: Path, run: Run) -> list[float]:
-    """When each iteration that counts ended, seconds since 1970 on the edge's clock, rising."""
+    """Returns the ends of the iterations that count, seconds since 1970 on the edge's clock, ascending."""
     query = f"SELECT started_ns * 1e-9 + total FROM iteration WHERE {COUNTED} AND total IS NOT NULL"
     with _open(database) as connection:
         return sorted(end for (end,) in connection.execute(query, (run.number,)))
 
 
 def nodes(database: Path) -> int:
-    """Nodes that are stored, by the hosts' counters."""
+    """Returns the number of stored nodes of all hosts."""
     with _open(database) as connection:
         return int(connection.execute("SELECT coalesce(sum(nodes), 0) FROM host").fetchone()[0])
 
 
 def produced(spool: Path) -> int:
-    """Events that an agent wrote to its spool or dropped, ever."""
+    """Returns the number of events that an agent has written to its spool or dropped."""
     with _open(spool) as connection:
         row = connection.execute("SELECT produced FROM stream").fetchone()
     return 0 if row is None else int(row[0])

@@ -57,26 +57,26 @@ def _pair(hz: int, seconds: float) -> tuple[float, float, float, float, float]:
     Returns the nodes per second, both processor shares, the memory with an aggregator, and the memory that it adds.
     """
     events, web = free_ports(2)
-    with deployment() as it:
-        it.aggregator(events=events, web=web)
+    with deployment() as daemons:
+        daemons.aggregator(events=events, web=web)
         agents = {
-            "without": it.daemon("without", _agent(it, "without", hz, "")),
-            "with": it.daemon("with", _agent(it, "with", hz, f'aggregator = "tcp://127.0.0.1:{events}"')),
+            "without": daemons.daemon("without", _agent(daemons, "without", hz, "")),
+            "with": daemons.daemon("with", _agent(daemons, "with", hz, f'aggregator = "tcp://127.0.0.1:{events}"')),
         }
-        before, began = store.nodes(it.database), time.monotonic()
+        before, began = store.nodes(daemons.database), time.monotonic()
         costs = idle.measure_costs(agents, seconds)
-        nodes = (store.nodes(it.database) - before) / (time.monotonic() - began)
+        nodes = (store.nodes(daemons.database) - before) / (time.monotonic() - began)
     if nodes < hz:
         raise Failure(f"{nodes:.0f} nodes/s were stored at {hz} Hz, fewer than one per iteration")
     without, using = costs["without"], costs["with"]
     return nodes, without.processor, using.processor, using.resident, using.resident - without.resident
 
 
-def _agent(it: Deployment, name: str, hz: int, aggregator_line: str) -> str:
+def _agent(daemons: Deployment, name: str, hz: int, aggregator_line: str) -> str:
     return f"""
         [agent]
         name = "{name}"
-        state_dir = "{it.folder}/{name}"
+        state_dir = "{daemons.folder}/{name}"
         {aggregator_line}
         [[model]]
         name = "echo"

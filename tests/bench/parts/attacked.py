@@ -67,30 +67,30 @@ def _slice(
     edge: Host, cloud: Host, third: Host, target: str, name: str, seconds: int
 ) -> tuple[dict[str, float], float]:
     """Measures once with new daemons. Returns the spread of `total`, and the peak memory of the larger daemon, bytes."""
-    with deployment() as it:
-        aggregator = it.daemon("aggregator", _aggregator(it), cloud)
-        agent = it.daemon("cloud", _cloud(it, cloud), cloud)
-        edge_agent = it.daemon("edge", _edge(it, cloud, seconds), edge)
-        edge_agent.wait_until("the pipeline is stored", lambda: store.run_of(it.database, "loop") is not None)
+    with deployment() as daemons:
+        aggregator = daemons.daemon("aggregator", _aggregator(daemons), cloud)
+        agent = daemons.daemon("cloud", _cloud(daemons, cloud), cloud)
+        edge_agent = daemons.daemon("edge", _edge(daemons, cloud, seconds), edge)
+        edge_agent.wait_until("the pipeline is stored", lambda: store.run_of(daemons.database, "loop") is not None)
         ports = PORTS if name == "attacked" else DISCARD_PORTS
-        with _discarding(it, cloud, target) if name == "discarded" else nullcontext():
+        with _discarding(daemons, cloud, target) if name == "discarded" else nullcontext():
             attack = [sys.executable, "-B", ATTACK, "attack", target, *_flags(ports), "--seconds", seconds]
             attack += ["--bytes-per-second", BYTES_PER_SECOND, "--life", LIFETIME_S]
             counts = json.loads(output(third.inside(attack), timeout_s=seconds + 60))
-        edge_agent.wait_until("the run is stored", lambda: it.is_stored("loop"), seconds + 60)
+        edge_agent.wait_until("the run is stored", lambda: daemons.is_stored("loop"), seconds + 60)
         peak = max(_peak_memory(program.pid) for program in (aggregator, agent))
-        it.stop()
-        run = store.run_of(it.database, "loop")
-        if run is None or run.unsuccessful or not run.ok or store.missing(it.database):
+        daemons.stop()
+        run = store.run_of(daemons.database, "loop")
+        if run is None or run.unsuccessful or not run.ok or store.missing(daemons.database):
             raise Failure(f"the loop did not go well ({name}, {counts}): {run}; the edge said:\n{edge_agent.text()}")
-        return spread(store.samples(it.database, run, ("total",))["total"]), peak
+        return spread(store.samples(daemons.database, run, ("total",))["total"]), peak
 
 
 @contextmanager
-def _discarding(it: Deployment, cloud: Host, target: str) -> Iterator[None]:
+def _discarding(daemons: Deployment, cloud: Host, target: str) -> Iterator[None]:
     """Runs the process on the cloud that reads the attack and discards it."""
     command = cloud.inside([sys.executable, "-B", ATTACK, "discard", target, *_flags(DISCARD_PORTS)])
-    with Program(command, it.folder / "discard.log") as discard:
+    with Program(command, daemons.folder / "discard.log") as discard:
         discard.wait_until("it discards", lambda: "discarding" in discard.text())
         yield
 
@@ -105,23 +105,23 @@ def _peak_memory(pid: int) -> int:
     return int(line.split()[1]) * 1024
 
 
-def _aggregator(it: Deployment) -> str:
+def _aggregator(daemons: Deployment) -> str:
     return f"""
         [aggregator]
         name = "aggregator"
         listen = "tcp://0.0.0.0:{PORTS["events"]}"
-        database = "{it.database}"
+        database = "{daemons.database}"
         [web]
         listen = "0.0.0.0:{PORTS["http"]}"
         allow_unauthenticated = true
     """
 
 
-def _cloud(it: Deployment, cloud: Host) -> str:
+def _cloud(daemons: Deployment, cloud: Host) -> str:
     return f"""
         [agent]
         name = "cloud"
-        state_dir = "{it.folder}/cloud"
+        state_dir = "{daemons.folder}/cloud"
         aggregator = "tcp://{cloud.address}:{PORTS["events"]}"
         [serve]
         listen = ["tcp://0.0.0.0:{PORTS["data"]}", "udp://0.0.0.0:{PORTS["udp-data"]}"]
@@ -131,11 +131,11 @@ def _cloud(it: Deployment, cloud: Host) -> str:
     """
 
 
-def _edge(it: Deployment, cloud: Host, seconds: int) -> str:
+def _edge(daemons: Deployment, cloud: Host, seconds: int) -> str:
     return f"""
         [agent]
         name = "edge"
-        state_dir = "{it.folder}/edge"
+        state_dir = "{daemons.folder}/edge"
         aggregator = "tcp://{cloud.address}:{PORTS["events"]}"
         [[pipeline]]
         name = "loop"

@@ -43,16 +43,16 @@ def prepare() -> None:
 
 def measure(quick: bool) -> Section:
     repeats, seconds = (2, 2) if quick else (5, 5)
-    with deployment() as it:
-        graphs.copy_with_open_batch(MODEL, it.folder / "open-batch")
-        model_times = graphs.seconds_per_sample(it.folder / "open-batch", BATCH_SIZES, 10 if quick else 100)
-        _shrink(MODEL / "pictures", it.folder / "pictures")
+    with deployment() as daemons:
+        graphs.copy_with_open_batch(MODEL, daemons.folder / "open-batch")
+        model_times = graphs.seconds_per_sample(daemons.folder / "open-batch", BATCH_SIZES, 10 if quick else 100)
+        _shrink(MODEL / "pictures", daemons.folder / "pictures")
         (port,) = free_ports(1)
-        models = "".join(_model(it, name, batch_line) for name, batch_line in MODELS.items())
-        with cloud(it.folder, port, models):
-            text = _experiment(it, port, repeats, seconds)
-            configurations = len(MODELS) * len(USERS)
-            runs = run_experiment(it.folder, "batching", text, timeout_s=120 + repeats * configurations * (seconds + 60))
+        models = "".join(_model(daemons, name, batch_line) for name, batch_line in MODELS.items())
+        with cloud(daemons.folder, port, models):
+            text = _experiment(daemons, port, repeats, seconds)
+            timeout_s = 120 + repeats * len(MODELS) * len(USERS) * (seconds + 60)
+            runs = run_experiment(daemons.folder, "batching", text, timeout_s=timeout_s)
     return _section(runs, model_times, repeats, seconds)
 
 
@@ -126,12 +126,12 @@ def _recorded(runs: list[Run], users: int) -> str:
     return ", ".join(f"`{column}` {median(values):g}" for column, values in medians.items() if values)
 
 
-def _model(it: Deployment, name: str, batch_line: str) -> str:
+def _model(daemons: Deployment, name: str, batch_line: str) -> str:
     return f"""
 [[model]]
 name = "{name}"
 kind = "onnx"
-path = "{it.folder}/open-batch"
+path = "{daemons.folder}/open-batch"
 intra_threads = 1
 inter_threads = 1
 queue = 64
@@ -139,7 +139,7 @@ queue = 64
 """
 
 
-def _experiment(it: Deployment, port: int, repeats: int, seconds: int) -> str:
+def _experiment(daemons: Deployment, port: int, repeats: int, seconds: int) -> str:
     values = "".join(
         f'[[axis.value]]\nlabel = "{name}"\nset = {{ "pipeline.placement.model" = "{name}" }}\n' for name in MODELS
     )
@@ -149,7 +149,7 @@ duration_s = {seconds}.0
 repeats = {repeats}
 warm_up = {{ iterations = {WARM_UP} }}
 [pipeline]
-sensor = {{ kind = "images", path = "{it.folder}/pictures" }}
+sensor = {{ kind = "images", path = "{daemons.folder}/pictures" }}
 placement = {{ kind = "remote", peer = "tcp://127.0.0.1:{port}" }}
 load = {{ mode = "closed" }}
 [[axis]]

@@ -33,13 +33,13 @@ def measure(quick: bool) -> Section:
         "processor."
     )
     events, data, web = free_ports(3)
-    with deployment() as it:
-        it.aggregator(events=events, web=web)
+    with deployment() as daemons:
+        daemons.aggregator(events=events, web=web)
         aggregator_line = f'aggregator = "tcp://127.0.0.1:{events}"'
         serve = f'[serve]\nlisten = "tcp://127.0.0.1:{data}"\n'
-        it.daemon("rack", _agent("rack", aggregator_line, it.folder) + serve + MODEL)
+        daemons.daemon("rack", _agent("rack", aggregator_line, daemons.folder) + serve + MODEL)
         lines = "".join(_pipeline(at, data) for at in range(PIPELINES))
-        it.daemon("cam", _agent("cam", aggregator_line, it.folder) + MODEL + lines)
+        daemons.daemon("cam", _agent("cam", aggregator_line, daemons.folder) + MODEL + lines)
         address = f"http://127.0.0.1:{web}"
         costs = json.loads(output(["node", "cost.mjs", address, seconds], folder=BROWSER, timeout_s=seconds * 3 + 120))
     table = Table("counted in", "all tasks, %", "scripts, %", "layout, %", "styles, %")

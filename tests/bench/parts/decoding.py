@@ -27,15 +27,15 @@ def prepare() -> None:
 
 def measure(quick: bool) -> Section:
     repeats, seconds = (2, 3) if quick else (5, 6)
-    with deployment() as it:
-        graphs.copy_with_open_batch(MODEL, it.folder / "open-batch")
+    with deployment() as daemons:
+        graphs.copy_with_open_batch(MODEL, daemons.folder / "open-batch")
         ports = dict(zip(ENVIRONMENTS, free_ports(len(ENVIRONMENTS)), strict=True))
         with (
-            cloud(it.folder, ports[ALL], _model(it), environment=ENVIRONMENTS[ALL]),
-            cloud(it.folder, ports[ONE], _model(it), environment=ENVIRONMENTS[ONE]),
+            cloud(daemons.folder, ports[ALL], _model(daemons), environment=ENVIRONMENTS[ALL]),
+            cloud(daemons.folder, ports[ONE], _model(daemons), environment=ENVIRONMENTS[ONE]),
         ):
             text = _experiment(ports, repeats, seconds)
-            runs = run_experiment(it.folder, "decoding", text, timeout_s=120 + repeats * 2 * (seconds + 60))
+            runs = run_experiment(daemons.folder, "decoding", text, timeout_s=120 + repeats * 2 * (seconds + 60))
     return _section(runs, repeats, seconds)
 
 
@@ -68,12 +68,12 @@ def _median(runs: list[Run], name: str, repeat: int, column: str) -> float:
     return median(float(row[column]) for row in rows)
 
 
-def _model(it: Deployment) -> str:
+def _model(daemons: Deployment) -> str:
     return f"""
 [[model]]
 name = "quality-control"
 kind = "onnx"
-path = "{it.folder}/open-batch"
+path = "{daemons.folder}/open-batch"
 intra_threads = 1
 inter_threads = 1
 queue = 64

@@ -57,8 +57,8 @@ def prepare() -> None:
 
 def measure(quick: bool) -> Section:
     repeats, seconds = (2, 2) if quick else (7, 4)
-    with deployment() as it:
-        large = it.folder / "yolov8-shape"
+    with deployment() as daemons:
+        large = daemons.folder / "yolov8-shape"
         graphs.make_detector(large)
         defects = MODELS / "defect-detector"
         cases = [
@@ -69,14 +69,14 @@ def measure(quick: bool) -> Section:
             Case("shape of YOLOv8", large, MODELS / "quality-control/pictures", 0.25, 0.01, 1e-5),
         ]
         for number, case in enumerate(cases):
-            _check(it, case, number)
+            _check(daemons, case, number)
         version = ""
         for repeat in range(repeats):
             for case in cases:
                 # The order alternates from repeat to repeat.
                 for turn in ("peernet", "python")[:: 1 if repeat % 2 == 0 else -1]:
                     if turn == "peernet":
-                        case.ours.append(_peernet(it, case, seconds))
+                        case.ours.append(_peernet(daemons, case, seconds))
                     else:
                         figures = _python(case, seconds)
                         version = figures["version"]
@@ -116,9 +116,9 @@ def _section(cases: list[Case], version: str, repeats: int, seconds: int) -> Sec
     return section
 
 
-def _peernet(it: Deployment, case: Case, seconds: int) -> Stages:
+def _peernet(daemons: Deployment, case: Case, seconds: int) -> Stages:
     text = _experiment(case, f"duration_s = {seconds}.0\nwarm_up = {{ iterations = {WARM_UP} }}", "")
-    (run,) = run_experiment(it.folder, case.model.name, text, timeout_s=seconds + 120)
+    (run,) = run_experiment(daemons.folder, case.model.name, text, timeout_s=seconds + 120)
     return run.stages(STAGES)
 
 
@@ -146,13 +146,13 @@ def _python(case: Case, seconds: float) -> dict[str, Any]:
     return figures
 
 
-def _check(it: Deployment, case: Case, number: int) -> None:
+def _check(daemons: Deployment, case: Case, number: int) -> None:
     """Raises a failure unless PEERNet and Python find the same objects in each picture."""
-    answers = it.folder / f"answers-{number}.txt"
+    answers = daemons.folder / f"answers-{number}.txt"
     count = len([path for path in case.pictures.iterdir() if path.suffix in (".jpg", ".jpeg")])
     actuator = f'actuator = {{ kind = "exec", command = ["{RECORDER}", "{answers}"] }}'
     text = _experiment(case, f"iterations = {count}\nwarm_up = {{ iterations = 0 }}", actuator)
-    run_experiment(it.folder, f"check-{number}", text)
+    run_experiment(daemons.folder, f"check-{number}", text)
     ours: Answers = {name: one["detections"] for name, one in read_answers(answers).items()}
     theirs: Answers = {name: one["detections"] for name, one in _python(case, 0.1)["answers"].items()}
     if ours.keys() != theirs.keys():

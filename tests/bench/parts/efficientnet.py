@@ -52,11 +52,11 @@ def prepare() -> None:
 
 def measure(quick: bool) -> Section:
     repeats, seconds = (1, 3) if quick else (5, 6)
-    with deployment() as it:
+    with deployment() as daemons:
         print(f"  exporting {NAME}", file=sys.stderr, flush=True)
-        export = [PYTHON, "-B", EXPORT, NAME, "--weights", "none", "--models-dir", it.folder]
+        export = [PYTHON, "-B", EXPORT, NAME, "--weights", "none", "--models-dir", daemons.folder]
         output(export, timeout_s=600)
-        _check(it)
+        _check(daemons)
         ours: dict[int, list[Stages]] = {threads: [] for threads in THREADS}
         theirs: dict[int, list[Stages]] = {threads: [] for threads in THREADS}
         versions: dict[str, str] = {}
@@ -65,9 +65,9 @@ def measure(quick: bool) -> Section:
                 # The order alternates from repeat to repeat.
                 for turn in ("peernet", "python")[:: 1 if repeat % 2 == 0 else -1]:
                     if turn == "peernet":
-                        ours[threads].append(_peernet(it, threads, seconds))
+                        ours[threads].append(_peernet(daemons, threads, seconds))
                     else:
-                        figures = _python(it, threads, seconds)
+                        figures = _python(daemons, threads, seconds)
                         versions = figures["versions"]
                         theirs[threads].append(figures["stages"])
             print(f"  repeat {repeat + 1} of {repeats}", file=sys.stderr, flush=True)
@@ -105,20 +105,20 @@ def _ratio(ours: list[Stages], theirs: list[Stages], stage: str) -> float:
     return ratio([one[stage]["p50"] for one in ours], [one[stage]["p50"] for one in theirs])
 
 
-def _peernet(it: Deployment, threads: int, seconds: int) -> Stages:
+def _peernet(daemons: Deployment, threads: int, seconds: int) -> Stages:
     limit = f"duration_s = {seconds}.0\nwarm_up = {{ iterations = {WARM_UP} }}"
-    (run,) = run_experiment(it.folder, NAME, _experiment(it, threads, limit, ""))
+    (run,) = run_experiment(daemons.folder, NAME, _experiment(daemons, threads, limit, ""))
     return run.stages(COMPARED)
 
 
-def _experiment(it: Deployment, threads: int, limit: str, actuator: str) -> str:
+def _experiment(daemons: Deployment, threads: int, limit: str, actuator: str) -> str:
     return f"""
 [experiment]
 {limit}
 [[model]]
 name = "{NAME}"
 kind = "onnx"
-path = "{it.folder}/{NAME}"
+path = "{daemons.folder}/{NAME}"
 intra_threads = {threads}
 inter_threads = 1
 [pipeline]
@@ -129,21 +129,21 @@ load = {{ mode = "closed" }}
 """
 
 
-def _python(it: Deployment, threads: int, seconds: float) -> dict[str, Any]:
-    reference = ["-m", "peers.torchvision_reference", it.folder / NAME, PICTURES, seconds, threads]
+def _python(daemons: Deployment, threads: int, seconds: float) -> dict[str, Any]:
+    reference = ["-m", "peers.torchvision_reference", daemons.folder / NAME, PICTURES, seconds, threads]
     command = [PYTHON, "-B", *reference, sysconfig.get_path("purelib")]
     figures: dict[str, Any] = json.loads(output(command, timeout_s=seconds + 120))
     return figures
 
 
-def _check(it: Deployment) -> None:
+def _check(daemons: Deployment) -> None:
     """Raises a failure unless PEERNet and Python give the same best class with nearly the same score."""
-    theirs = _python(it, 1, 1)["answers"]
-    answers = it.folder / "answers.txt"
+    theirs = _python(daemons, 1, 1)["answers"]
+    answers = daemons.folder / "answers.txt"
     actuator = f'actuator = {{ kind = "exec", command = ["{RECORDER}", "{answers}"] }}'
     # Python reports an answer for each picture that it had time for. Both begin with the first picture by name.
-    text = _experiment(it, 1, f"iterations = {len(theirs)}\nwarm_up = {{ iterations = 0 }}", actuator)
-    run_experiment(it.folder, "check", text)
+    text = _experiment(daemons, 1, f"iterations = {len(theirs)}\nwarm_up = {{ iterations = 0 }}", actuator)
+    run_experiment(daemons.folder, "check", text)
     ours = read_answers(answers)
     for name, their in theirs.items():
         our = ours.get(name)

@@ -55,12 +55,12 @@ def measure(quick: bool) -> Section:
 
 def _idle(seconds: float) -> dict[str, Cost]:
     events, web = free_ports(2)
-    with deployment() as it:
+    with deployment() as daemons:
         programs = {
-            "aggregator with one idle agent": it.aggregator(events=events, web=web),
-            "idle agent without aggregator": it.daemon("alone", _agent(it, "alone", "")),
-            "idle agent with aggregator": it.daemon(
-                "agent", _agent(it, "agent", f'aggregator = "tcp://127.0.0.1:{events}"')
+            "aggregator with one idle agent": daemons.aggregator(events=events, web=web),
+            "idle agent without aggregator": daemons.daemon("alone", _agent(daemons, "alone", "")),
+            "idle agent with aggregator": daemons.daemon(
+                "agent", _agent(daemons, "agent", f'aggregator = "tcp://127.0.0.1:{events}"')
             ),
         }
         return measure_costs(programs, seconds)
@@ -69,22 +69,22 @@ def _idle(seconds: float) -> dict[str, Cost]:
 def _demo(seconds: float) -> dict[str, Cost]:
     """Runs the configuration files of the demo, with free ports."""
     ports = dict(zip(("5550", "5551", "8040"), map(str, free_ports(3)), strict=True))
-    with deployment() as it:
+    with deployment() as daemons:
         for folder in ("models", "onnxruntime"):
-            it.link(folder)
+            daemons.link(folder)
         programs = {}
         for role in DEMO:
             text = (ROOT / "configs" / f"{role}.toml").read_text()
             moved = re.sub(r"(?<=:)(5550|5551|8040)\b", lambda match: ports[match[0]], text)
-            programs[f"demo: {role}"] = it.daemon(role, moved)
+            programs[f"demo: {role}"] = daemons.daemon(role, moved)
         return measure_costs(programs, seconds)
 
 
-def _agent(it: Deployment, name: str, aggregator_line: str) -> str:
+def _agent(daemons: Deployment, name: str, aggregator_line: str) -> str:
     return f"""
         [agent]
         name = "{name}"
-        state_dir = "{it.folder}/{name}"
+        state_dir = "{daemons.folder}/{name}"
         {aggregator_line}
     """
 

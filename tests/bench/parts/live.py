@@ -48,24 +48,24 @@ def measure(quick: bool) -> Section:
 
 
 def _with_nothing_else(quick: bool) -> tuple[str, list[float], float]:
-    with deployment() as it:
-        api = _aggregator(it)
-        lags = _probe(it, api, 8.0 if quick else 40.0)
+    with deployment() as daemons:
+        api = _aggregator(daemons)
+        lags = _probe(daemons, api, 8.0 if quick else 40.0)
     return "nothing else", lags, 0.0
 
 
 def _under_load(quick: bool) -> tuple[str, list[float], float]:
     """Measures while simulated agents send at half the rate that the aggregator promises to store."""
     seconds = 8.0 if quick else 40.0
-    with deployment() as it:
-        api = _aggregator(it)
+    with deployment() as daemons:
+        api = _aggregator(daemons)
         # The load begins before the measurement, so it has to last longer.
         nodes = int(LOAD_NODES_PER_S * (seconds + 15.0))
-        with ingest.generator(it.folder / "load.log", api.events, LOAD_AGENTS, nodes, LOAD_SPEED) as load:
-            load.wait_until("the load is being stored", lambda: store.nodes(it.database) > 0)
-            before, began = store.nodes(it.database), time.monotonic()
-            lags = _probe(it, api, seconds)
-            stored = (store.nodes(it.database) - before) / (time.monotonic() - began)
+        with ingest.generator(daemons.folder / "load.log", api.events, LOAD_AGENTS, nodes, LOAD_SPEED) as load:
+            load.wait_until("the load is being stored", lambda: store.nodes(daemons.database) > 0)
+            before, began = store.nodes(daemons.database), time.monotonic()
+            lags = _probe(daemons, api, seconds)
+            stored = (store.nodes(daemons.database) - before) / (time.monotonic() - began)
             load.raise_if_ended()
     return f"{rate(LOAD_NODES_PER_S)} nodes/s from {LOAD_AGENTS} agents", lags, stored
 
@@ -76,16 +76,16 @@ def _while_catching_up(section: Section, quick: bool) -> tuple[str, list[float],
     An agent fills its spool while no aggregator runs. Then an aggregator and this agent, with the probe, are started.
     """
     iterations = 60_000 if quick else 400_000
-    with deployment() as it:
+    with deployment() as daemons:
         events, web = free_ports(2)
-        filling = it.daemon("edge", _agent(it, events, _filler(iterations)))
-        spool = it.folder / "state/spool.sqlite"
+        filling = daemons.daemon("edge", _agent(daemons, events, _filler(iterations)))
+        spool = daemons.folder / "state/spool.sqlite"
         filling.wait_until("all is in the spool", lambda: store.produced(spool) >= iterations, 300.0)
         filling.stop()
         backlog = spool.stat().st_size
-        api = _Api(it, events, web)
+        api = _Api(daemons, events, web)
         began = time.monotonic()
-        probe = it.daemon("edge", _agent(it, events, _pipeline()))
+        probe = daemons.daemon("edge", _agent(daemons, events, _pipeline()))
         count_times = CountTimes("edge", "probe")
         # One item as soon as the backlog is stored.
         caught_up_at: list[float] = []
@@ -100,8 +100,8 @@ def _while_catching_up(section: Section, quick: bool) -> tuple[str, list[float],
         poll(api, count_times, 50.0, is_behind)
         if not caught_up_at:
             raise Failure(f"the backlog of {backlog / 2**20:.0f} MiB was not caught up within 50 s")
-        nodes, seconds = store.nodes(it.database), caught_up_at[0] - began
-        lags = _lags(it, probe, count_times)
+        nodes, seconds = store.nodes(daemons.database), caught_up_at[0] - began
+        lags = _lags(daemons, probe, count_times)
     section.say(
         f"Catching up: {nodes:,} nodes of one agent, {backlog / 2**20:.0f} MiB on its disk, were stored in {seconds:.1f} s, "
         "from the agent's start to the last acknowledgement."
@@ -113,36 +113,36 @@ def _while_catching_up(section: Section, quick: bool) -> tuple[str, list[float],
 class _Api(Api):
     """API client of an aggregator, with its ports."""
 
-    def __init__(self, it: Deployment, events: int, web: int) -> None:
-        it.aggregator(events=events, web=web)
+    def __init__(self, daemons: Deployment, events: int, web: int) -> None:
+        daemons.aggregator(events=events, web=web)
         super().__init__(web)
         self.events = events
 
 
-def _aggregator(it: Deployment) -> _Api:
-    return _Api(it, *free_ports(2))
+def _aggregator(daemons: Deployment) -> _Api:
+    return _Api(daemons, *free_ports(2))
 
 
-def _probe(it: Deployment, api: _Api, seconds: float) -> list[float]:
-    probe = it.daemon("edge", _agent(it, api.events, _pipeline()))
+def _probe(daemons: Deployment, api: _Api, seconds: float) -> list[float]:
+    probe = daemons.daemon("edge", _agent(daemons, api.events, _pipeline()))
     count_times = CountTimes("edge", "probe")
     poll(api, count_times, seconds)
-    return _lags(it, probe, count_times)
+    return _lags(daemons, probe, count_times)
 
 
-def _lags(it: Deployment, probe: Program, count_times: CountTimes) -> list[float]:
+def _lags(daemons: Deployment, probe: Program, count_times: CountTimes) -> list[float]:
     probe.stop()
-    probe_run = store.run_of(it.database, "probe")
+    probe_run = store.run_of(daemons.database, "probe")
     if probe_run is None:
         raise Failure("the pipeline's run was not stored")
-    return count_times.lags(store.ends(it.database, probe_run))
+    return count_times.lags(store.ends(daemons.database, probe_run))
 
 
-def _agent(it: Deployment, events: int, pipeline: str) -> str:
+def _agent(daemons: Deployment, events: int, pipeline: str) -> str:
     return f"""
         [agent]
         name = "edge"
-        state_dir = "{it.folder}/state"
+        state_dir = "{daemons.folder}/state"
         aggregator = "tcp://127.0.0.1:{events}"
         [[model]]
         name = "echo"

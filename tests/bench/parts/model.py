@@ -23,7 +23,7 @@ Stages = dict[str, dict[str, float]]
 
 def prepare() -> None:
     if not (MODEL / "model.onnx").exists():
-        raise Failure(f"{MODEL}/model.onnx is not there: it belongs to the checkout")
+        raise Failure(f"{MODEL}/model.onnx does not exist: it belongs to the checkout")
 
 
 def measure(quick: bool) -> Section:
@@ -32,7 +32,7 @@ def measure(quick: bool) -> Section:
     theirs: list[Stages] = []
     version = ""
     for repeat in range(repeats):
-        # Which one goes first changes with each repeat.
+        # The order alternates from repeat to repeat.
         for turn in ("agent", "python")[:: 1 if repeat % 2 == 0 else -1]:
             if turn == "agent":
                 ours.append(_agent(seconds))
@@ -70,15 +70,15 @@ def _ratio(ours: list[Stages], theirs: list[Stages], stage: str) -> float:
 
 def _agent(seconds: int) -> Stages:
     events, web = free_ports(2)
-    with deployment() as it:
-        it.aggregator(events=events, web=web)
-        edge = it.daemon("edge", _configuration(it.folder, events, seconds))
-        edge.wait_until("the run is stored", lambda: it.is_stored("local"), seconds + 60)
-        it.stop()
-        run = store.run_of(it.database, "local")
+    with deployment() as daemons:
+        daemons.aggregator(events=events, web=web)
+        edge = daemons.daemon("edge", _configuration(daemons.folder, events, seconds))
+        edge.wait_until("the run is stored", lambda: daemons.is_stored("local"), seconds + 60)
+        daemons.stop()
+        run = store.run_of(daemons.database, "local")
         if run is None or run.unsuccessful or not run.ok:
             raise Failure(f"the local pipeline did not go well: {run}; the agent said:\n{edge.text()}")
-        return store.stages(it.database, run)
+        return store.stages(daemons.database, run)
 
 
 def _configuration(folder: object, events: int, seconds: int) -> str:

@@ -34,7 +34,7 @@ Stages = dict[str, dict[str, float]]
 def prepare() -> None:
     need_root()
     if not PEERNET.exists():
-        raise Failure(f"{PEERNET} is not there: cargo build --release --package peernetd")
+        raise Failure(f"{PEERNET} does not exist; build it with cargo build --release --package peernetd")
     subprocess.run([*CALL_BENCH, "--no-run"], cwd=ROOT, check=True)
 
 

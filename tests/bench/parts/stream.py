@@ -60,9 +60,9 @@ def measure(quick: bool) -> Section:
 
 def _deliver(edge: Host, cloud: Host, iterations: int, round_trip_ms: int, control: str) -> dict[str, float]:
     address = f"tcp://{cloud.address}:{PORT}"
-    with deployment() as it:
-        it.aggregator(cloud, events=PORT)
+    with deployment() as daemons:
+        daemons.aggregator(cloud, events=PORT)
         printed = output(edge.inside([EVENT_STREAM, address, iterations, round_trip_ms, control]), timeout_s=120)
-        if (stored := store.nodes(it.database)) != iterations * NODES:
+        if (stored := store.nodes(daemons.database)) != iterations * NODES:
             raise Failure(f"{stored:,} nodes were stored of {iterations * NODES:,}")
     return json.loads(printed)

@@ -46,7 +46,10 @@ class Answer:
 
 @dataclass(frozen=True)
 class Stamps:
-    """Times of one answer at the server, seconds since 1970: request received, first and last token before writing."""
+    """Times of one answer at the server, seconds since 1970.
+
+    The request is received; the first token is about to be written; the last token is about to be written.
+    """
 
     received: float
     first: float

@@ -72,6 +72,7 @@ def measure(quick: bool) -> Section:
 def _row(table: Table, case: Case, delays: list[JudgedDelay]) -> float:
     """Adds a row; returns the seconds from the beginning of the violation to its last wrong delay."""
     wrong = [one for one in delays if one.is_outside]
+    # Seconds from the beginning of the violation to the last wrong delay.
     until = max((one.at - case.begins_s for one in wrong), default=0.0)
     believed = sum(one.is_believed for one in delays)
     table.row(

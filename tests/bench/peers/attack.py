@@ -296,19 +296,19 @@ HTTP = (silence, garbage, unfinished_headers, claimed_body)
 
 
 async def attack(arguments: argparse.Namespace) -> None:
-    it = Attack(arguments.address, arguments.seconds, arguments.bytes_per_second, arguments.life)
+    senders = Attack(arguments.address, arguments.seconds, arguments.bytes_per_second, arguments.life)
     ports = [(arguments.events, ZMTP), (arguments.data, ZMTP), (arguments.http, HTTP)]
     slots = [(port, behave) for port, behaviours in ports for behave in behaviours for _ in range(HELD)]
     jobs = [
-        it.keep_connecting(port, behave, number / len(slots))
+        senders.keep_connecting(port, behave, number / len(slots))
         for number, (port, behave) in enumerate(slots)
     ]
     if arguments.udp_data:
-        jobs.append(it.udp_data(arguments.udp_data))
+        jobs.append(senders.udp_data(arguments.udp_data))
     if arguments.ros_master:
-        jobs.append(RosAttack(it, arguments.ros_master).run())
-    await asyncio.gather(*jobs, it.datagrams(arguments.probes))
-    print(json.dumps(asdict(it.counts)))
+        jobs.append(RosAttack(senders, arguments.ros_master).run())
+    await asyncio.gather(*jobs, senders.datagrams(arguments.probes))
+    print(json.dumps(asdict(senders.counts)))
 
 
 async def discard(arguments: argparse.Namespace) -> None:
