@@ -50,7 +50,7 @@ fn offloaded_picture_is_stored_with_all_stages() {
     let cloud = deployment.start_agent("cloud", CLOUD);
     let edge = deployment.start_agent("edge", EDGE);
 
-    // Page and API show the pipeline while it runs.
+    // The API shows the pipeline while it runs. The third window is that of the last 60 s.
     api.wait_until("/api/v1/pipelines/edge/offload", |pipeline| {
         (number(&pipeline["windows"][2]["counts"], "ok") > 0.0).then_some(())
     });
@@ -80,6 +80,7 @@ fn offloaded_picture_is_stored_with_all_stages() {
     let nodes = iteration["tree"]["nodes"].as_array().expect("a list");
     let upload = nodes.iter().find(|node| node["name"] == "upload").expect("an upload");
     assert_eq!(upload["measure"]["transit"]["delay"]["source"], "same-clock", "{upload}");
+    // The host of a node is an index of `anchors`; 0 is the edge.
     let inference = nodes.iter().find(|node| node["name"] == "inference").expect("an inference");
     assert_eq!(inference["host"], 1, "{inference}");
 
@@ -87,6 +88,7 @@ fn offloaded_picture_is_stored_with_all_stages() {
     for page in ["/", "/runs", &format!("/runs/{run}"), &format!("/runs/{run}/iterations/10"), "/hosts"] {
         let (status, text) = api.get(page).expect("the dashboard answers");
         assert_eq!(status, 200, "{page}");
+        // The page of the hosts names no pipeline.
         assert!(text.contains("offload") || page == "/hosts", "{page}");
     }
     assert_eq!(edge.stop().code(), 0);
@@ -107,6 +109,7 @@ fn stop_of_combined_process_loses_nothing() {
     let api = peernet_tests::Api::on_port(deployment.http_port);
 
     let first = deployment.start("all.toml");
+    // Two pipelines run at the same time. The list of runs begins with the newest run.
     api.wait_until("/api/v1/runs", |runs| {
         (number(&runs["runs"].get(1)?["counts"], "ok") > 20.0).then_some(())
     });
@@ -151,6 +154,7 @@ fn status_lists_pipelines_and_exits_69_without_aggregator() {
 
     let (_aggregator, api) = deployment.start_aggregator();
     let edge = deployment.start_agent("edge", EDGE);
+    // The pipeline waits for the cloud, which this test does not start.
     api.wait_until("/api/v1/pipelines/edge/offload", |pipeline| {
         (pipeline["state"] == "waiting").then_some(())
     });

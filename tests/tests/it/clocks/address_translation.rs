@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_tests::truth::{HostClock, Iteration};
 use peernet_tests::{ClockShim, Network, TwoHostTestbed, wait_until};
 
-use super::assert_contains_truth;
+use super::{CONSTANT_DRIFT, assert_contains_truth};
 
 /// Returns the addresses of the peers that are connected to the cloud's port.
 fn peers(testbed: &TwoHostTestbed) -> Vec<String> {
@@ -16,11 +16,12 @@ fn peers(testbed: &TwoHostTestbed) -> Vec<String> {
 #[test]
 fn edges_behind_one_address_have_separate_clock_relations() {
     let testbed = TwoHostTestbed::new(|_| Network::behind_nat());
+    // `third` is the edge on the network's third host.
     let shims =
         ["edge", "third"].map(|host| ClockShim::new(&testbed.folder().join(format!("{host}-clocks"))));
     let [edge, third] = &shims;
-    edge.schedule_change(Span::from_seconds(40), 80.0, 0.0);
-    third.schedule_change(Span::from_millis(-700), -120.0, 0.0);
+    edge.schedule_change(Span::from_seconds(40), 80.0, CONSTANT_DRIFT);
+    third.schedule_change(Span::from_millis(-700), -120.0, CONSTANT_DRIFT);
     let _cloud = testbed.start_cloud("[clock]\ndiscipline = []\n");
     let tables = |name: &str| {
         let load = "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 700 }";
@@ -45,6 +46,7 @@ fn edges_behind_one_address_have_separate_clock_relations() {
             iterations.iter().filter(|iteration| iteration.run == number).cloned().collect();
         let case = format!("{host} behind one address");
         let (up, down) = assert_contains_truth(&case, &run_iterations, &clock, &HostClock::of_kernel());
+        // The warm-up adds 5 iterations to the limit of 700.
         assert_eq!((up.compared, down.compared), (705, 705), "{case}");
         let probes = format!(
             "SELECT sum(probes_answered) > 20 FROM clock_sample JOIN link ON link.id = clock_sample.link \

@@ -17,6 +17,7 @@ fn data_messages_bound_delays_without_probes() {
     let edge = peernet_tests::truth::HostClock::of_kernel();
     let (up, down) = assert_contains_truth("probes blocked", &iterations, &edge, &cloud);
     let count = iterations.len();
+    // The warm-up adds 5 iterations to the limit of 300.
     assert_eq!((count, up.compared, down.compared), (305, count, count));
     let probes =
         testbed.query_database("SELECT sum(probes_sent) > 10, sum(probes_answered) FROM clock_sample");

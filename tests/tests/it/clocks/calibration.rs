@@ -11,10 +11,10 @@ use serde_json::Value;
 
 use super::{faults, print_line};
 
-/// Largest error of an intercept.
+/// Largest permitted error of an intercept.
 const MAX_ERROR: Span = Span::from_micros(100);
 
-/// Similar sizes, so the intercept is the delay of an empty message even if the link is not linear in size.
+/// Small sizes, so the intercept is close to the delay of an empty message even if the delay is not linear in size.
 const SIZES: &str = "100,500,1kB,2kB,5kB,10kB";
 /// Number of repeats. They take some seconds, in which the drift exceeds [`MAX_ERROR`].
 const REPEATS: &str = "1001";
@@ -33,8 +33,8 @@ struct SampleDelay {
     truth_error: Span,
 }
 
-/// Reads one direction of a study's table. `ahead` is the offset of the receiver's clock from the sender's at each
-/// time.
+/// Reads one direction from `samples.csv` of a calibration. `ahead` is the offset of the receiver's clock from the
+/// sender's at each time.
 fn sample_delays(samples: &Path, stage: &str, ahead: impl Fn(WallTime) -> Span) -> Vec<SampleDelay> {
     let text = std::fs::read_to_string(samples).expect("it was written");
     let mut rows = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
@@ -44,7 +44,7 @@ fn sample_delays(samples: &Path, stage: &str, ahead: impl Fn(WallTime) -> Span) 
             let index = header.iter().position(|column| *column == name);
             row[index.unwrap_or_else(|| panic!("no column {name}"))]
         };
-        let seconds = |name: &str| nanos(cell(name)).unwrap_or_else(|| panic!("{name} in {row:?}"));
+        let seconds = |name: &str| parse_seconds(cell(name)).unwrap_or_else(|| panic!("{name} in {row:?}"));
         let (start, total) = (WallTime::from_unix_nanos(seconds("at").nanos()), seconds("total"));
         let (first, last) = (ahead(start), ahead(start + total));
         let column = |part: &str| seconds(&format!("{stage}-{part}"));
@@ -52,11 +52,11 @@ fn sample_delays(samples: &Path, stage: &str, ahead: impl Fn(WallTime) -> Span) 
         SampleDelay {
             payload: cell("payload-bytes").parse().expect("a number"),
             warm_up: cell("warm-up") == "1",
-            value: nanos(cell(stage)),
+            value: parse_seconds(cell(stage)),
             bounds: (column("lo"), column("hi")),
             truth: column("raw") - middle,
-            // The truth is derived from stamps of the wall clocks, which are read up to 3 µs after the
-            // free-running clocks by which delays are judged.
+            // The column `raw` is the difference of two stamps of wall clocks, which are read up to 3 µs after the
+            // free-running clocks by which delays are judged. Rounding adds 2 ns.
             truth_error: (last - first).abs() + Span::from_nanos(3_002),
         }
     };
@@ -64,7 +64,7 @@ fn sample_delays(samples: &Path, stage: &str, ahead: impl Fn(WallTime) -> Span) 
 }
 
 /// Parses decimal seconds, which have more digits than a float.
-fn nanos(text: &str) -> Option<Span> {
+fn parse_seconds(text: &str) -> Option<Span> {
     let (whole, fraction) = text.split_once('.')?;
     let digits = format!("{whole}{fraction:0<9}");
     digits.parse().ok().map(Span::from_nanos)
@@ -98,7 +98,7 @@ fn median(mut spans: Vec<Span>) -> f64 {
     f64::midpoint(above.seconds(), below.seconds())
 }
 
-/// Repeats the study's fit over the medians, with its weights, for other delays.
+/// Returns the intercept of a fit to the medians of these delays, with the weights of the calibration's fit.
 fn refitted_intercept(direction: &Value, delays: &BTreeMap<u64, Vec<Span>>) -> f64 {
     /// Smallest error of a median in the weights, seconds.
     const MIN_MEDIAN_ERROR: f64 = 1e-7;
@@ -122,7 +122,7 @@ fn group_by_size<'a>(
     sizes
 }
 
-/// Compares one direction with the truth, without its warm-up.
+/// Compares the intervals of one direction with the true delays, and its intercept without the warm-up.
 fn assert_intercept_is_right(stage: &str, direction: &Value, sample_delays: &[SampleDelay]) {
     for SampleDelay { payload, bounds: (lo, hi), truth, truth_error, .. } in sample_delays {
         let allowed = *lo - *truth_error..=*hi + *truth_error;
@@ -158,7 +158,7 @@ fn assert_intercept_is_right(stage: &str, direction: &Value, sample_delays: &[Sa
 }
 
 #[test]
-fn calibrated_intercepts_contain_the_true_delays() {
+fn calibrated_intercepts_match_true_delays() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let _cloud = testbed.start_cloud(&faults(1_000.0, 50.0, ""));
     let cloud: HostClock = testbed.clock_of("cloud");

@@ -16,6 +16,17 @@ const EDGE_IDENTITY: &str = "clock_identity = \"edge\"\n";
 /// Number of delays to be examined, both directions together.
 const MIN_DELAYS: u64 = 600;
 
+/// Beginning of the text of a daemon that is synchronised. The server of the tests has stratum 10, and its address
+/// begins with `10.`.
+const SYNCHRONISED: &str = "chrony, stratum 11, to 10.";
+
+/// Whether the edge trusts the claims of the time daemons.
+#[derive(Clone, Copy, PartialEq)]
+enum Trust {
+    Trusted,
+    NotTrusted,
+}
+
 /// Two hosts whose time daemons are synchronised, and a pipeline that runs until the edge is stopped.
 struct TimeDaemonTestbed {
     edge: Process,
@@ -25,16 +36,16 @@ struct TimeDaemonTestbed {
 }
 
 impl TimeDaemonTestbed {
-    /// Starts the hosts. `identity` and `faults` are the edge's; `trusts` says whether the edge trusts the
-    /// daemons.
-    fn new(network: impl FnOnce(&Path) -> Network, identity: &str, faults: &str, trusts: bool) -> Self {
+    /// Starts the hosts. `identity` and `faults` are the edge's. A clock with injected faults has a separate identity
+    /// by itself.
+    fn new(network: impl FnOnce(&Path) -> Network, identity: &str, faults: &str, trust: Trust) -> Self {
         let hosts = TwoHostTestbed::new(network);
         let daemons = TimeDaemons::start(&hosts.network, hosts.folder());
         let clock = TimeDaemons::table();
         let cloud = hosts.start_cloud(&clock);
         let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
         let pipeline = hosts.pipeline("kept", 1000, load);
-        let trust = if trusts { "trust_time_daemons = true\n" } else { "" };
+        let trust = if trust == Trust::Trusted { "trust_time_daemons = true\n" } else { "" };
         let edge = hosts.start_edge(&format!("{identity}{clock}{trust}{faults}{pipeline}"), &[]);
         Self { edge, _cloud: cloud, _daemons: daemons, hosts }
     }
@@ -92,13 +103,13 @@ fn contains((lo, hi): (Span, Span), offset: Span) -> bool {
 
 /// Runs a case with the machine's clock on both hosts: the true offset is zero.
 fn check_correct_clocks(case: &str, network: impl FnOnce(&Path) -> Network, condition: &str) {
-    let testbed = TimeDaemonTestbed::new(network, EDGE_IDENTITY, "", true);
+    let testbed = TimeDaemonTestbed::new(network, EDGE_IDENTITY, "", Trust::Trusted);
     let offset = testbed.wait_for_offset("ok");
     for source in ["in-band", "chrony"] {
         assert!(contains(bounds_of_source(&offset, source), Span::ZERO), "{source}: {offset}");
     }
     for host in ["edge", "cloud"] {
-        testbed.wait_for_daemon(host, "chrony, stratum 11, to 10.");
+        testbed.wait_for_daemon(host, SYNCHRONISED);
     }
     let iterations = testbed.stop_with_iterations(condition);
     let of_kernel = HostClock::of_kernel();
@@ -121,15 +132,16 @@ fn correct_claims_bound_delays_on_asymmetric_path() {
     check_correct_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
 }
 
-/// The edge's daemon keeps the machine's clock and does not know that the agent reads another one: this looks like a
-/// peer that lies in all exchanges.
+/// The edge's daemon synchronises the machine's clock and does not know that the agent reads another one: this looks
+/// like a peer that lies in all exchanges.
 #[test]
 fn wrong_clock_with_confident_daemon_is_detected() {
     const AHEAD: Span = Span::from_millis(50);
     let fault = faults(50.0, 0.0, "discipline = \"unaware\"");
-    let testbed = TimeDaemonTestbed::new(|_| Network::direct(), "", &fault, true);
+    let testbed = TimeDaemonTestbed::new(|_| Network::direct(), "", &fault, Trust::Trusted);
     let offset = testbed.wait_for_offset("inconsistent");
     let (in_band, chrony) = (bounds_of_source(&offset, "in-band"), bounds_of_source(&offset, "chrony"));
+    // The offset is that of the cloud's clock from the edge's clock, which is ahead.
     assert!(contains(in_band, -AHEAD) && !contains(in_band, Span::ZERO), "{offset}");
     assert!(contains(chrony, Span::ZERO) && !contains(chrony, -AHEAD), "{offset}");
 
@@ -143,8 +155,8 @@ fn wrong_clock_with_confident_daemon_is_detected() {
     assert!(contradictory >= MIN_DELAYS);
 }
 
-/// Returns whether a delay is reported as contradictory. Before the daemons' claims are known, it is based on the
-/// exchanges only.
+/// Returns whether a delay is reported as contradictory. Every other delay has a value: it was judged by the exchanges
+/// only, before the daemons' claims were known.
 fn is_contradictory(delay: &Delay) -> bool {
     let contradictory = delay.verdict == "inconsistent";
     let report = (delay.value.is_some(), delay.bounds.is_some(), delay.source.as_str());
@@ -152,13 +164,13 @@ fn is_contradictory(delay: &Delay) -> bool {
     contradictory
 }
 
-/// The daemon is the same, but it is not trusted.
+/// The edge's daemon is as wrong as in `wrong_clock_with_confident_daemon_is_detected`, but it is not trusted.
 #[test]
 fn wrong_claim_affects_delays_only_if_trusted() {
     let fault = faults(50.0, 0.0, "discipline = \"unaware\"");
-    let testbed = TimeDaemonTestbed::new(|_| Network::direct(), "", &fault, false);
+    let testbed = TimeDaemonTestbed::new(|_| Network::direct(), "", &fault, Trust::NotTrusted);
     for host in ["edge", "cloud"] {
-        testbed.wait_for_daemon(host, "chrony, stratum 11, to 10.");
+        testbed.wait_for_daemon(host, SYNCHRONISED);
     }
     let edge = testbed.hosts.clock_of("edge");
     let sources = testbed.hosts.api.wait_until("/api/v1/links/edge~cloud", |link| {
@@ -172,12 +184,12 @@ fn wrong_claim_affects_delays_only_if_trusted() {
 
 /// Starts hosts whose daemons claim less than a millisecond while the clocks differ by ten: within the bounds of the
 /// exchanges on 5/40 ms.
-fn start_with_irrefutable_wrong_claims(trusts: bool) -> TimeDaemonTestbed {
+fn start_with_irrefutable_wrong_claims(trust: Trust) -> TimeDaemonTestbed {
     let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, wire_direction(5), wire_direction(40));
-    let testbed = TimeDaemonTestbed::new(wire, "", &faults(-10.0, 0.0, "discipline = \"unaware\""), trusts);
+    let testbed = TimeDaemonTestbed::new(wire, "", &faults(-10.0, 0.0, "discipline = \"unaware\""), trust);
     for host in ["edge", "cloud"] {
-        testbed.wait_for_daemon(host, "chrony, stratum 11, to ");
+        testbed.wait_for_daemon(host, SYNCHRONISED);
     }
     testbed
 }
@@ -188,8 +200,8 @@ fn wait_for_page(testbed: &TimeDaemonTestbed, text: &str) {
 }
 
 #[test]
-fn wrong_claims_within_round_trip_affect_nothing() {
-    let testbed = start_with_irrefutable_wrong_claims(false);
+fn untrusted_claims_within_round_trip_affect_nothing() {
+    let testbed = start_with_irrefutable_wrong_claims(Trust::NotTrusted);
     let edge = testbed.hosts.clock_of("edge");
     wait_for_page(&testbed, "as claimed by chrony on both hosts, of the wall clocks, not used");
     let iterations =
@@ -206,7 +218,7 @@ fn wrong_claims_within_round_trip_affect_nothing() {
 
 #[test]
 fn delays_by_trusted_claims_are_marked() {
-    let testbed = start_with_irrefutable_wrong_claims(true);
+    let testbed = start_with_irrefutable_wrong_claims(Trust::Trusted);
     let edge = testbed.hosts.clock_of("edge");
     wait_for_page(&testbed, "bounds as claimed by chrony");
     let iterations = testbed.stop_with_iterations("source.text = 'chrony'");
@@ -214,6 +226,7 @@ fn delays_by_trusted_claims_are_marked() {
     let (up, down) = compare(&iterations, &edge, &of_kernel);
     print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.summary()));
     print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, download: {}", down.summary()));
+    // Half of the delays suffice, because an interval from a wrong claim may still contain the truth.
     assert!(
         up.outside.len() + down.outside.len() >= MIN_DELAYS as usize / 2,
         "too few intervals miss the truth, although the claims are wrong"

@@ -12,8 +12,8 @@ const AHEAD: Span = Span::from_millis(137);
 /// Starts an edge with a false time, and a cloud with the kernel's clocks.
 fn start(testbed: &TwoHostTestbed, false_time: &FalseTime, load: &str) -> (Process, Process) {
     let cloud = testbed.start_cloud("[clock]\ndiscipline = []\n");
-    // The kernel's statements about its clock do not apply to the shown one.
-    let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
+    // The kernel's statements about its clock do not apply to the clock that libfaketime shows.
+    let clock = "clock_identity = \"edge\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
     let edge = testbed
         .start_edge(&format!("{clock}{}", testbed.pipeline("misled", 1000, load)), &false_time.environment());
     (cloud, edge)
@@ -29,29 +29,35 @@ fn edge_with_false_time_reports_true_delays() {
     let (edge, cloud) = (HostClock::ahead_by(&[AHEAD]), HostClock::of_kernel());
     let iterations = testbed.iterations();
     let (up, down) = assert_contains_truth("libfaketime +0.137 s", &iterations, &edge, &cloud);
+    // The warm-up adds 5 iterations to the limit of 300.
     assert_eq!((up.compared, down.compared), (305, 305));
     // If the false time did not reach the program, the difference of the stamps would be positive.
-    let raw: Vec<Span> =
+    let stamp_differences: Vec<Span> =
         iterations.iter().map(|iteration| iteration.up.received - iteration.up.sent).collect();
-    assert!(raw.iter().all(|raw| *raw > -AHEAD && *raw < Span::ZERO), "{raw:?}");
+    assert!(
+        stamp_differences.iter().all(|difference| *difference > -AHEAD && *difference < Span::ZERO),
+        "{stamp_differences:?}"
+    );
 }
 
 /// Here the agent does not know of the step, in contrast to clock fault injection.
 #[test]
 fn unannounced_step_affects_no_delay() {
-    const LATER: Span = Span::from_millis(3_137);
+    /// Offset of the edge's clock after the step.
+    const AHEAD_AFTER_STEP: Span = Span::from_millis(3_137);
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let false_time = FalseTime::new(testbed.folder(), AHEAD);
     let _hosts =
         start(&testbed, &false_time, "load = { mode = \"rate\", hz = 100.0 }\nlimit = { iterations = 1500 }");
+    // The third window is that of the last 60 s.
     testbed.api.wait_until("/api/v1/pipelines/edge/misled", |pipeline| {
         (pipeline["windows"][2]["counts"]["ok"].as_f64()? >= 400.0).then_some(())
     });
-    false_time.show(LATER);
+    false_time.show(AHEAD_AFTER_STEP);
     testbed.wait_for_runs(1);
 
     let iterations = testbed.iterations();
-    let (edge, cloud) = (HostClock::ahead_by(&[AHEAD, LATER]), HostClock::of_kernel());
+    let (edge, cloud) = (HostClock::ahead_by(&[AHEAD, AHEAD_AFTER_STEP]), HostClock::of_kernel());
     assert_contains_truth("libfaketime, set by +3 s", &iterations, &edge, &cloud);
     let ahead = |iteration: &Iteration| iteration.up.sent - cloud.truth(iteration.up.received);
     let is_after_step = |iteration: &&Iteration| ahead(iteration) > Span::from_seconds(1);

@@ -12,7 +12,7 @@ use peernet_tests::network::{Host, Network, WireProperties};
 use peernet_tests::truth::HostClock;
 use peernet_tests::{ClockShim, TwoHostTestbed, wait_until_grown};
 
-use super::assert_contains_truth;
+use super::{CONSTANT_DRIFT, assert_contains_truth};
 
 /// Port of the reflector.
 const REFLECTOR_PORT: u16 = 8620;
@@ -76,7 +76,9 @@ impl Drop for Forger {
 
 /// Forwards probes and alters each answer.
 struct Relay {
+    /// Socket towards the edge.
     near: UdpSocket,
+    /// Socket towards the cloud.
     far: UdpSocket,
     cloud: SocketAddr,
     edge: Option<SocketAddr>,
@@ -116,6 +118,7 @@ fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> Option<(usize, SocketAddr)>
 /// clock.
 fn forge(answer: &mut [u8]) {
     let ntp = (ADDED_ERROR.nanos() << 32) / 1_000_000_000;
+    // These bytes are a stamp in an unauthenticated packet, and zeros in an authenticated packet.
     let is_unauthenticated = answer[4..12] != [0; 8];
     for offset in if is_unauthenticated { [4, 16] } else { [16, 32] } {
         let stamp: [u8; 8] = answer[offset..offset + 8].try_into().expect("eight bytes");
@@ -124,6 +127,7 @@ fn forge(answer: &mut [u8]) {
     }
     let raw_stamps =
         answer.windows(4).position(|bytes| bytes == b"PRAW").expect("stamps of the free-running clock");
+    // The mark and an epoch precede the stamps of arrival and departure.
     for offset in [raw_stamps + 8, raw_stamps + 16] {
         let stamp: [u8; 8] = answer[offset..offset + 8].try_into().expect("eight bytes");
         answer[offset..offset + 8]
@@ -136,10 +140,10 @@ fn check_forged_answers(min_forged_answers: u64) {
     let wire_direction = WireProperties { delay_ms: 20, jitter_ms: 0, loss_percent: 0 };
     let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, wire_direction, wire_direction));
     let shim = ClockShim::new(&testbed.folder().join("edge-clocks"));
-    shim.schedule_change(Span::from_seconds(2), 60.0, 0.0);
+    shim.schedule_change(Span::from_seconds(2), 60.0, CONSTANT_DRIFT);
     let forger = Forger::start(testbed.network.edge(), testbed.network.cloud().address);
     let _cloud = testbed.start_cloud("[clock]\ndiscipline = []\n");
-    let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
+    let clock = "clock_identity = \"edge\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
     let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
     let edge = testbed
         .start_edge(&format!("{clock}{}", testbed.pipeline("watched", 1000, load)), &shim.environment());

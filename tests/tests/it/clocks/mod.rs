@@ -20,6 +20,9 @@ use peernet_tests::truth::{Comparison, HostClock, Iteration, compare};
 /// Iterations of the warm-up by default. The very first delays are `stale`: one exchange has no other to confirm it.
 const WARM_UP: u64 = 5;
 
+/// Change of a clock's drift, ppm per second: the drift stays the same.
+const CONSTANT_DRIFT: f64 = 0.0;
+
 /// Returns a table that injects faults into a host's clock; `keys` are additional keys.
 fn faults(offset_ms: f64, drift_ppm: f64, keys: &str) -> String {
     format!("[clock_fault]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n{keys}\n")

@@ -123,6 +123,7 @@ fn panicking_test_removes_its_network() {
         let network = Network::direct();
         let inode = network.edge().run("readlink", &["/proc/self/ns/net"]);
         let process = network.edge().start(Path::new("sleep"), &["1000"], Path::new("/"), &[]);
+        // This address is at the other end of the host's second interface, in the namespace of the tests.
         let interface = index_of_interface(network.edge().test_address);
         sender.send((inode, process.pid(), interface)).expect("the test waits");
         // The process is leaked, as if the test could not stop it.

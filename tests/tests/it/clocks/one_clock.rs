@@ -24,6 +24,15 @@ const IDENTITY: &str = "clock_identity = \"machine\"\n";
 const CLOUD: &str = "[clock]\ndiscipline = []\n[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n\
     [[model]]\nname = \"echo\"\nkind = \"echo\"\n";
 
+/// End of the edge's run.
+#[derive(Clone, Copy)]
+enum RunEnd {
+    /// After [`ITERATIONS`].
+    Limit,
+    /// When the edge is stopped.
+    Stop,
+}
+
 /// An aggregator, a cloud that reads the kernel's clocks, and the folder of an edge.
 struct Hosts {
     deployment: LoopbackDeployment,
@@ -33,14 +42,15 @@ struct Hosts {
 }
 
 impl Hosts {
-    /// Starts aggregator and cloud, and writes the configuration of the edge. Its pipeline runs `ITERATIONS` or, if
-    /// it is endless, until it is stopped.
-    fn new(tables: &str, is_endless: bool) -> Self {
+    /// Starts aggregator and cloud, and writes the configuration of the edge with these additional tables.
+    fn new(tables: &str, end: RunEnd) -> Self {
         let deployment = LoopbackDeployment::new();
         let (aggregator, api) = deployment.start_aggregator();
         let cloud = deployment.start_agent("cloud", &format!("{IDENTITY}{CLOUD}"));
-        let limit =
-            if is_endless { String::new() } else { format!("limit = {{ iterations = {ITERATIONS} }}\n") };
+        let limit = match end {
+            RunEnd::Limit => format!("limit = {{ iterations = {ITERATIONS} }}\n"),
+            RunEnd::Stop => String::new(),
+        };
         let edge = format!(
             "[agent]\nname = \"edge\"\nstate_dir = \"{{folder}}/edge\"\naggregator = \"tcp://127.0.0.1:{{events}}\"\n\
              {IDENTITY}{tables}[[pipeline]]\nname = \"line\"\nsensor = {{ kind = \"synthetic\", size_bytes = 1000 }}\n\
@@ -87,7 +97,7 @@ fn raw_ahead_by(offset: Span) -> HostClock {
 
 #[test]
 fn processes_on_one_machine_prove_one_clock() {
-    let hosts = Hosts::new("", false);
+    let hosts = Hosts::new("", RunEnd::Limit);
     let _edge = hosts.deployment.start("edge.toml");
     let iterations = hosts.iterations();
     let (up, _) =
@@ -100,12 +110,13 @@ fn processes_on_one_machine_prove_one_clock() {
     }
 }
 
-/// The boot id is the same. libfaketime shows all clocks of the edge: the wall clock 20 ms ahead, the free-running
-/// one on another scale.
+/// The boot id is the same. libfaketime changes all clocks of the edge: the wall clock is 20 ms ahead, and the error of
+/// the free-running clock is unknown.
 #[test]
 fn interval_contains_truth_for_process_with_false_time() {
-    let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", false);
+    let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", RunEnd::Limit);
     let false_time = FalseTime::new(&hosts.deployment.folder().join("time"), AHEAD);
+    // Without this variable libfaketime also changes the free-running clock.
     let environment: Vec<_> =
         false_time.environment().into_iter().filter(|(name, _)| *name != "DONT_FAKE_MONOTONIC").collect();
     let _edge = hosts.deployment.start_with("edge.toml", &environment);
@@ -134,7 +145,7 @@ fn interval_contains_truth_for_process_with_false_time() {
 
 #[test]
 fn clock_error_introduced_later_is_measured_afterwards() {
-    let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", true);
+    let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", RunEnd::Stop);
     let false_time = FalseTime::new(&hosts.deployment.folder().join("time"), Span::ZERO);
     let _edge = hosts.deployment.start_with("edge.toml", &false_time.environment());
     let wait_until_same_clock_is = |expected: bool| {
@@ -164,10 +175,10 @@ fn clock_error_introduced_later_is_measured_afterwards() {
     wait_until_same_clock_is(true);
 }
 
-/// The process asks late because it was paused. This does not indicate another clock.
+/// The edge sends its query for the proof late because it was paused. This does not indicate another clock.
 #[test]
 fn paused_process_keeps_one_clock_proof() {
-    let hosts = Hosts::new("[clock]\ndiscipline = []\n", true);
+    let hosts = Hosts::new("[clock]\ndiscipline = []\n", RunEnd::Stop);
     let edge = hosts.deployment.start("edge.toml");
     let successful_iterations =
         || hosts.api.wait_until("/api/v1/runs", |runs| runs["runs"][0]["counts"]["ok"].as_u64());
@@ -175,8 +186,8 @@ fn paused_process_keeps_one_clock_proof() {
         let before = successful_iterations();
         wait_until_grown("iterations", before + 100, || Some(successful_iterations()));
         edge.signal(Signal::STOP);
-        // Longer than a proof is valid after the last question before the pause, and shorter than a session's
-        // timeout.
+        // A proof may expire during this pause: it is valid for five seconds, and the last query may be two seconds old.
+        // The pause is shorter than a session's timeout.
         std::thread::sleep(Duration::from_millis(4_500));
         edge.signal(Signal::CONT);
     }
@@ -186,13 +197,14 @@ fn paused_process_keeps_one_clock_proof() {
     assert_eq!(edge.stop().code(), 0);
     let incidents = hosts.api.json("/api/v1/incidents").to_string();
     assert!(!incidents.contains("clock-step"), "{incidents}");
+    // The list has the other incidents, so it would have a clock step, too.
     assert!(incidents.contains("connected"), "{incidents}");
 }
 
 /// A time namespace shifts the free-running clock by ten seconds, but not the wall clock.
 #[test]
 fn interval_contains_truth_in_other_time_namespace() {
-    let hosts = Hosts::new("[clock]\ndiscipline = []\n", false);
+    let hosts = Hosts::new("[clock]\ndiscipline = []\n", RunEnd::Limit);
     let peernetd = program("peernetd").display().to_string();
     let arguments =
         ["--time", "--monotonic", "10", "--boottime", "10", &peernetd, "run", "edge.toml"].map(str::to_owned);
@@ -203,7 +215,7 @@ fn interval_contains_truth_in_other_time_namespace() {
 
 #[test]
 fn interval_contains_truth_with_clock_fault_injection() {
-    let hosts = Hosts::new(&super::faults(20.0, 0.0, ""), false);
+    let hosts = Hosts::new(&super::faults(20.0, 0.0, ""), RunEnd::Limit);
     let _edge = hosts.deployment.start("edge.toml");
     assert_eq!(hosts.wait_for_link()["same_clock"], false);
     assert_measured("clock fault of 20 ms", &hosts.iterations(), &raw_ahead_by(AHEAD));

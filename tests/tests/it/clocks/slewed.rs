@@ -29,7 +29,7 @@ impl Slew {
     }
 }
 
-/// Returns a clock that is ahead and is slewed; its fault begins at the epoch.
+/// Returns a clock with an offset that is slewed. [`clock_of`] replaces the beginning of the fault.
 fn slewed_clock(offset_ms: i64, slews: &[Slew]) -> ClockFaults {
     let steps = slews.iter().flat_map(Slew::steps).collect();
     ClockFaults { offset: Span::from_millis(offset_ms), drift_ppm: 0.0, steps, since: WallTime::default() }
@@ -83,7 +83,8 @@ fn slewed_wall_clock_affects_no_delay() {
         assert!(is_good(&iteration.up) && is_good(&iteration.down), "{iteration:?}");
     }
     // The stored wall-clock stamps did move: by 42 ms on the edge and 3 ms on the cloud.
-    let raw = |iteration: &Iteration| iteration.up.received - iteration.up.sent;
-    let (first, last) = (raw(&iterations[0]), raw(&iterations[iterations.len() - 1]));
+    let stamp_difference = |iteration: &Iteration| iteration.up.received - iteration.up.sent;
+    let (first, last) =
+        (stamp_difference(&iterations[0]), stamp_difference(&iterations[iterations.len() - 1]));
     assert!((first - last).abs() > Span::from_millis(30), "{first} {last}");
 }

@@ -40,6 +40,7 @@ fn check_step(stepped_host: SteppedHost, by_ms: i32) {
     };
     let is_good = |delay: &Delay| ["ok", "limited"].contains(&delay.verdict.as_str());
     let is_all_good = |iteration: &&Iteration| is_good(&iteration.up) && is_good(&iteration.down);
+    // An iteration that starts shortly before the step may end after it.
     let second = Span::from_seconds(1);
     let is_settled_before_step =
         |iteration: &&Iteration| iteration.number > WARM_UP && time_of(iteration) < step_time - second;

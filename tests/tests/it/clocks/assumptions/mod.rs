@@ -1,8 +1,8 @@
 //! Tests with clocks that fulfil the assumptions of the intervals, and with clocks that violate them.
 //!
 //! A preloaded library, the shim, replaces the clock readings of the programs of both hosts. Each case defines from when
-//! on an assumption is violated. In the window after that, intervals may be wrong; later, each interval with the verdict
-//! `ok` or `limited` must contain the truth. No delay with the verdict `inconsistent` has a value or bounds.
+//! on an assumption is violated. For one [`WINDOW`] after that, intervals may be wrong; later, each interval with the
+//! verdict `ok` or `limited` must contain the truth. No delay with the verdict `inconsistent` has a value or bounds.
 
 mod outcome;
 mod paused;
@@ -17,7 +17,10 @@ use peernet_tests::network::{Network, WireProperties};
 use peernet_tests::truth::HostClock;
 use peernet_tests::{ClockShim, Process, TwoHostTestbed, wait_until, wait_until_grown};
 
-/// Length of the window by default. After a violation an interval may be wrong for this time.
+use super::CONSTANT_DRIFT;
+
+/// Default of the key `window_s`: largest distance in time from an exchange to a delay that it bounds. After a
+/// violation an interval may be wrong for this time.
 const WINDOW: Span = Span::from_seconds(10);
 
 const fn wire_direction(delay_ms: u32, jitter_ms: u32, loss_percent: u32) -> WireProperties {
@@ -41,6 +44,7 @@ const LOAD: &str = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64\nt
 
 /// Two hosts whose clock readings the shim replaces, and a pipeline that runs until the edge is stopped.
 struct ClockTestbed {
+    /// Description of the case. `2/6 ms` are the delays of the path up and down.
     case: &'static str,
     edge: Process,
     cloud: Option<Process>,
@@ -66,7 +70,7 @@ impl ClockTestbed {
         let cloud = start_cloud(&hosts, cloud);
         // Both hosts are on one machine: without an identity of its own the edge's clock would count as the cloud's.
         let pipeline = hosts.pipeline("misled", 1000, LOAD);
-        let tables = format!("clock_identity = \"shown\"\n{CLOCK}{keys}\n{pipeline}");
+        let tables = format!("clock_identity = \"edge\"\n{CLOCK}{keys}\n{pipeline}");
         let edge = hosts.start_edge(&tables, &edge.environment());
         Self { case, edge, cloud: Some(cloud), shims, hosts }
     }
@@ -85,7 +89,7 @@ impl ClockTestbed {
     fn reboot_cloud(&mut self, step: Span, ppm: f64) {
         let [_, shim] = &self.shims;
         self.cloud.take().expect("the cloud runs").kill();
-        let begin = shim.schedule_change(step, ppm, 0.0);
+        let begin = shim.schedule_change(step, ppm, CONSTANT_DRIFT);
         wait_until("the cloud's clocks after its reboot", || (shim.now() > begin).then_some(()));
         self.cloud = Some(start_cloud(&self.hosts, shim));
     }
@@ -96,6 +100,7 @@ impl ClockTestbed {
                    JOIN name ON name.id = node.name WHERE name.text = 'upload' AND t.received_raw_ns IS NOT NULL \
                    ORDER BY t.run DESC, t.iteration DESC LIMIT 1";
         let shown = RawTime::from_nanos(self.hosts.query_database(sql).trim().parse().ok()?);
+        // A clock that was set back showed some times twice. The newest upload arrived at the last of these times.
         self.shims[1].errors().truths(shown).last().copied()
     }
 

@@ -19,7 +19,7 @@ struct JudgedDelay {
     verdict: String,
     /// `true` if the verdict is `ok` or `limited`.
     is_good: bool,
-    /// Distance between the interval and the truth, for a good delay.
+    /// Distance between the interval and the truth; zero if the delay is not good.
     error: Span,
 }
 
@@ -95,6 +95,7 @@ impl Outcome {
 
     /// Checks that no interval misses the truth.
     pub(super) fn assert_never_wrong(&self) {
+        // The violation is before the first delay, and no time is allowed after it, so no interval may be wrong.
         self.assert_wrong_for_at_most(Span::ZERO, self.delays[0].sent - Span::from_seconds(1));
     }
 

@@ -3,7 +3,7 @@
 use peernet_clock::{RawTime, Span};
 use rustix::process::Signal;
 
-use super::{ClockTestbed, Outcome, Process, WINDOW, wire_direction, wire_network};
+use super::{CONSTANT_DRIFT, ClockTestbed, Outcome, Process, WINDOW, wire_direction, wire_network};
 
 /// Stops a process for a while and calls `during_pause` meanwhile. Returns the result, and the times at which the process was
 /// stopped and resumed.
@@ -18,7 +18,7 @@ fn pause_process(
         wire_network(wire_direction(2, 0, 0), wire_direction(2, 0, 0)),
         "",
         |[edge, _]| {
-            edge.schedule_change(Span::from_seconds(77), 150.0, 0.0);
+            edge.schedule_change(Span::from_seconds(77), 150.0, CONSTANT_DRIFT);
         },
     );
     testbed.wait_for_full_window();
@@ -44,11 +44,12 @@ fn check_stopped_process(case: &'static str, length: Span, process_of: fn(&Clock
     outcome.assert_good_at_end();
 }
 
-/// Stops process and clocks: when the process is resumed, its clocks are behind by the length of the pause.
+/// Stops the process, and sets its clocks back by the length of the pause while it is stopped: the clocks of a paused
+/// virtual machine do not advance.
 fn check_paused_machine(case: &'static str, length: Span) {
     let (outcome, stopped, resumed) = pause_process(case, length, edge, |testbed| {
         let begin = testbed.shim().now() + Span::from_millis(200);
-        testbed.shim().schedule_change_at(begin, -length, 150.0, 0.0);
+        testbed.shim().schedule_change_at(begin, -length, 150.0, CONSTANT_DRIFT);
     });
     outcome.assert_wrong_for_at_most(WINDOW + (resumed - stopped), stopped);
     outcome.assert_good_at_end();
@@ -89,8 +90,8 @@ fn intervals_are_right_after_cloud_reboot() {
         wire_network(wire_direction(2, 0, 0), wire_direction(6, 0, 0)),
         "",
         |[edge, cloud]| {
-            edge.schedule_change(Span::from_seconds(3), -50.0, 0.0);
-            cloud.schedule_change(Span::from_seconds(7_200), 100.0, 0.0);
+            edge.schedule_change(Span::from_seconds(3), -50.0, CONSTANT_DRIFT);
+            cloud.schedule_change(Span::from_seconds(7_200), 100.0, CONSTANT_DRIFT);
         },
     );
     testbed.wait_for_full_window();

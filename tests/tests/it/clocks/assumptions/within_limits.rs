@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_tests::ClockShim;
 use peernet_tests::network::WireProperties;
 
-use super::{ClockTestbed, wire_direction, wire_network};
+use super::{CONSTANT_DRIFT, ClockTestbed, wire_direction, wire_network};
 
 /// Runs a case for this time after the window is full, and checks every interval.
 fn check_case(
@@ -24,10 +24,10 @@ fn check_case(
 /// Returns the preparation of a constant drift between the two hosts.
 fn constant_drift(ppm: f64) -> impl FnOnce([&ClockShim; 2]) {
     move |[edge, cloud]| {
-        edge.schedule_change(Span::from_seconds(-5), ppm / 2.0, 0.0);
+        edge.schedule_change(Span::from_seconds(-5), ppm / 2.0, CONSTANT_DRIFT);
         // The rate of one clock by the other's time differs slightly from the difference of both rates by the true
         // time.
-        cloud.schedule_change(Span::from_seconds(9), -ppm / 2.0 * 0.9997, 0.0);
+        cloud.schedule_change(Span::from_seconds(9), -ppm / 2.0 * 0.9997, CONSTANT_DRIFT);
     }
 }
 
