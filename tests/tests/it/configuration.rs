@@ -215,7 +215,8 @@ fn invalid_log_level_and_endless_file_are_refused() {
 fn loaded_model_library_leaves_home_empty() {
     let home = tempfile::tempdir().expect("writable");
     let mut check = std::process::Command::new(program("peernetd"));
-    // In continuous integration the library sends nothing. The test removes the variables by which the library detects that.
+    // The test removes three variables that switch the telemetry off, two of them in continuous integration, and the
+    // variable that would move the library's files out of the home folder.
     check.args(["check", "configs/cloud.toml"]).current_dir(root()).env("HOME", home.path());
     for variable in ["ORT_DISABLE_TELEMETRY", "CI", "GITHUB_ACTIONS", "XDG_CACHE_HOME"] {
         check.env_remove(variable);

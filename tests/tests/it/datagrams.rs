@@ -58,6 +58,7 @@ fn session_survives_small_mtu_and_moved_hosts() {
     }
     wait_until_answered(&testbed, 20);
 
+    // This address is in the same network, and no host has it.
     let new_address = Ipv4Addr::from_bits(edge_host.address.to_bits() + 8);
     edge_host.change_address(new_address);
     wait_until_address_is(&testbed, "local_address", new_address);

@@ -1,9 +1,9 @@
 //! Tests of the documents: examples pass the check, every key is described, and links lead to existing targets.
 //!
 //! A TOML block whose first line is a comment with a bare file name, `# edge.toml`, is a complete file, which must
-//! pass `peernetd check` in the root of the checkout, where the example in C has been built. A block with the tables
-//! `[experiment]` and `[pipeline]` is an experiment, which must pass `peernet run --check` there. Any other TOML
-//! block is an excerpt.
+//! pass `peernetd check` in a folder with links to folders of the checkout and with the built example in C. A block
+//! with the tables `[experiment]` and `[pipeline]` is an experiment, which must pass `peernet run --check` in the root
+//! of the checkout. Any other TOML block is an excerpt.
 
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
@@ -50,6 +50,7 @@ fn experiments_in_the_documents_pass_the_check() {
 #[test]
 fn complete_examples_pass_check_and_excerpts_parse() {
     let deployment = LoopbackDeployment::new();
+    // The examples name the folder `onnxruntime`. This call panics if the library is missing.
     let _needed = onnxruntime();
     for name in ["configs", "docs", "models", "onnxruntime"] {
         symlink(root().join(name), deployment.folder().join(name)).expect("the temporary folder is writable");
@@ -110,7 +111,7 @@ fn links_lead_to_files_and_sections_that_exist() {
 
 /// Sections of the reference, each with a file that has a key or value `zz` where the section describes keys or
 /// values.
-const PROBES: [(&str, &str); 31] = [
+const UNKNOWN_NAMES: [(&str, &str); 31] = [
     ("configuration", "zz = 1"),
     ("log", "[log]\nzz = 1"),
     ("lifecycle", "[lifecycle]\nzz = 1"),
@@ -147,16 +148,16 @@ const PROBES: [(&str, &str); 31] = [
     ("actuator", "[[pipeline]]\nactuator = { kind = \"zz\" }"),
 ];
 
-/// The same as [`PROBES`] for experiments.
-const EXPERIMENT_PROBES: [(&str, &str); 4] = [
+/// The same as [`UNKNOWN_NAMES`] for experiments.
+const UNKNOWN_NAMES_OF_EXPERIMENTS: [(&str, &str); 4] = [
     ("experiment", "[experiment]\nzz = 1\n[pipeline]"),
     ("pipeline-and-the-agents-tables", "[experiment]\nname = 'e'\n[pipeline]\n[network]\nzz = 1"),
     ("axis", "[experiment]\nname = 'e'\n[pipeline]\n[[axis]]\nzz = 1"),
     ("axis", "[experiment]\nname = 'e'\n[pipeline]\n[[axis]]\nname = 'a'\n[[axis.value]]\nzz = 1"),
 ];
 
-/// The same as [`PROBES`] for tables whose keys depend on their kind, which replaces `KIND`.
-const KIND_PROBES: [(&str, &str); 6] = [
+/// The same as [`UNKNOWN_NAMES`] for tables whose keys depend on their kind, which replaces `KIND`.
+const UNKNOWN_NAMES_OF_KINDS: [(&str, &str); 6] = [
     ("model", "[[model]]\nname = \"m\"\nkind = \"KIND\"\nzz = 1"),
     ("sensor", "[[pipeline]]\nsensor = { kind = \"KIND\", zz = 1 }"),
     ("transforms", "[[pipeline]]\ntransforms = [{ kind = \"KIND\", zz = 1 }]"),
@@ -169,13 +170,13 @@ const KIND_PROBES: [(&str, &str); 6] = [
 type Check = fn(&LoopbackDeployment, &str) -> String;
 
 fn check_configuration(deployment: &LoopbackDeployment, file: &str) -> String {
-    deployment.write("probe.toml", file);
-    deployment.peernetd(&["check", "probe.toml"]).wait_for_end().log
+    deployment.write("unknown.toml", file);
+    deployment.peernetd(&["check", "unknown.toml"]).wait_for_end().log
 }
 
 fn check_experiment(deployment: &LoopbackDeployment, file: &str) -> String {
-    deployment.write("probe.toml", file);
-    let arguments = ["run", "--check", "probe.toml"];
+    deployment.write("unknown.toml", file);
+    let arguments = ["run", "--check", "unknown.toml"];
     Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).wait_for_end().log
 }
 
@@ -201,21 +202,24 @@ fn undocumented_words(document: &Document, section: &str, words: &[String]) -> V
 fn reference_describes_every_key_and_kind() {
     let deployment = LoopbackDeployment::new();
     let mut missing = Vec::new();
-    let mut collect_missing = |document: &str, check: Check, probes: &[(&str, &str)]| {
+    let mut collect_missing = |document: &str, check: Check, files: &[(&str, &str)]| {
         let document = Document::read(document);
-        for (section, file) in probes {
+        for (section, file) in files {
             missing.extend(undocumented_words(&document, section, &offered_names(&check(&deployment, file))));
         }
     };
-    collect_missing(REFERENCE, check_configuration, &PROBES);
-    collect_missing("docs/experiments.md", check_experiment, &EXPERIMENT_PROBES);
+    collect_missing(REFERENCE, check_configuration, &UNKNOWN_NAMES);
+    collect_missing("docs/experiments.md", check_experiment, &UNKNOWN_NAMES_OF_EXPERIMENTS);
     let reference = Document::read(REFERENCE);
-    for (section, file) in KIND_PROBES {
-        let keys_of =
+    for (section, file) in UNKNOWN_NAMES_OF_KINDS {
+        let names_offered_for =
             |kind: &str| offered_names(&check_configuration(&deployment, &file.replace("KIND", kind)));
-        let kinds = keys_of("zz");
+        // For an unknown kind the check offers the kinds, and for a known kind it offers the keys.
+        let kinds = names_offered_for("zz");
         missing.extend(undocumented_words(&reference, section, &kinds));
-        missing.extend(kinds.iter().flat_map(|kind| undocumented_words(&reference, section, &keys_of(kind))));
+        missing.extend(
+            kinds.iter().flat_map(|kind| undocumented_words(&reference, section, &names_offered_for(kind))),
+        );
     }
     assert!(missing.is_empty(), "the documents do not describe:\n{}", missing.join("\n"));
 }

@@ -212,6 +212,7 @@ fn kinds_in_text(source: &str) -> Vec<String> {
         let after = after.strip_prefix([':', '='])?.trim_start();
         let value = after.trim_start_matches(is_quote);
         let end = value.find(is_quote)?;
+        // A value without quotes, such as a variable, is no kind.
         (value.len() < after.len()).then(|| value[..end].to_owned())
     };
     lines.flat_map(|line| line.split("kind").skip(1).filter_map(value).collect::<Vec<_>>()).collect()

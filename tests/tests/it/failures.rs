@@ -87,6 +87,7 @@ fn unknown_model_error_lists_models() {
     cloud.wait_for("ready");
     let edge = start_edge(&deployment, "edge", "classifier");
     let output = edge.wait_for("classifier");
+    // The error need not be the first line that names the unknown model.
     let output = if output.contains("echo") { output } else { edge.wait_for("echo") };
     assert!(output.contains("echo") && output.contains("slow"), "{output}");
     assert_eq!(edge.stop().code(), 0);
@@ -98,6 +99,7 @@ fn agents_deliver_to_late_aggregator() {
     let cloud = start_cloud(&deployment);
     let edge = start_edge(&deployment, "edge", "echo");
     edge.wait_for("connected to cloud");
+    // The edge reports that it has no connection to the aggregator.
     edge.wait_for("aggregator");
     let (aggregator, api) = deployment.start_aggregator();
     peernet_tests::wait_until("stored iterations", || (count(&api, "edge", "ok") > 100).then_some(()));

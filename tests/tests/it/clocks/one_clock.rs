@@ -186,8 +186,8 @@ fn paused_process_keeps_one_clock_proof() {
         let before = successful_iterations();
         wait_until_grown("iterations", before + 100, || Some(successful_iterations()));
         edge.signal(Signal::STOP);
-        // A proof may expire during this pause: it is valid for five seconds, and the last query may be two seconds old.
-        // The pause is shorter than a session's timeout.
+        // A proof may expire during this pause: it is valid for five seconds, and the last query may be two seconds
+        // old. The pause is shorter than a session's timeout.
         std::thread::sleep(Duration::from_millis(4_500));
         edge.signal(Signal::CONT);
     }

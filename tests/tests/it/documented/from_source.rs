@@ -56,6 +56,7 @@ fn manual_installation_matches_paths_of_units() {
     let [users, folders] = ["sysusers", "tmpfiles"].map(|tool| format!("systemd-{tool} --root={root}"));
     let replacements: [(&str, &str); 3] =
         [("/usr/bin/", &programs), ("systemd-sysusers", &users), ("systemd-tmpfiles", &folders)];
+    // The first ten commands install; checks and the demo follow.
     for command in &COMMANDS[..10] {
         let changes: Vec<_> = replacements.into_iter().filter(|(from, _)| command.contains(from)).collect();
         assert_success(&machines.on_edge(command, &changes).wait_for_end());

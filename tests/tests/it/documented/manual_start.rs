@@ -60,7 +60,7 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
         "SELECT run, count(*), max(number) FROM iteration GROUP BY run HAVING count(*) <> max(number)";
     assert_eq!(query_database(&database, incomplete_runs), "");
 
-    // The remaining files are checked on one machine.
+    // Each of the remaining files is for one machine only.
     for name in ["python.toml", "python/sweep.py", "python/nearest.py", "all-in-one.toml"] {
         let name = format!("configs/{name}");
         machines.write(&name, &Document::read(&*name).text);
@@ -77,7 +77,7 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
         let name = format!("configs/{name}");
         machines.write(&name, &Document::read(&*name).text);
     }
-    let closed_loop = machines.on_cloud("peernetd run configs/episodes.toml", &[]);
+    let episodes_agent = machines.on_cloud("peernetd run configs/episodes.toml", &[]);
     let success_rate = machines.cloud().run_in_namespace(|| {
         Api::on_port(8040).wait_until("/api/v1/runs", |runs| {
             let runs = runs["runs"].as_array()?.iter();
@@ -85,7 +85,7 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
         })
     });
     assert_eq!(success_rate, 1.0, "not every target is reached");
-    let ended = closed_loop.stop();
+    let ended = episodes_agent.stop();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     machines.finish();
 }

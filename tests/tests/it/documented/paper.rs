@@ -7,7 +7,7 @@ use crate::experiments::{Results, column, wait_for_runs};
 pub(crate) const COMMANDS: [&str; 13] = [
     "peernetd run cloud.toml",
     "peernet run configs/experiments/efficientnet.toml",
-    SHORT,
+    ONE_MODEL,
     "peernet plot --kind paired results/efficientnet",
     "peernet run --check configs/experiments/teleoperation.toml",
     ALL_NETWORKS,
@@ -25,7 +25,7 @@ const NO_NETWORK: &str = "peernet run --only Network=none configs/experiments/te
 const ALL_NETWORKS: &str = "peernet run --only Network=LAN configs/experiments/teleoperation.toml";
 
 /// Measures one model on one machine without a GPU.
-const SHORT: &str = "peernet run --only Model=S --set pipeline.placement.peer=tcp://127.0.0.1:5551 --set pipeline.placement.device=cpu --set bank.devices='[\"cpu\"]' --set experiment.iterations=40 --result-loc results/short configs/experiments/efficientnet.toml";
+const ONE_MODEL: &str = "peernet run --only Model=S --set pipeline.placement.peer=tcp://127.0.0.1:5551 --set pipeline.placement.device=cpu --set bank.devices='[\"cpu\"]' --set experiment.iterations=40 --result-loc results/short configs/experiments/efficientnet.toml";
 
 /// `peernet run` with a Python that has Debian's packages.
 const PYTHON_RUN: &str = "env PEERNET_PYTHON=/usr/bin/python3 peernet run";
@@ -131,6 +131,7 @@ fn measure_detection(machines: &DocumentedCommands) {
     let results = Results::of(machines.folder().join("results/detection-line"));
     assert_eq!(results.states(), ["finished"; 4]);
     assert_eq!(column(&results.folder.join("compare.csv"), "edges"), ["1", "2", "1", "2"]);
+    // The name of a folder has the labels of the run: batches are on, and one camera sends.
     for folder in results.folders().iter().filter(|folder| folder.contains("-on-1-")) {
         let sizes = column(&results.file(folder, "data.csv"), "inference_batch-size");
         // One camera has at most four pictures in flight.
@@ -160,14 +161,15 @@ fn measure_efficientnet(machines: &DocumentedCommands) {
     assert_eq!(column(&table, "Model"), ["S", "M", "L", "S", "M", "L"]);
     let picture_bytes = (1280 * 960 * 3).to_string();
     for folder in results.folders().iter().filter(|folder| folder.contains("cloud")) {
+        // The warm-up adds 5 iterations to the limit of 3.
         let sent = column(&results.file(folder, "data.csv"), "upload-bytes");
         assert!(sent.len() == 8 && sent.iter().all(|bytes| *bytes == picture_bytes), "{folder}: {sent:?}");
     }
     let address = [("127.0.0.1", DocumentedCommands::CLOUD_ADDRESS)];
-    let end = machines.on_edge(SHORT, &address).wait_for_end();
+    let end = machines.on_edge(ONE_MODEL, &address).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
-    let short = column(&machines.folder().join("results/short/compare.csv"), "Where");
-    assert_eq!(short, ["local", "cloud"], "{}", end.log);
+    let places = column(&machines.folder().join("results/short/compare.csv"), "Where");
+    assert_eq!(places, ["local", "cloud"], "{}", end.log);
     let figure = results.folder.join("paired.png");
     std::fs::remove_file(&figure).expect("the experiment drew the figure");
     let end = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).wait_for_end();

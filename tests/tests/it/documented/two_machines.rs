@@ -43,6 +43,7 @@ const SHORT_CALIBRATION: &str = "calibrate --sizes 100,1kB,10kB --repeats 20 --q
 /// Installs the three files of docs/two-machines.md on the machines that it names, which share one clock here.
 pub(crate) fn install(machines: &DocumentedCommands) {
     let document = Document::read("docs/two-machines.md");
+    // The files are blocks of a numbered list and indented by seven spaces.
     let files = document.indented_blocks("put-it-on-two-machines", 7);
     let [aggregator, cloud, robot, ..] = &*files else { panic!("it has three files: {files:#?}") };
     let agent = |clock: &str| {
@@ -172,8 +173,8 @@ fn compare_placements(machines: &DocumentedCommands) {
     assert_eq!(column(&results.folder.join("compare.csv"), "Where"), ["local", "cloud", "cloud"]);
 }
 
-/// Makes a backup while the database is written to, and rebuilds roll-ups while it is not.
-fn back_up_and_rebuild(machines: &DocumentedCommands, stop: impl FnOnce()) {
+/// Makes a backup while the database is written to, and rebuilds roll-ups after `stop_aggregator`.
+fn back_up_and_rebuild(machines: &DocumentedCommands, stop_aggregator: impl FnOnce()) {
     std::fs::create_dir_all(machines.folder().join("cloud/backup")).expect("writable");
     assert_success(machines.on_cloud(BACKUP, &[]).wait_for_end());
     let backups = std::fs::read_dir(machines.folder().join("cloud/backup")).expect("the backup was made");
@@ -186,14 +187,15 @@ fn back_up_and_rebuild(machines: &DocumentedCommands, stop: impl FnOnce()) {
 
     let rebuild = |run: &str| machines.on_cloud(REBUILD, &[("[--run NUMBER]", run)]).wait_for_end();
     assert_eq!(rebuild("").code(), 69, "a rebuild beside a running aggregator is refused");
-    stop();
+    stop_aggregator();
     let database = machines.folder().join("cloud/var/lib/peernet/aggregator/peernet.sqlite");
-    let stored_iterations =
+    // The resolution 0 is the whole run.
+    let rolled_up_values =
         || query_database(&database, "SELECT sum(count) FROM rollup WHERE resolution_s = 0");
-    let before = stored_iterations();
+    let before = rolled_up_values();
     assert_success(rebuild(""));
     assert_success(rebuild("--run 1"));
-    assert_eq!(stored_iterations(), before);
+    assert_eq!(rolled_up_values(), before);
     assert_success(machines.on_cloud(REPAIR, &[]).wait_for_end());
-    assert_eq!(stored_iterations(), before, "a repair changes an undamaged database");
+    assert_eq!(rolled_up_values(), before, "a repair changes an undamaged database");
 }

@@ -73,12 +73,13 @@ fn aggregator_clock_jumps_delete_nothing() {
     assert_stored(1);
 
     let mut messages = Vec::new();
-    for (jump, direction, count, host) in [
+    // Each offset is that of the aggregator's clock after a jump.
+    for (offset, direction, count, host) in [
         (MONTH, "set forward by 30.0 days", 1, "forward"),
         (Span::ZERO, "set back by 30.0 days", 1, "back"),
         (-MONTH, "set back by 30.0 days", 2, "past"),
     ] {
-        false_time.show(jump);
+        false_time.show(offset);
         messages.push(wait_for_jump_message(&api, direction, count));
         // Meanwhile retention runs once a second and after commits.
         run_to_the_end(&deployment, &api, host);

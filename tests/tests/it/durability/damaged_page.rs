@@ -88,8 +88,8 @@ fn damaged_page_stops_storing_until_repaired() {
     fleet.restart_aggregator();
     let reason = wait_for_failure_reason(&fleet);
     assert!(reason.contains("damaged") && reason.contains("peernetd doctor --repair"), "{reason}");
-    // Events that were committed while the damage was found were not acknowledged; they are counted since the
-    // restart.
+    // The aggregator may have committed events without an acknowledgement while it found the damage. They count as
+    // stored only since the restart, so the later counts are compared with the first counts after the restart.
     let first = fleet.wait_for_counts(0, "more wait than before", |counts| counts.waiting > later.waiting);
     let second = fleet.wait_for_counts(0, "even more wait", |counts| counts.waiting > first.waiting + 400);
     assert_eq!(second.stored, first.stored, "nothing more is stored");

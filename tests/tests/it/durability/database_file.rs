@@ -82,6 +82,7 @@ fn storing_recovers_after_database_was_read_only() {
     wait_until("the files are closed", || (!has_open_files(&fleet, disk.folder())).then_some(()));
     disk.set_immutable(writable_files, false);
     disk.remount("ro");
+    // This matches `Read-only` and `read-only`.
     wait_until_not_ready(&fleet, "ead-only");
     disk.remount("rw");
     wait_until_storing(&fleet);

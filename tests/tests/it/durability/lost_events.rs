@@ -85,6 +85,7 @@ fn killed_agent_reports_every_event_it_lost() {
     record_measurements(
         "killed agent",
         &[
+            // One further kill ended the agent before it could report a loss.
             ("kills", thousands(killed_runs.len() as f64 + 1.0)),
             (
                 "answers in the log",

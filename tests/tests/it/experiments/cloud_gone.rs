@@ -61,7 +61,7 @@ fn returning_cloud_loses_only_iterations_in_flight() {
     let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
     let unanswered = outcomes.iter().filter(|outcome| *outcome != "ok").count();
     assert!((1..outcomes.len() - 3).contains(&unanswered), "{outcomes:?}");
-    let second = lab.run(THREE_RUNS, &[]).wait_for_end();
-    assert!(second.code() == 75 && second.log.contains("nothing to do"), "{}", second.log);
-    assert!(second.log.contains("iterations failed in "), "{}", second.log);
+    let repeated = lab.run(THREE_RUNS, &[]).wait_for_end();
+    assert!(repeated.code() == 75 && repeated.log.contains("nothing to do"), "{}", repeated.log);
+    assert!(repeated.log.contains("iterations failed in "), "{}", repeated.log);
 }

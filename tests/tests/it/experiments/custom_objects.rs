@@ -67,10 +67,10 @@ fn trial_finds_mistakes_of_python_objects() {
             "Traceback",
         ],
     );
-    let without_actuator = "actuator = { kind = \"python\", object = \"arm::Motor\" }";
+    let actuator_key = "actuator = { kind = \"python\", object = \"arm::Motor\" }";
     assert_reported(
         &format!("import no_such_package\n{objects}"),
-        &experiment.replace(without_actuator, ""),
+        &experiment.replace(actuator_key, ""),
         &["cannot start arm::Arm with /usr/bin/python3: ModuleNotFoundError", "PEERNET_PYTHON"],
     );
     assert_reported(
@@ -81,12 +81,12 @@ fn trial_finds_mistakes_of_python_objects() {
     assert_reported(
         &objects,
         &experiment
-            .replace(without_actuator, "actuator = { kind = \"socket\", address = \"tcp://127.0.0.1:1\" }"),
+            .replace(actuator_key, "actuator = { kind = \"socket\", address = \"tcp://127.0.0.1:1\" }"),
         &["the actuator cannot be created: ", "cannot connect to the controller at tcp://127.0.0.1:1"],
     );
-    let needs_action = "            return {\"position\": self.position}";
+    let return_statement = "            return {\"position\": self.position}";
     assert_reported(
-        &objects.replacen(needs_action, "            raise RuntimeError('no action yet')", 1),
+        &objects.replacen(return_statement, "            raise RuntimeError('no action yet')", 1),
         &experiment,
         &["the sensor failed: RuntimeError: no action yet", "a trial runs without the actuator"],
     );

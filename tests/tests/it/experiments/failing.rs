@@ -60,7 +60,8 @@ fn missing_model_and_peer_are_reported_before_first_run() {
         assert!(end.log.contains(text), "{text} is not in {}", end.log);
     }
 
-    // Mistakes that look alike in a trial, which runs one iteration after the other, are all reported.
+    // A trial runs one iteration after the other, whatever the load, so one trial stands for both loads. The mistake is
+    // reported for both.
     let similar_mistakes = file.split("[[axis]]").next().expect("what is before the axes").to_owned()
         + "[[axis]]\nname = 'Model'\nfield = 'pipeline.placement.model'\nvalues = ['echo', 'nowhere']\n\
            [[axis]]\nname = 'Load'\n[[axis.value]]\nlabel = 'closed'\n[[axis.value]]\nlabel = '5 Hz'\n\
@@ -76,6 +77,7 @@ fn missing_model_and_peer_are_reported_before_first_run() {
         assert!(end.log.contains(text), "{text} is not in {}", end.log);
     }
 
+    // `--only 1` selects the run with this number.
     let end = lab.run(file, &["--only", "Model=echo", "--only", "1", "--dry-run"]).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
     assert!(end.log.contains("1 of 4 runs to do") && !lab.results.folder.exists(), "{}", end.log);

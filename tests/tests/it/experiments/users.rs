@@ -63,6 +63,7 @@ fn fairness_between_three_users_is_reported() {
         .lines()
         .find(|line| line.starts_with("Can they be published?"))
         .expect("the verdict is printed");
+    // The line has the number of runs for each verdict.
     let numbers = trust_line.split_whitespace().filter_map(|word| word.parse::<u32>().ok());
     assert_eq!(numbers.sum::<u32>(), 2, "two runs, however many edges: {trust_line}");
     draw_again(&lab);

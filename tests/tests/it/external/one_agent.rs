@@ -18,6 +18,7 @@ fn run_without_model_is_shown_on_all_pages() {
     let run = api.wait_for_finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));
+    // 5 of the 50 iterations are warm-up.
     assert_eq!(detail["counts"]["ok"].as_u64(), Some(45), "{detail}");
     assert_eq!(
         (&detail["placement"]["kind"], &detail["placement"]["model"]),
@@ -39,6 +40,7 @@ fn run_without_model_is_shown_on_all_pages() {
     for page in ["/", "/runs", "/pipelines", "/pipelines/edge/study", &format!("/runs/{run}"), "/hosts"] {
         let (status, text) = api.get(page).expect("the dashboard answers");
         assert_eq!(status, 200, "{page}");
+        // The page of the hosts names no pipeline.
         assert!(
             text.contains("sensor alone") || page == "/hosts",
             "{page} does not say that the sensor is alone"

@@ -51,7 +51,8 @@ fn shell_sensor_c_model_shell_actuator_work_together() {
         "{statistics}"
     );
     assert!(api.stage_statistics(run, "top-5").is_none(), "the program has two classes");
-    // Stages that the program reported, and the time for sending the request and the reply.
+    // The program reports the stages `inference` and `postprocessing`. The stage `ipc` is the time for sending the
+    // request to the program and receiving its reply.
     let edge_stages = ["sensing", "encode", "upload", "download", "actuation"];
     let cloud_stages = ["queue", "inference", "postprocessing", "ipc"];
     api.assert_stages_sum_to_total(run, &[&edge_stages[..], &cloud_stages].concat());
