@@ -37,6 +37,7 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
     assert_eq!(end.code(), 0, "{}", end.log);
     assert_eq!(lab.results.states(), ["finished"; 3]);
     let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
+    // The second run has 250 iterations and 2 of the warm-up.
     assert_eq!((outcomes.len(), outcomes.iter().all(|outcome| outcome == "ok")), (252, true), "{outcomes:?}");
     assert_eq!(
         json(&lab.results.file(&lab.results.folders()[0], "run.json")),

@@ -17,6 +17,7 @@ fn wait_for_second_run(lab: &Lab, process: &Process) -> Vec<String> {
 fn assert_complete(lab: &Lab, folders: &[String]) {
     assert_eq!(lab.results.folders(), folders);
     assert_eq!(lab.results.states(), ["finished"; 3]);
+    // Each run has 2 additional iterations of the warm-up.
     for (folder, (size, rows)) in folders.iter().zip([("100", 27), ("200", 252), ("300", 27)]) {
         let data = lab.results.file(folder, "data.csv");
         let numbers: Vec<String> = (1..=rows).map(|number: u32| number.to_string()).collect();
