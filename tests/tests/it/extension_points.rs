@@ -8,7 +8,7 @@ use proc_macro2::TokenTree;
 use syn::visit::Visit;
 use syn::{GenericArgument, Item, PathArguments, Type};
 
-use crate::layers::modules::{Names, Segments};
+use crate::layers::modules::{ReferencedPaths, Segments};
 
 /// Enum of each extension point, and the file that declares it. CONTRIBUTING.md has the same list.
 const REGISTRATIONS: [(&str, &str); 5] = [
@@ -165,11 +165,11 @@ fn kind_is_named_in_its_file_and_registration() {
     let root = peernet_tests::root();
     let (mut problems, mut used_exceptions) = (Vec::new(), Vec::new());
     for file in all_sources() {
-        let mut names = Names::default();
-        items(&file).iter().for_each(|item| names.visit_item(item));
+        let mut references = ReferencedPaths::default();
+        items(&file).iter().for_each(|item| references.visit_item(item));
         let is_elsewhere = |kind: &&Kind| !file.starts_with(&kind.files) && file != kind.registration;
         for kind in kinds.iter().filter(is_elsewhere) {
-            let Some(path) = names.paths.iter().find(|path| kind.is_named_by(path)) else { continue };
+            let Some(path) = references.paths.iter().find(|path| kind.is_named_by(path)) else { continue };
             let exception = EXCEPTIONS
                 .iter()
                 .find(|(path, module, _)| *module == kind.module && file.starts_with(root.join(path)));

@@ -7,23 +7,23 @@ use proc_macro2::{TokenStream, TokenTree};
 use syn::visit::Visit;
 use syn::{Attribute, Item, ItemImpl, ItemUse, Type, UseTree, Visibility};
 
-/// The other modules that each top-level module names, each with the first file that names it.
+/// For each top-level module: the other top-level modules to which it refers, each with the first file that does.
 pub(super) type Uses = BTreeMap<String, BTreeMap<String, PathBuf>>;
 
 /// Segments of a path, as written in a module: `["super", "time", "Span"]`.
 pub(crate) type Segments = Vec<String>;
 
-/// Source file with the paths that it names.
+/// Source file, or inline module in a source file, with the paths in it.
 struct SourceFile {
     path: PathBuf,
     /// Modules from the crate's root to this module.
     module: Segments,
     /// Paths that begin with `crate`, `super` or `self`.
-    names: Vec<Segments>,
+    references: Vec<Segments>,
 }
 
-/// Returns the references between the top-level modules of a crate, without code that is compiled for tests only. `root` is
-/// the crate's root file.
+/// Returns the references between the top-level modules of a crate, without code that is compiled for tests only.
+/// `root` is the crate's root file.
 pub(super) fn uses(root: &Path) -> Uses {
     let mut reader = Reader::default();
     reader.read(root, &[], root.parent().expect("in a folder"));
@@ -32,8 +32,9 @@ pub(super) fn uses(root: &Path) -> Uses {
     let mut uses: Uses = top_level_modules.iter().map(|name| ((*name).clone(), BTreeMap::new())).collect();
     for file in &reader.files {
         let Some(own_module) = file.module.first() else { continue };
-        for name in &file.names {
-            let Some(target) = file.resolve(name) else { continue };
+        for reference in &file.references {
+            let Some(target) = file.resolve(reference) else { continue };
+            // A name that the root re-exports belongs to the module from which it comes.
             let target = reader.exported.get(&target).unwrap_or(&target);
             if target != own_module && top_level_modules.contains(target) {
                 let module_uses = uses.get_mut(own_module).expect("each module has an entry");
@@ -46,9 +47,9 @@ pub(super) fn uses(root: &Path) -> Uses {
 
 impl SourceFile {
     /// Returns the name directly below the crate's root that a path leads to.
-    fn resolve(&self, name: &[String]) -> Option<String> {
+    fn resolve(&self, reference: &[String]) -> Option<String> {
         let mut path = self.module.clone();
-        let mut rest = name.iter();
+        let mut rest = reference.iter();
         for segment in rest.by_ref() {
             match segment.as_str() {
                 "crate" => path.clear(),
@@ -83,7 +84,7 @@ impl Reader {
     }
 
     fn add_items(&mut self, items: &[Item], path: &Path, module: &[String], folder: &Path) {
-        let mut names = Names::default();
+        let mut collected = ReferencedPaths::default();
         let is_in_crate = |path: &Segments| ["crate", "super", "self"].contains(&path[0].as_str());
         for item in items.iter().filter(|item| !is_for_tests(attributes(item))) {
             match item {
@@ -103,11 +104,11 @@ impl Reader {
                     }
                 }
                 Item::Use(use_item) if module.is_empty() => self.export(use_item),
-                item => names.visit_item(item),
+                item => collected.visit_item(item),
             }
         }
-        let names = names.paths.into_iter().filter(is_in_crate).collect();
-        self.files.push(SourceFile { path: path.to_owned(), module: module.to_vec(), names });
+        let references = collected.paths.into_iter().filter(is_in_crate).collect();
+        self.files.push(SourceFile { path: path.to_owned(), module: module.to_vec(), references });
     }
 
     /// Records the names that the root re-exports.
@@ -124,15 +125,15 @@ impl Reader {
     }
 }
 
-/// Paths of more than one segment in some items, without paths in items for tests.
+/// Paths of more than one segment in the visited items, without paths in items for tests.
 #[derive(Default)]
-pub(crate) struct Names {
+pub(crate) struct ReferencedPaths {
     pub(crate) paths: Vec<Segments>,
     /// Type that `Self` stands for in the current `impl`.
     self_type: Option<String>,
 }
 
-impl Names {
+impl ReferencedPaths {
     fn add(&mut self, mut path: Segments) {
         if let (Some("Self"), Some(self_type)) = (path.first().map(String::as_str), &self.self_type) {
             path[0].clone_from(self_type);
@@ -169,7 +170,7 @@ impl Names {
     }
 }
 
-impl<'ast> Visit<'ast> for Names {
+impl<'ast> Visit<'ast> for ReferencedPaths {
     fn visit_item(&mut self, item: &'ast Item) {
         if !is_for_tests(attributes(item)) {
             syn::visit::visit_item(self, item);
