@@ -83,6 +83,7 @@ fn ctrl_c_and_closed_terminal_stop_daemon() {
 fn under_journald_lines_carry_priorities_instead_of_times() {
     let deployment = LoopbackDeployment::new();
     deployment.write("edge.toml", AGENT);
+    // The daemon checks only that the variable is set. systemd sets it to the device and inode of the journal's socket.
     let daemon = Process::start(
         &program("peernetd"),
         &["run", "edge.toml"],
@@ -90,13 +91,14 @@ fn under_journald_lines_carry_priorities_instead_of_times() {
         &[("JOURNAL_STREAM", "8:1")],
     );
     let line = daemon.wait_for("ready");
+    // 6 is the priority of informational lines.
     assert!(line.starts_with("<6>"), "{line}");
     assert_eq!(daemon.stop().code(), 0);
 }
 
 #[test]
 fn second_signal_ends_daemon_immediately() {
-    // The first signal would wait for a model that computes for ten minutes.
+    // After the first signal, the daemon waits several seconds for the model, which computes for ten minutes.
     let deployment = LoopbackDeployment::new();
     let slow = AGENT.replace("kind = \"echo\"", "kind = \"sleep\"\ninference_ms = 600000");
     deployment.write("edge.toml", &slow.replace("[agent]", "[agent]\nstop_timeout_ms = 9000"));
@@ -110,8 +112,8 @@ fn second_signal_ends_daemon_immediately() {
     assert_eq!(daemon.wait_for_end().code(), 70);
 }
 
-/// Script that writes a model of 100,000 additions into a folder. ONNX Runtime takes half a minute to open the model, in a call
-/// that cannot be terminated.
+/// Script that writes a model of 100,000 additions into a folder. ONNX Runtime takes half a minute to open the model,
+/// in a call that cannot be terminated.
 const LONG_CHAIN: &str = r#"
 import sys
 import numpy, onnx
@@ -139,7 +141,7 @@ fn stop_while_a_model_opens_is_clean() {
     let written = std::process::Command::new(python).args(["-c", LONG_CHAIN]).arg(&model).status();
     assert!(written.expect("Python is installed").success());
     let library = peernet_tests::onnxruntime().join("libonnxruntime.so");
-    // With two workers, the temporary folder of the weights that they share shows that the model is being opened.
+    // Two workers share the weights in a temporary folder. When this folder exists, the model is being opened.
     let table =
         format!("kind = \"onnx\"\npath = \"chain\"\nworkers = 2\n[onnxruntime]\nlibrary = {library:?}");
     let slow = AGENT.replace("kind = \"echo\"", &table);
@@ -166,5 +168,6 @@ fn version_contains_the_commit() {
     let words: Vec<&str> = end.log.split_whitespace().collect();
     assert_eq!(words[0], "peernetd");
     assert_eq!(words[1], env!("CARGO_PKG_VERSION"));
+    // The third word is the commit in parentheses.
     assert!(words[2].starts_with('('), "{}", end.log);
 }

@@ -35,6 +35,7 @@ fn two_addresses_are_served_concurrently() {
     // Both pipelines still run when the answers of the second one are checked.
     for host in ["left", "right"] {
         api.wait_until(&format!("/api/v1/pipelines/{host}/line"), |pipeline| {
+            // Window 2 is the last minute.
             (pipeline["windows"][2]["counts"]["ok"].as_f64()? > 10.0).then_some(())
         });
         let link = api.json(&format!("/api/v1/links/{host}~cloud"));
@@ -42,9 +43,9 @@ fn two_addresses_are_served_concurrently() {
         let link_by_network = api.json(&format!("/api/v1/links/{host}~cloud~zmq-tcp"));
         assert_eq!(link_by_network["name"], link["name"], "a path with the network leads to the same link");
     }
-    let hosts = api.json("/api/v1/hosts/cloud");
+    let cloud_host = api.json("/api/v1/hosts/cloud");
     let serves = format!("tcp://127.0.0.1:{}, tcp://127.0.0.1:{second_port}", deployment.data_port);
-    assert_eq!(hosts["description"]["serves"], serves.as_str(), "{hosts}");
+    assert_eq!(cloud_host["description"]["serves"], serves.as_str(), "{cloud_host}");
     for edge in edges {
         assert_eq!(edge.stop().code(), 0);
     }
@@ -71,7 +72,7 @@ fn network_and_address_must_agree() {
 #[test]
 fn invalid_lists_of_addresses_are_refused() {
     let deployment = LoopbackDeployment::new();
-    for (listen, output) in [
+    for (listen, message) in [
         ("[]", "the list is empty"),
         (
             "[\"tcp://127.0.0.1:7001\", \"tcp://127.0.0.1:7001\"]",
@@ -86,6 +87,6 @@ fn invalid_lists_of_addresses_are_refused() {
         );
         let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
         assert_eq!(end.code(), 78, "{}", end.log);
-        assert!(end.log.contains(output) && end.log.contains("serve.listen"), "{output} in {}", end.log);
+        assert!(end.log.contains(message) && end.log.contains("serve.listen"), "{message} in {}", end.log);
     }
 }

@@ -47,8 +47,8 @@ fn database_path(deployment: &LoopbackDeployment) -> PathBuf {
     deployment.folder().join("aggregator.sqlite")
 }
 
-/// Returns the statistics of whole runs in a form that can be compared: means with ten significant digits, and sums of squared deviations with
-/// seven.
+/// Returns the statistics of whole runs in a form that can be compared: means with ten significant digits, and sums of
+/// squared deviations with seven.
 fn statistics(database: &Path) -> String {
     query_database(
         database,
@@ -119,7 +119,7 @@ fn aggregator_continues_from_backup_and_reports_gap() {
     wait_until("more iterations", || (successful_iterations(&api) > before + 300).then_some(()));
     aggregator.kill();
     for file in ["aggregator.sqlite", "aggregator.sqlite-wal", "aggregator.sqlite-shm"] {
-        // After a checkpoint the write-ahead log does not exist.
+        // A write-ahead log and its index do not always exist.
         let _result = std::fs::remove_file(deployment.folder().join(file));
     }
     std::fs::rename(deployment.folder().join("copy.sqlite"), database_path(&deployment))

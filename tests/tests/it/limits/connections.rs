@@ -13,9 +13,11 @@ const SILENT_CONNECTIONS: usize = 1_030;
 
 #[test]
 fn silent_connections_stop_neither_storing_nor_dashboard() {
+    // This process has the other end of each connection, so it needs as many descriptors.
     let maximum = getrlimit(Resource::Nofile).maximum;
     setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).expect("the soft limit may be raised");
     let deployment = LoopbackDeployment::new();
+    // With this long timeout, silent connections stay open.
     deployment.write("aggregator.toml", &AGGREGATOR.replace("[web]", "hello_timeout_ms = 60000\n[web]"));
     let peernetd = program("peernetd").display().to_string();
     let arguments = ["--nofile=1024:1024", &peernetd, "run", "aggregator.toml"];
@@ -41,7 +43,7 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
     };
     wait_for_more("early", 0.0);
 
-    // Half of the peers complete the greeting of the protocol and send nothing more.
+    // Half of the peers complete the handshake of the protocol and send nothing more.
     let open_silent_connection = |number: usize| {
         if number.is_multiple_of(2) {
             Peer::connect(deployment.events_port)
@@ -57,6 +59,7 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
     wait_for_more("late", 50.0);
     assert_eq!(api.json("/api/v1/runs")["runs"].as_array().map(Vec::len), Some(2));
     let descriptors = std::fs::read_dir(format!("/proc/{}/fd", aggregator.pid())).expect("it runs").count();
+    // A quarter of the 1,024 descriptors must stay free.
     assert!(descriptors < 768, "{descriptors} descriptors");
     drop(connections);
     for process in [early, late, aggregator] {
@@ -82,7 +85,7 @@ fn connections_without_hello_are_closed_in_time() {
     for process in [cloud, aggregator] {
         let end = process.stop();
         assert_eq!(end.code(), 0);
-        // The reason is logged once, then as a count.
+        // The first rejection is logged at once. Later rejections are logged once a minute, as a count.
         assert_eq!(end.log.matches("no_hello").count(), 1, "{}", end.log);
     }
 }

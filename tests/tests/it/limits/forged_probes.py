@@ -14,8 +14,8 @@ target = socket.inet_aton(address)
 out = socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_RAW)
 begin = time.monotonic()
 sent = 0
-while (now := time.monotonic() - begin) < seconds:
-    while sent < now * per_second:
+while (elapsed := time.monotonic() - begin) < seconds:
+    while sent < elapsed * per_second:
         source = struct.pack("!I", 0x0B000000 + random.getrandbits(24))
         # The kernel fills in the fields that are zero: length, id and checksum of the IP header. UDP needs no checksum.
         ip = struct.pack("!BBHHHBBH4s4s", 0x45, 0, 0, 0, 0, 64, socket.IPPROTO_UDP, 0, source, target)

@@ -4,8 +4,8 @@ use peernet_tests::{LoopbackDeployment, record_measurements, wait_until};
 
 use super::{Peer, peak_memory};
 
-/// Largest memory, bytes: a daemon in a debug build takes 70 MB, and all unauthenticated peers together may take 16
-/// MiB.
+/// Largest peak memory, bytes. A daemon in a debug build takes 70 MB, and all unauthenticated peers together may take
+/// 16 MiB; the rest is margin.
 const MAX_RESIDENT_BYTES: u64 = 200_000_000;
 
 #[test]

@@ -34,7 +34,8 @@ impl Peer {
         greeting.extend_from_slice(b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER");
         let mut peer = Self::connect(port);
         if peer.0.write_all(&greeting).is_ok() {
-            // After the other side's greeting and the beginning of its READY, it has processed ours.
+            // The other side sends READY after it has processed our greeting. The 66 bytes are its own greeting and the
+            // first two bytes of READY.
             let _closed = peer.0.read_exact(&mut [0; 66]);
         }
         peer
@@ -43,6 +44,7 @@ impl Peer {
     /// Sends a frame whose header announces one byte more than follows. Returns the number of bytes that were sent before
     /// the connection was closed.
     fn send_unfinished(&mut self, bytes: usize) -> usize {
+        // 2 is the flag of a frame whose size has eight bytes.
         let header = [&[2][..], &(bytes as u64 + 1).to_be_bytes()].concat();
         if self.0.write_all(&header).is_err() {
             return 0;

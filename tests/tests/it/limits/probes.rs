@@ -31,10 +31,10 @@ fn probe_counts(testbed: &TwoHostTestbed) -> (u64, u64) {
 }
 
 #[test]
-fn peers_probes_are_answered_during_forged_flood() {
+fn peer_with_session_is_answered_during_forged_flood() {
     let testbed = TwoHostTestbed::new(|_| Network::direct().with_third_host());
     let (cloud, third_host) = (testbed.network.cloud(), testbed.network.third_host());
-    // Packets with forged source addresses are accepted, and their answers are sent.
+    // With these settings, the cloud accepts packets with forged source addresses and sends the answers.
     for interface in ["all", "third"] {
         cloud.run("sysctl", &["-qw", &format!("net.ipv4.conf.{interface}.rp_filter=0")]);
     }
@@ -57,7 +57,7 @@ fn peers_probes_are_answered_during_forged_flood() {
     let forged_probes = third_host.run("python3", &arguments);
     let forged_probes: u64 = forged_probes.trim().parse().expect("the script prints a number");
     let answers = sent_packets(cloud) - answers_before;
-    // A probe counts as lost after two seconds.
+    // A probe counts as lost after two seconds, so the test waits for the probes of three more seconds.
     let expected_probes = counts_before.0 + 50 * SECONDS;
     wait_until("the results of the probes", || {
         (probe_counts(&testbed).0 > expected_probes + 150).then_some(())
@@ -68,7 +68,7 @@ fn peers_probes_are_answered_during_forged_flood() {
         forged_probes > ANSWERED_HZ * (SECONDS + 2) * 2,
         "too few forged probes to reach the limit: {forged_probes}"
     );
-    // The answers to the edge's probes are included.
+    // Two seconds more than the flood: one for the burst, one as margin. The answers to the edge's probes are included.
     let max_answers = ANSWERED_HZ * (SECONDS + 2) + 100 * SECONDS;
     assert!(answers <= max_answers, "{answers} answers to {forged_probes} forged probes");
     assert!(lost_probes * 20 <= 50 * SECONDS, "{lost_probes} of the edge's probes were lost");

@@ -2,6 +2,7 @@
 
 use peernet_tests::LoopbackDeployment;
 
+/// Number of pipelines of each greedy agent, and maximum number of sessions of the cloud.
 const PIPELINES: usize = 16;
 
 /// Returns this number of pipelines that use the cloud.

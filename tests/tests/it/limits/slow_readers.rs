@@ -10,8 +10,8 @@ use socket2::{Domain, Socket, Type};
 /// Descriptors of the daemon; an eighth of them are for connections to the dashboard.
 const DESCRIPTORS: &str = "--nofile=1024:1024";
 
-/// Number of slow hosts. Together they open more connections than the 128 that the dashboard keeps, and no host opens more
-/// than a quarter of these 128.
+/// Number of slow hosts. Together they open more connections than the 128 that the dashboard keeps, and no host opens
+/// more than a quarter of these 128.
 const SLOW_HOSTS: u8 = 6;
 const CONNECTIONS_PER_HOST: usize = 25;
 
@@ -60,6 +60,6 @@ fn slow_readers_do_not_block_dashboard() {
     }
     let end = aggregator.stop();
     assert_eq!(end.code(), 0);
-    // The reason is logged once, then as a count.
+    // The first refusal is logged at once. Later refusals are logged once a minute, as a count.
     assert_eq!(end.log.matches("closed a new connection").count(), 1, "{}", end.log);
 }

@@ -1,5 +1,5 @@
-//! Test of an unknown host beside the two machines of docs/two-machines.md. The host sends garbage, silence, false sizes and unfinished
-//! frames to every port.
+//! Test of an unknown host beside the two machines of docs/two-machines.md. The host sends garbage, silence, false
+//! sizes and unfinished frames to every port.
 
 use std::net::TcpStream;
 use std::path::Path;
@@ -22,7 +22,7 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     let machines = DocumentedCommands::with_third_host();
     install(&machines);
     let _master = start_ros_master(&machines);
-    change_configuration(&machines, machines.cloud(), "\"tcp://0.0.0.0:5551\"", ADDRESSES);
+    change_configuration(&machines, machines.cloud(), "\"tcp://0.0.0.0:5551\"", LISTEN_ADDRESSES);
     change_configuration(
         &machines,
         machines.cloud(),
@@ -42,17 +42,18 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     let (edge, cloud) = (machines.edge(), machines.cloud());
     let start_daemon =
         |host: &Host, name: &str| machines.run_on(host, &daemon_command(&machines, host, name));
-    let (aggregator, agent, robot) =
+    let (aggregator, cloud_agent, robot_agent) =
         (start_daemon(cloud, "aggregator"), start_daemon(cloud, "agent"), start_daemon(edge, "agent"));
     aggregator.wait_for("ready");
-    agent.wait_for("for its pipeline topics");
+    // The cloud logs the session of the pipeline over ROS.
+    cloud_agent.wait_for("for its pipeline topics");
     let before = wait_until("the robot's iterations are stored", || {
         stored_events(&machines).filter(|events| *events > 20)
     });
 
     let attack = start_attack(&machines);
     let (stopwatch, mut latest) = (Stopwatch::start(), before);
-    // The last query is made during the attack.
+    // The loop ends some seconds before the attack, so that every query is made during the attack.
     while stopwatch.elapsed().as_secs() < SECONDS - 5 {
         latest = wait_until("more stored events on the dashboard", || {
             stored_events(&machines).filter(|events| *events > latest)
@@ -65,12 +66,12 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     }
     let end = attack.wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
-    for process in [&aggregator, &agent] {
+    for process in [&aggregator, &cloud_agent] {
         let peak = peak_memory(process);
         assert!(peak < MAX_PEAK_BYTES, "{peak} bytes of memory at the peak: {}", end.log);
     }
 
-    assert_eq!(robot.stop().code(), 0);
+    assert_eq!(robot_agent.stop().code(), 0);
     let robot_state = wait_until("all is stored", || {
         request_robot_state(&machines).filter(|host| host["now"]["events"]["waiting"] == 0)
     });
@@ -94,11 +95,11 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
         |name: &str| datagram_counts[name].as_u64().unwrap_or_else(|| panic!("no {name}: {datagram_counts}"));
     let unanswered = count("failed") + count("lost") + count("timeout");
     assert!(count("ok") > 150 && count("ok") > 9 * unanswered, "{datagram_counts}");
-    assert_eq!(agent.stop().code(), 0);
+    assert_eq!(cloud_agent.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
 }
 
-/// Returns an additional pipeline, whose samples take several datagrams each.
+/// Returns the table of an additional pipeline. Over UDP, each of its samples takes several datagrams.
 fn pipeline_table(name: &str, peer: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 100000 }}\n\
@@ -108,7 +109,8 @@ fn pipeline_table(name: &str, peer: &str) -> String {
 }
 
 /// Addresses at which the cloud serves models, one per network.
-const ADDRESSES: &str = r#"["tcp://0.0.0.0:5551", "udp://0.0.0.0:5552", "ros1://10.0.0.2:11311/cloud"]"#;
+const LISTEN_ADDRESSES: &str =
+    r#"["tcp://0.0.0.0:5551", "udp://0.0.0.0:5552", "ros1://10.0.0.2:11311/cloud"]"#;
 
 /// Changes the configuration of a machine's agent.
 fn change_configuration(machines: &DocumentedCommands, host: &Host, from: &str, to: &str) {
