@@ -11,15 +11,15 @@ fn observing_pipeline(name: &str, input: &str, output: &str, keys: &str) -> Stri
     )
 }
 
-/// Waits until all runs have ended by themselves; returns their numbers with their pipelines' names.
-fn wait_for_finished_runs(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
+/// Waits until `count` runs have ended by themselves; returns their numbers with their pipelines' names.
+fn wait_for_finished_runs(api: &Api, count: usize) -> Vec<(String, i64)> {
     api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         let finished = runs.iter().filter(|run| run["reason"] == "finished");
         let finished_runs: Vec<(String, i64)> = finished
             .filter_map(|run| Some((run["pipeline"].as_str()?.to_owned(), run["number"].as_i64()?)))
             .collect();
-        (finished_runs.len() == pipelines).then_some(finished_runs)
+        (finished_runs.len() == count).then_some(finished_runs)
     })
 }
 
@@ -64,6 +64,7 @@ fn chain_latencies_are_right_within_a_millisecond() {
     let (_aggregator, api) = deployment.start_aggregator();
     let hops = [("5", "/camera", "/a"), ("20", "/a", "/b"), ("50", "/b", "/c")];
     let relay = |(delay, from, to): &(&str, &str, &str)| {
+        // "0": the relay drops no message.
         ros.start_node(&["relay", &format!("relay{delay}"), from, to, delay, "0"])
     };
     let relays: Vec<Process> = hops.iter().map(relay).collect();
@@ -79,8 +80,8 @@ fn chain_latencies_are_right_within_a_millisecond() {
     );
     let _camera = ros.start_node(&["camera", "camera", "/camera", "10"]);
 
-    // On a busy machine nodes and agent wait for a processor; the comparison is
-    // repeated until they have not waited for two seconds.
+    // On a busy machine, nodes and agent wait for a processor. The comparison is repeated until neither waited during
+    // the last two seconds, the time of the messages of one median.
     let mut sum = 0.0;
     for ((delay, ..), relay) in hops.iter().zip(&relays) {
         let seconds = wait_until(&format!("a median within a millisecond of {delay} ms"), || {
@@ -118,6 +119,7 @@ fn unanswered_input_messages_are_lost_iterations() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
     let (_aggregator, api) = deployment.start_aggregator();
     let _camera = ros.start_node(&["camera", "camera", "/camera", "20"]);
+    // The relay drops every fourth message.
     let _relay = ros.start_node(&["relay", "relay", "/camera", "/out", "2", "4"]);
     let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 40 }";
     let _agent = ros.start_agent(&deployment, "robot", &observing_pipeline("lossy", "/camera", "/out", keys));
@@ -207,7 +209,7 @@ fn agent_waits_for_a_master() {
 }
 
 #[test]
-fn check_refuses_observation_of_ros_2() {
+fn check_refuses_unsupported_observation_of_ros_2() {
     let deployment = LoopbackDeployment::new();
     let check = |keys: &str| {
         let pipeline = observing_pipeline("two", "/in", "/out", "").replace("ros_version = 1", keys);
@@ -234,7 +236,7 @@ fn check_refuses_observation_of_ros_2() {
 }
 
 #[test]
-fn observed_pipeline_refuses_keys_of_active_one() {
+fn observing_pipeline_refuses_sensor_load_and_equal_topics() {
     let deployment = LoopbackDeployment::new();
     let pipeline = observing_pipeline("wrong", "/a", "/a", "load = { mode = \"rate\", hz = 1.0 }")
         .replace("timeout_ms", "sensor = { kind = \"synthetic\", size_bytes = 1 }\ntimeout_ms");

@@ -57,6 +57,7 @@ fn as_str_pairs<'a>(variables: &'a [(&'static str, String); 2]) -> [(&'a str, &'
     [(variables[0].0, &variables[0].1), (variables[1].0, &variables[1].1)]
 }
 
+/// Starts a node of `tests/ros/node.rs`, which explains the arguments.
 fn start_node(host: &Host, variables: &[(&'static str, String); 2], arguments: &[&str]) -> Process {
     let node = host.start(&program("ros1-node"), arguments, root(), &as_str_pairs(variables));
     node.wait_for("ready");
@@ -150,6 +151,7 @@ impl RosOverWire {
         );
         // The stages cover the whole time.
         assert!(self.testbed.api.mean(run, "unattributed").abs() < 1e-4);
+        // The sizes of observed messages are not recorded, so there is no throughput.
         assert_eq!(self.testbed.api.stage_statistics(run, "upload-throughput"), None);
     }
 }
@@ -199,7 +201,7 @@ fn observed_delays_contain_truth_despite_clock_errors() {
 
 /// The node stamps its answers again, so no answer has the stamp of its input message.
 #[test]
-fn equal_sequence_numbers_keep_delays_true() {
+fn delays_of_messages_paired_by_sequence_contain_truth() {
     let ros_system = RosOverWire::new(&["restamp", "model", "/camera", "/result", "20"]);
     let testbed = &ros_system.testbed;
     let by_sequence =

@@ -53,12 +53,13 @@ fn models_of_all_folders_are_listed() {
     let line_of = |name: &str| {
         table.lines().find(|line| line.starts_with(name)).unwrap_or_else(|| panic!("{table}")).to_owned()
     };
+    // `reference.py` exports the model with random weights from seed 3.
     assert!(line_of(NAME).contains("classification") && line_of(NAME).contains("random-3"), "{table}");
     assert!(line_of("quality-control").contains("models/quality-control"), "{table}");
     let models = json(&run_models_command(&["list", "--json"]));
     let names: Vec<&str> =
         models.as_array().expect("a list").iter().filter_map(|model| model["model"].as_str()).collect();
-    assert_eq!(names[0], NAME, "the folder of the variable comes before models/");
+    assert_eq!(names[0], NAME, "the folder in PEERNET_MODELS comes before models/");
 }
 
 #[test]
@@ -73,7 +74,7 @@ fn model_list_shows_hash_of_file() {
 }
 
 #[test]
-fn check_uses_pictures_of_model_or_zeros() {
+fn check_runs_on_zeros_and_then_on_pictures() {
     let output = stdout_of_success(&run_models_command(&["check", "quality-control"]));
     assert!(output.contains("run on zeros") && output.contains("of 30 labels right"), "{output}");
     let output = stdout_of_success(&run_models_command(&["check", "defect-detector"]));
@@ -115,12 +116,13 @@ fn check_and_run_agree_on_unknown_mask_class() {
     let rows = results.file(&results.folders()[0], "data.csv");
     let scores: Vec<f64> = column(&rows, "mean-iou").iter().filter_map(|iou| iou.parse().ok()).collect();
     let unknown = column(&rows, "unknown-label").iter().filter(|value| *value == "1").count();
+    // b.png has no score, because its class is unknown.
     assert_eq!((scores.len(), unknown), (1, 1));
-    let same = format!(
+    let summary = format!(
         "; all pictures together: mean IoU {} % over 1 class; {unknown} label is not a class of the model",
         share(scores[0])
     );
-    assert!(check.contains(&same), "the run has{same}, and the check has: {check}");
+    assert!(check.contains(&summary), "the summary of the check does not contain {summary:?}: {check}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Tests of the model bank: models on disk, exported from torchvision, requested by the command line and by peers.
+//! Tests of the model bank: models on disk, models exported from torchvision, and the commands `peernet models …`.
 
 mod commands;
 mod torchvision;
@@ -24,6 +24,7 @@ struct ReferenceAnswer {
 /// EfficientNetV2-S with random weights in a folder of models, and its answers.
 #[derive(Debug)]
 struct ExportedModel {
+    /// Folder of models, which contains the exported model.
     models: PathBuf,
     answers: Vec<ReferenceAnswer>,
 }

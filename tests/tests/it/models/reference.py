@@ -1,4 +1,4 @@
-"""Exports a random model and writes down torchvision's own answers, for the test beside this file.
+"""Exports a random model and writes down torchvision's own answers, for the tests of models in this folder.
 
 Arguments: the folder for the output, then pictures. The output is the folder of the model, and answers.json with one object
 for each picture: file, width, height, the file of its decoded pixels, logits.

@@ -39,7 +39,7 @@ fn exported_model_answers_like_torchvision() {
     }
 }
 
-/// The test above can fail: random weights must not give the same answer to every input.
+/// With a wrong card, the test above would fail: a model with random weights still distinguishes inputs.
 #[test]
 fn card_mistakes_exceed_the_answer_tolerance() {
     let [reference, other_reference] = &*exported_model().answers else { panic!("two pictures") };
@@ -80,8 +80,8 @@ fn top_five_classes(logits: &[f64]) -> Vec<usize> {
     classes
 }
 
-/// Loads the exported model with a card that lists all numbers of the output unchanged, and in which these keys are
-/// replaced.
+/// Loads the exported model with a card that lists all numbers of the output unchanged. `changes` are pairs of a key of
+/// the card and its new value.
 fn load_model(changes: &[(&str, &str)]) -> Arc<Pool> {
     let exported = ModelFolders::new([exported_model().models.clone()]).find(NAME).expect("was exported");
     let models = tempfile::tempdir().expect("a folder");
