@@ -7,7 +7,7 @@ mod secret;
 use peernet_tests::Fleet;
 use peernet_tests::fleet::{agent_configuration, echo_pipeline, rate_load};
 
-/// Starts a fleet with one agent that measures.
+/// Starts a fleet with one agent that measures. Its host, `edge`, is the robot of these tests.
 fn start_fleet(keys: &str) -> Fleet {
     let mut fleet = Fleet::with_aggregator_keys(
         keys,

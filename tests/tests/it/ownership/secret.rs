@@ -58,7 +58,7 @@ fn impostor_does_not_exclude_known_host() {
     misbehaving_peer.send(&impostor.batch(10));
     misbehaving_peer.receive_until(|message| (*message == ToAgent::Unknown).then_some(()));
     misbehaving_peer.send_message(&ToAggregator::Goodbye(impostor.hello.host.id));
-    // While the impostor repeats its hello, the robot comes back with another process number.
+    // While the impostor repeats its hello, the robot comes back as a new process.
     for _ in 0..20 {
         misbehaving_peer.send_message(&ToAggregator::Hello(impostor.hello.clone()));
     }
@@ -75,7 +75,7 @@ fn impostor_does_not_exclude_known_host() {
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
     assert_eq!(stored_events.count_missing(fleet.agents[0].spooled_iterations()), 0, "{stored_events:?}");
-    // Events that were not spooled when the robot was killed may be missing in a gap. The robot continues its stream.
+    // A gap may report events that were not in the spool when the robot was killed. Even so, the stream continues.
     assert_eq!(stored_events.hosts["edge"].streams, 1, "{stored_events:?}");
 }
 
