@@ -33,6 +33,7 @@ fn published_commands_work_unchanged() {
     let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     for log in [&client.log, &server.log] {
+        // The warning that nothing is encrypted.
         assert_eq!(log.matches("plain mode").count(), 1, "{log}");
     }
     assert!(server.log.contains("all interfaces") && server.log.contains("12 answers"), "{}", server.log);
@@ -43,6 +44,7 @@ fn published_commands_work_unchanged() {
     let numbers: Vec<f64> = (1..=12).map(f64::from).collect();
     assert_eq!(data.numbers("iteration"), numbers);
     assert_eq!((data.count_outcome("ok"), data.rows.len()), (12, 12));
+    // The first five iterations are warm-up.
     let warm_up = data.column("warm-up");
     assert_eq!(warm_up.iter().position(|cell| *cell == "0"), Some(5), "{warm_up:?}");
     // Decoded pixels of three bytes each: the size of the pickled picture without the pickle's overhead.
@@ -74,8 +76,8 @@ fn published_commands_work_unchanged() {
         record["command"].as_str().is_some_and(|command| command.contains("--dataset-loc sample-image.JPEG"))
     );
     assert!(record["pipeline"].is_object() && record["edge"]["hardware"].is_object(), "{record:#}");
-    // The record contains the folder that relative paths begin at, the text of the file of devices, and the size of the data
-    // set.
+    // The record contains the folder that relative paths begin at, the text of the file of devices, and the size of the
+    // data set.
     let folder = lab.folder().canonicalize().expect("is there");
     assert_eq!(record["folder"], folder.display().to_string());
     let network = &record["network_config"];
@@ -87,8 +89,8 @@ fn published_commands_work_unchanged() {
             .all(|host| record[host]["clock"].as_str().is_some_and(|text| !text.is_empty())),
         "{record:#}"
     );
-    // Both hosts share one free-running clock, and the wall clock is read a moment after it. In two network
-    // namespaces nothing proves that, so the offset is measured.
+    // Both hosts share one free-running clock, and the wall clock is read a moment after it. The programs are in two
+    // network namespaces and cannot know that they share the clock, so they measure the offset.
     for key in ["first_offset", "last_offset"] {
         let offset = &record["clocks"]["upload"][key];
         let bounds = offset["lo"].as_f64().zip(offset["hi"].as_f64());
@@ -253,9 +255,9 @@ fn clock_settings_come_from_configuration() {
 }
 
 #[test]
-fn each_order_runs_in_own_process() {
+fn measure_command_executes_run_request_of_file() {
     let lab = Lab::on_one_machine();
-    let order = json!({
+    let run_request = json!({
         "agent": {
             "model": [{ "kind": "echo", "name": "echo" }],
             "pipeline": [{
@@ -272,7 +274,7 @@ fn each_order_runs_in_own_process() {
         "command": "peernet run echo.toml",
         "warm_up": "the first 5 iterations",
     });
-    std::fs::write(lab.folder().join("order.json"), order.to_string()).expect("writable");
+    std::fs::write(lab.folder().join("order.json"), run_request.to_string()).expect("writable");
     let end = lab.start_client("PEERNet measure --order order.json").wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
     let progress: Vec<Value> = end.log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();

@@ -51,6 +51,7 @@ fn payloads_of_all_sizes_cross_datagrams_whole() {
     // lost, not the answer.
     assert_eq!(client.code(), if lost == 0 { 0 } else { 75 }, "{}", client.log);
     assert!([0, client.code()].contains(&server.code()), "{}", server.log);
+    // The same numbers as SIZES of the sensor.
     let sizes = [0.0, 1.0, 1e3, 6e4, 1.2e6, 2e7];
     let (outcomes, sent, returned) =
         (data.column("outcome"), numbers(&data, "upload-bytes"), numbers(&data, "download-bytes"));
@@ -93,12 +94,13 @@ fn iterations_over_bad_path_are_answered_or_lost() {
         assert!(outcome == "ok" || reason.contains("of 5 fragments arrived"), "{outcome}: {reason}");
     }
     // Both hosts read this machine's clock; the edge's has an injected fault.
-    for (name, ahead, delay) in [("upload", -5.0, 0.03), ("download", 5.0, 0.005)] {
+    // `receiver_ahead` is the receiver's clock minus the sender's clock, seconds.
+    for (name, receiver_ahead, delay) in [("upload", -5.0, 0.03), ("download", 5.0, 0.005)] {
         let [raw, lo, hi] = ["raw", "lo", "hi"].map(|bound| numbers(&data, &format!("{name}-{bound}")));
         let mut compared = 0;
         for ((raw, lo), hi) in raw.into_iter().zip(lo).zip(hi) {
             let (Some(raw), Some(lo), Some(hi)) = (raw, lo, hi) else { continue };
-            let truth = raw - ahead;
+            let truth = raw - receiver_ahead;
             assert!(truth >= delay - 0.004, "{name}: {truth}");
             // The interval is for the free-running clocks; the wall clocks are read up to 3 µs later.
             assert!(lo - 3e-6 <= truth && truth <= hi + 3e-6, "{name}: {truth} is not in [{lo}, {hi}]");

@@ -99,7 +99,8 @@ fn folder_in_use_is_left_unchanged() {
     first.signal(Signal::INT);
     let first = first.wait_for_end();
     assert_eq!(first.code(), 130, "{}", first.log);
-    let (record, warm_up) = (lab.record("results"), 5);
+    let record = lab.record("results");
+    let warm_up = 5;
     let rows = record["counts"]["ok"].as_u64().expect("a number") + warm_up;
     assert_eq!(rows, lab.data("results").count_outcome("ok") as u64);
 }
@@ -108,6 +109,7 @@ fn folder_in_use_is_left_unchanged() {
 fn results_replaced_by_killed_run_are_restored() {
     let lab = Lab::on_one_machine();
     let _server = start_server(&lab, 1_000_000);
+    // Without --overwrite, a client that finds results refuses to start.
     let start_short_client = || {
         lab.start_client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 6 --dataset-loc {} \
@@ -166,6 +168,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
     std::fs::create_dir(&temporary).expect("writable");
     // The name of a folder can consist of any bytes.
     let results = OsStr::from_bytes(b"res\xff");
+    // Starts peernet with the arguments in `line`; the last argument is the folder of the results.
     let start = |line: &str| {
         let arguments = line.split(' ').map(OsString::from).chain([results.to_owned()]);
         let temporary = temporary.display().to_string();
@@ -201,7 +204,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
         "{remaining:?}"
     );
     let comparison = start("compare").wait_for_end();
-    assert!(comparison.code() == 0 && !comparison.log.contains("not whole"), "{}", comparison.log);
+    assert!(comparison.code() == 0 && !comparison.log.contains("is incomplete"), "{}", comparison.log);
 }
 
 #[test]
@@ -301,14 +304,14 @@ fn full_result_disk_loses_no_rows() {
 
 #[test]
 fn full_disks_keep_rows_that_fit() {
-    let (disk, other) = (SmallDisk::new(200 << 10), SmallDisk::new(64 << 10));
+    let (disk, temporary_disk) = (SmallDisk::new(200 << 10), SmallDisk::new(64 << 10));
     let lab = Lab::on_one_machine();
     // The model answers at once, so most rows are written together.
     let _server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 1000000",
     );
     let (results, sample) = (disk.folder().join("results"), picture().display().to_string());
-    let (results, temporary) = (results.display().to_string(), other.folder().display().to_string());
+    let (results, temporary) = (results.display().to_string(), temporary_disk.folder().display().to_string());
     let arguments =
         "--client --name jetson-orin --network-config net_config.yaml --iterations 1500 --encoding file";
     let options = ["--generate-plots", "--dataset-loc", &sample, "--result-loc", &results];
@@ -320,7 +323,7 @@ fn full_disks_keep_rows_that_fit() {
     assert!(end.log.contains(message), "{}", end.log);
     let rows = lab.data(&results).rows;
     assert!(rows.len() > 100 && rows.len() < 1500, "{} rows", rows.len());
-    let remaining = std::fs::read_dir(other.folder()).expect("it is a folder").count();
+    let remaining = std::fs::read_dir(temporary_disk.folder()).expect("it is a folder").count();
     assert_eq!(remaining, 0, "files remain in the full temporary folder");
     assert_eq!(std::fs::read_dir(&results).expect("it is a folder").count(), 1, "data.csv alone");
 }

@@ -59,7 +59,7 @@ fn slow_model_is_measured_with_longer_timeout() {
 }
 
 #[test]
-fn refusal_of_large_sample_names_option_for_it() {
+fn refusal_of_large_sample_names_option_for_size() {
     let lab = Lab::on_one_machine();
     let size_option = "--text-size 300000";
     let end = measure(&lab, "echo", "--max-message-bytes 100000", size_option, "refused");

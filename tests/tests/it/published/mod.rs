@@ -158,7 +158,7 @@ impl Data {
     }
 }
 
-/// Returns a picture.
+/// Returns the path of a picture.
 fn picture() -> PathBuf {
     root().join("models/quality-control/pictures/part-0001.jpg")
 }

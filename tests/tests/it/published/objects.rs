@@ -134,7 +134,7 @@ fn run_with_camera(camera: &str, iterations: u32, lab: &Lab) -> (ProcessEnd, Pro
 #[test]
 fn exception_gives_failed_iteration() {
     let lab = Lab::on_one_machine();
-    // The server does not wait for answers that will never come.
+    // The third sample fails at the client and never reaches the server. The server does not wait for it.
     let (client, server) = run_with_camera(FAILING_CAMERA, 20, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
     let message = "1 of 5 warm-up iterations failed; iteration 3 failed: ";
@@ -165,6 +165,7 @@ fn server_ends_when_all_samples_failed() {
 #[test]
 fn restart_of_python_process_is_recorded() {
     let lab = Lab::on_one_machine();
+    // The process of the class exits in call `last`. Each start of the process takes at least 0.3 s.
     let class_that_exits = |class: &str, method: &str, last: u32| {
         format!(
             "
@@ -214,7 +215,7 @@ class {class}:
         let seconds = cells_of(column);
         assert!(seconds.len() == 1 && seconds[0] >= 0.3, "{column}: {seconds:?}");
     }
-    // The time of the restart belongs neither to the model nor to the transfer.
+    // The time of the restart belongs neither to the model nor to the transfer, so it is unattributed.
     assert!(cells_of("unattributed").into_iter().fold(0.0, f64::max) >= cells_of("restart")[0]);
     drop(server);
 }

@@ -105,6 +105,7 @@ fn missing_files_are_named() {
     assert_eq!(server_end.code(), 69, "{}", server_end.log);
     assert!(server_end.log.contains("Model") && !server_end.log.contains("answers"), "{}", server_end.log);
 
+    // Without --device, the device is cuda:0. The ONNX Runtime of the tests cannot use it.
     let model = peernet_tests::root().join("models/quality-control");
     let command = format!("{server} --model-name {}", model.display());
     assert_refused(&lab, &command, 69, &["cuda:0", "--device cpu"]);

@@ -24,7 +24,7 @@ fn measure_and_stream(lab: &Lab, deployment: &LoopbackDeployment) -> String {
 fn streams_are_stored_and_waiting_events_reported() {
     let lab = Lab::on_one_machine();
     let (first_deployment, absent_deployment) = (LoopbackDeployment::new(), LoopbackDeployment::new());
-    let (_first, first) = first_deployment.start_aggregator();
+    let (_first_aggregator, first_api) = first_deployment.start_aggregator();
     let waiting_note = format!("wait for the aggregator at localhost:{}, in ", absent_deployment.events_port);
     let (link_text, later_text) =
         ("see host jetson-orin", "will be on the dashboard of the aggregator at 127.0.0.1:");
@@ -41,10 +41,10 @@ fn streams_are_stored_and_waiting_events_reported() {
         assert!(output.contains(&waiting_note), "{title}: {output}");
         assert!(output.contains(expected) && !output.contains(unexpected), "{title}: {output}");
     }
-    let (_second, second) = absent_deployment.start_aggregator();
+    let (_second_aggregator, second_api) = absent_deployment.start_aggregator();
     let output = measure_and_stream(&lab, &absent_deployment);
     assert!(!output.contains(&waiting_note), "the waiting events are delivered: {output}");
-    for api in [first, second] {
+    for api in [first_api, second_api] {
         let host = api.wait_until("/api/v1/hosts/jetson-orin", |host| {
             let is_delivered = host["connected"] == false && host["now"]["events"]["waiting"] == 0;
             is_delivered.then(|| host.clone())
@@ -113,7 +113,7 @@ fn second_concurrent_stream_of_device_is_refused() {
 }
 
 #[test]
-fn experiment_prints_no_link_to_unused_dashboard() {
+fn experiment_prints_no_link_to_absent_dashboard() {
     let (lab, absent_deployment) = (Lab::on_one_machine(), LoopbackDeployment::new());
     let file = format!(
         "[experiment]\nname = \"board\"\niterations = 20\naggregator = \"tcp://127.0.0.1:{}\"\n\
@@ -122,7 +122,7 @@ fn experiment_prints_no_link_to_unused_dashboard() {
         absent_deployment.events_port
     );
     std::fs::write(lab.folder().join("board.toml"), file).expect("writable");
-    // A spool that the file names is not in the host's folder, and is examined, too.
+    // The second case configures the path of the spool. This spool is outside the host's folder and is examined, too.
     for (options, spool) in
         [("--result-loc a", "spool-localhost:"), ("--result-loc b --set spool.file=mine", "mine;")]
     {
@@ -137,6 +137,7 @@ fn experiment_prints_no_link_to_unused_dashboard() {
             end.log.lines().any(|line| line.contains("events wait for") && line.contains(spool));
         assert!(names_spool, "{spool}: {}", end.log);
         assert!(end.log.contains("warning: the aggregator at tcp://127.0.0.1:"), "{}", end.log);
+        // In the next case, no events of this case wait.
         std::fs::remove_dir_all(lab.folder().join("state")).expect("it was made");
     }
 }
