@@ -46,6 +46,7 @@ fn results_of_the_published_program_are_compared() {
     let find =
         |beginning: &str| lines.iter().find(|line| line.starts_with(beginning)).copied().unwrap_or_default();
     assert!(find("run ").contains("inference"), "{}", comparison.log);
+    // An asterisk marks the best line. Five of the 205 iterations are warm-up.
     assert!(find("small").contains(" * ") && find("small").contains(" 200 "), "{}", comparison.log);
     assert!(find("Smallest mean total (stages)").contains("the other line differs"), "{}", comparison.log);
     // The differences of the two results: 4 ms and none.
@@ -65,6 +66,7 @@ fn results_of_the_published_program_are_compared() {
     let baseline =
         compare(&deployment, &["all/large/data.csv", "all", "--baseline", "./all/small", "--format", "csv"]);
     assert_eq!(baseline.code(), 0, "{}", baseline.log);
+    // One line for each of the four stages, and one for their sum.
     assert_eq!(
         baseline.log.lines().filter(|line| line.starts_with("small,large,")).count(),
         5,

@@ -15,7 +15,7 @@ use peernet_ros::ros1::{
 use peernet_tests::{LoopbackDeployment, Process, wait_until};
 use tokio::runtime::Runtime;
 
-/// A master, and a node that stands for the robot's.
+/// A ROS master, and a node that stands for a node of the robot.
 struct Robot {
     runtime: Runtime,
     node: Node,
@@ -155,7 +155,7 @@ fn busy_pipeline_counts_dropped_messages() {
     }
     let run = api.wait_for_finished_run();
     // One or two messages were sensed, the newest among them: the first one may have been replaced before the sensor
-    // read it.
+    // read it. In that case, no second message arrives, and the second iteration fails.
     let sensed = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
     assert_eq!(sensed + sensed * api.mean(run, "dropped-samples"), 10.0);
     // Texts have no header, so there is no capture time.

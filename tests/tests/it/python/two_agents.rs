@@ -5,7 +5,7 @@ use peernet_tests::{Network, TwoHostTestbed};
 use super::{model_table, pipeline_table, write_modules};
 
 #[test]
-fn python_objects_exchange_arrays_with_one_stage_each() {
+fn python_objects_exchange_arrays_and_record_stages() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     write_modules(testbed.folder());
     let cloud = testbed.start_cloud(&model_table());

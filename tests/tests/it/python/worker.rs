@@ -7,7 +7,8 @@ use peernet_tests::{LoopbackDeployment, Process, wait_until};
 
 use super::{model_table, pipeline_table, write_modules};
 
-const CONFIGURATION: i32 = 78;
+/// Exit code for an invalid configuration.
+const EXIT_CONFIGURATION: i32 = 78;
 
 /// Creates a deployment with both modules in its folder; `follower` replaces the module of the model.
 fn create_deployment(follower: Option<&str>) -> LoopbackDeployment {
@@ -55,7 +56,7 @@ fn check_names_missing_module_without_running_code() {
     deployment
         .write("it.toml", &format!("[agent]\nstate_dir = \"{{folder}}/it\"\n{invalid_model}{pipeline}"));
     let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-    assert_eq!(end.code(), CONFIGURATION, "{}", end.log);
+    assert_eq!(end.code(), EXIT_CONFIGURATION, "{}", end.log);
     assert!(end.log.contains("model[0]") && end.log.contains("no Python module folower"), "{}", end.log);
     assert!(!end.log.contains("the rig is up"), "{}", end.log);
     assert!(!deployment.folder().join("pid").exists(), "an object was created");

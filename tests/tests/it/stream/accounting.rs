@@ -27,7 +27,7 @@ fn produced_events_are_stored_or_counted_as_dropped() {
         })
         .collect();
 
-    // The counts of the agent, of the aggregator, and of the metrics.
+    // The counts of the agent, of the aggregator, and of the metrics agree.
     for (agent, counts) in fleet.agents.iter().zip(&counts_of_agents) {
         counts.assert_balanced();
         assert_eq!((counts.waiting, counts.missing), (0, counts.dropped), "{counts:?}");
@@ -44,7 +44,7 @@ fn produced_events_are_stored_or_counted_as_dropped() {
             expected.iter().all(|(name, value)| metrics.get(*name) == Some(value)).then_some(())
         });
     }
-    // The counts of the tables.
+    // The counts of the tables agree with them.
     let stored_events = fleet.stop();
     for (agent, counts) in fleet.agents.iter().zip(&counts_of_agents) {
         let host = &stored_events.hosts[&agent.name];

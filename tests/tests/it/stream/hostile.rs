@@ -17,7 +17,8 @@ fn start_fleet() -> Fleet {
     fleet
 }
 
-/// Checks that the normal agent lost nothing and that the aggregator exits with 0.
+/// Checks that the normal agent lost nothing and that the aggregator exits with 0. Returns the number of spooled
+/// iterations.
 fn assert_agent_lost_nothing(mut fleet: Fleet) -> u64 {
     let before = fleet.wait_for_counts(0, "the agent reports", |_| true);
     fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 100);
@@ -104,9 +105,10 @@ fn invalid_batch_is_quarantined_and_stream_continues() {
 
     // Batches with correct hashes, but with an invalid body or an invalid number of events.
     let noise: Vec<u8> = (0..10_000).map(|_| rng.bits() as u8).collect();
-    let event = host.clone().batch(1).split_off(0);
+    // A whole batch is not a valid body. The clone makes it, so that the stream of `host` does not advance.
+    let whole_batch = host.clone().batch(1);
     let invalid_batches =
-        [(7, noise.clone(), false), (u32::MAX, noise, true), (3, event, false), (0, vec![], false)];
+        [(7, noise.clone(), false), (u32::MAX, noise, true), (3, whole_batch, false), (0, vec![], false)];
     for (number, (events, body, compress)) in (1..).zip(invalid_batches) {
         let batch = host.batch_of(events, &body, compress);
         misbehaving_peer.send(&batch);
@@ -114,7 +116,8 @@ fn invalid_batch_is_quarantined_and_stream_continues() {
     }
     misbehaving_peer.send(&host.batch(10));
     misbehaving_peer.wait_for_ack(5);
-    // The bytes never match their hash, however often they are sent.
+    // The bytes never match their hash, however often they are sent. After some arrivals, the aggregator quarantines
+    // and acknowledges the batch.
     let mut damaged = host.batch(10);
     let last = damaged.len() - 1;
     damaged[last] ^= 1;

@@ -105,6 +105,7 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     copy.stop();
     fleet.wait_for_counts(0, "the first agent continues", |counts| counts.waiting < 100);
     fleet.agents[0].stop();
+    // This starts the agent again, without its pipelines.
     fleet.deliver_spool(0).assert_balanced();
     fleet.agents[0].stop();
 

@@ -42,11 +42,12 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
     let kills = setting("PEERNET_KILLS", 10);
     while kill_counts.agents + kill_counts.aggregator < kills {
         let agent = rng.below(AGENTS.len());
-        match rng.below(5) {
-            0 | 1 => kill(&mut fleet, None, true, &mut rng, &mut kill_counts),
-            2 | 3 => kill(&mut fleet, Some(agent), false, &mut rng, &mut kill_counts),
-            _ => kill(&mut fleet, Some(agent), true, &mut rng, &mut kill_counts),
-        }
+        let (agent, kills_aggregator) = match rng.below(5) {
+            0 | 1 => (None, true),
+            2 | 3 => (Some(agent), false),
+            _ => (Some(agent), true),
+        };
+        kill(&mut fleet, agent, kills_aggregator, &mut rng, &mut kill_counts);
     }
 
     fleet.wait_until_ready();

@@ -34,8 +34,8 @@ pub(super) fn setting(variable: &str, default: u64) -> u64 {
     }
 }
 
-/// Table of an agent that can measure faster than the aggregator stores, so that waiting batches are stored within
-/// seconds.
+/// Table of an agent that can measure faster than the aggregator stores. The spool is small, so that its batches are
+/// stored within seconds.
 const SMALL_SPOOL: &str = "[spool]\nlimit_bytes = 8388608\n";
 
 /// Checks that every batch that the agents reported as spooled is stored, and that all missing iterations of a run

@@ -9,9 +9,9 @@ use super::wait_for_turn;
 #[test]
 fn full_spool_disk_is_reported_and_drops_counted() {
     let _turn = wait_for_turn();
-    let (store, state) = (SmallDisk::new(48 << 20), SmallDisk::new(16 << 20));
-    let database = store.folder().join("aggregator.sqlite").display().to_string();
-    let folder = state.folder().join("NAME").display().to_string();
+    let (database_disk, spool_disk) = (SmallDisk::new(48 << 20), SmallDisk::new(16 << 20));
+    let database = database_disk.folder().join("aggregator.sqlite").display().to_string();
+    let folder = spool_disk.folder().join("NAME").display().to_string();
     // While the spool fails, the events that wait in memory soon exceed this limit.
     let agent =
         agent_configuration_in(&folder, "queue_events = 4000", &echo_pipeline("loop", &rate_load(2_000.0)));
@@ -20,22 +20,22 @@ fn full_spool_disk_is_reported_and_drops_counted() {
     fleet.wait_for_counts(0, "something is stored", |counts| counts.stored > 100);
 
     // Only the spool's disk is full: events still reach the aggregator.
-    state.fill();
+    spool_disk.fill();
     let before = fleet.wait_for_counts(0, "the agent reports", |_| true);
     let after = fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 4_000);
     assert_eq!(after.dropped, 0, "{after:?}");
 
     // The aggregator accepts no more events, so the spool would have to grow.
-    store.fill();
+    database_disk.fill();
     let failing = fleet.wait_for_counts(0, "the spool fails", |counts| counts.trouble.is_some());
     let reason = failing.trouble.as_deref().unwrap_or_default();
     assert!(reason.contains("full"), "the reason does not say that the disk is full: {reason}");
     let dropping = fleet.wait_for_counts(0, "memory is full, too", |counts| counts.dropped > 1_000);
     assert!(dropping.produced > failing.produced, "the agent measures no more: {dropping:?}");
 
-    state.free();
+    spool_disk.free();
     fleet.wait_for_counts(0, "the spool works again", |counts| counts.trouble.is_none());
-    store.free();
+    database_disk.free();
     fleet.wait_for_counts(0, "the waiting events are stored", |counts| {
         counts.stored > dropping.stored + 5_000
     });
@@ -66,9 +66,9 @@ fn full_spool_disk_is_reported_and_drops_counted() {
 #[test]
 fn start_on_full_disk_counts_dropped_events() {
     let _turn = wait_for_turn();
-    let state = SmallDisk::new(16 << 20);
-    let folder = state.folder().join("NAME").display().to_string();
-    // Some events wait in memory until the end; the others are dropped before.
+    let spool_disk = SmallDisk::new(16 << 20);
+    let folder = spool_disk.folder().join("NAME").display().to_string();
+    // The first 400 events wait in memory until the agent stops. Later events are dropped.
     let agent = agent_configuration_in(
         &folder,
         "queue_events = 400",
@@ -78,13 +78,13 @@ fn start_on_full_disk_counts_dropped_events() {
     fleet.aggregator.stop();
     fleet.start(0);
     fleet.agents[0].process().wait_for_nth("spooled batch=", 5);
-    state.fill();
+    spool_disk.fill();
     fleet.agents[0].kill();
 
     fleet.start(0);
     fleet.agents[0].process().wait_for("the disk is full");
     fleet.agents[0].process().wait_for_nth("actuators: answer", 1_500);
-    let spool = state.folder().join("edge").join("spool.sqlite").display().to_string();
+    let spool = spool_disk.folder().join("edge").join("spool.sqlite").display().to_string();
     let doctor = fleet.deployment.peernetd(&["doctor", "--json", "--spool", &spool]).wait_for_end();
     let report: Value =
         serde_json::from_str(&doctor.log).unwrap_or_else(|error| panic!("{error}: {}", doctor.log));
@@ -95,7 +95,7 @@ fn start_on_full_disk_counts_dropped_events() {
     let answers = end.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64;
     assert!(end.log.contains("a gap reports them"), "{}", end.log);
 
-    state.free();
+    spool_disk.free();
     fleet.restart_aggregator();
     fleet.start_without_pipelines(0);
     let counts = fleet.wait_for_counts(0, "dropped events are reported", |counts| {
@@ -106,9 +106,11 @@ fn start_on_full_disk_counts_dropped_events() {
     let host = &stored_events.hosts["edge"];
     assert_eq!(host.missing, counts.dropped, "{host:?}, {counts:?}");
     assert_eq!(stored_events.count_missing(fleet.agents[0].spooled_iterations()), 0);
-    let first = &fleet.agents[0].spooled_iterations()[0].run;
-    let second = stored_events.runs.iter().filter(|(id, _)| *id != first).map(|(_, run)| run.iterations());
-    assert!(host.missing + second.sum::<u64>() >= answers, "{answers} answers: {host:?}");
+    // The answers belong to the run after the start on the full disk, not to the run of the killed agent.
+    let killed_run = &fleet.agents[0].spooled_iterations()[0].run;
+    let later_runs = stored_events.runs.iter().filter(|(id, _)| *id != killed_run);
+    let stored = later_runs.map(|(_, run)| run.iterations()).sum::<u64>();
+    assert!(host.missing + stored >= answers, "{answers} answers: {host:?}");
     record_measurements(
         "full disk at the start, spool",
         &[

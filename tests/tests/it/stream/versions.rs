@@ -9,7 +9,7 @@ use super::wait_for_turn;
 fn encode_later_hello(hello: &Hello) -> Vec<u8> {
     let encode = |extension| rmp_serde::to_vec(&extension).expect("plain data serialises");
     let mut frame = codec::encode(&ToAggregator::Hello(hello.clone()));
-    // The extension is a map and the last value of the frame.
+    // The extension is a map and the last value of the frame. The first byte of the map contains the number of entries.
     let map = frame.len() - encode(hello.extension).len();
     frame[map] += 1;
     for text in ["colour", "green"] {
@@ -31,6 +31,7 @@ fn newer_agent_is_served_unknown_versions_refused() {
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events_port);
     misbehaving_peer.send(&encode_later_hello(&later_host.hello));
     let challenge = misbehaving_peer.receive();
+    // A challenge without a version means the version `protocol` of the hello.
     let ToAgent::Challenge { version, .. } = challenge else { panic!("{challenge:?}") };
     assert_eq!(version.unwrap_or(later_host.hello.protocol), newest, "the newest version that both support");
     misbehaving_peer.answer_challenge(&later_host.hello, &later_host.secret, &challenge);
