@@ -237,7 +237,8 @@ async fn request_beyond_grace_period_is_aborted() {
 
 #[tokio::test]
 async fn streams_are_limited_per_address_and_in_total() {
-    let slots = FairSlots::new(3, 2);
+    let (capacity, max_per_address) = (3, 2);
+    let slots = FairSlots::new(capacity, max_per_address);
     let take = async |address: &str| {
         let address = AddressGroup::from_address(format!("{address}:1").parse().expect("an address"));
         let evict = CancellationToken::new();
@@ -255,11 +256,12 @@ async fn streams_are_limited_per_address_and_in_total() {
 async fn answer_to_headers_of_length(length: usize) -> String {
     let server = Server::start(LONG_LIMITS).await;
     let begin = "GET / HTTP/1.1\r\nHost: here\r\nConnection: close\r\nX-Long: ";
-    let filler = "x".repeat(length - begin.len() - 4);
+    let end = "\r\n\r\n";
+    let filler = "x".repeat(length - begin.len() - end.len());
     let mut stream = server.connect().await;
     let mut answer = Vec::new();
     // The server may close the connection before it has read all headers.
-    let _ = stream.write_all(format!("{begin}{filler}\r\n\r\n").as_bytes()).await;
+    let _ = stream.write_all(format!("{begin}{filler}{end}").as_bytes()).await;
     let _ = stream.read_to_end(&mut answer).await;
     String::from_utf8(answer).expect("text")
 }

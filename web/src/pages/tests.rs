@@ -46,6 +46,7 @@ async fn overview_of(
 
 #[tokio::test]
 async fn overview_shows_running_pipeline_without_warnings() {
+    // 30 iterations per second, the usual latencies times 1, related clocks, and no missing second.
     let live_state =
         snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
     let html = overview_of(&live_state, vec![incident("connected", "reconnected to rack-a")]).await;
@@ -314,6 +315,7 @@ async fn pipelines_of_ended_hosts_are_not_on_overview() {
     assert!(html.contains("ended-2") && !html.contains("ended-3"), "one row of charts: {html}");
     assert!(html.contains("2 pipelines of hosts that have ended are listed under"), "{html}");
     let mut running = pipeline("running", 30.0, 1.0, Verdict::Ok, &[]);
+    // This host has not ended.
     running.host = peernet_logger::HostId::from_bytes([8; 16]);
     let html = overview_of(&snapshot(vec![left], vec![ended(0), running]), Vec::new()).await;
     assert!(html.contains("running") && !html.contains("ended-0"), "{html}");
