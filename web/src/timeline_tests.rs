@@ -44,6 +44,7 @@ fn offloaded(ahead: Span, estimate_delay: impl Fn(Span, Span) -> OneWayDelay) ->
     let answer_arrival = peernet_clock::Clock::wall(&*edge);
     for (id, truth) in [(up, Span::from_millis(20)), (down, Span::from_millis(1))] {
         if let Some(Measure::Transit(transit)) = tree.measure_mut(id) {
+            // `resume` has set the arrival of the upload. The arrival of the download is still missing.
             let received = *transit.received.get_or_insert(answer_arrival);
             transit.delay = Some(estimate_delay(received - transit.sent, truth));
         }
@@ -94,6 +95,7 @@ fn unrelated_clocks_leave_sum_exact_and_position_uncertain() {
         Timeline::of(&offloaded(Span::from_seconds(-77), |raw, _| OneWayDelay::unsynchronised(raw)));
     let visit = timeline.visit().expect("one other host");
     assert!(is_close(visit.network.expect("the sum is exact"), 0.021));
+    // Without an estimate, the arrival is shown after half of the 21 ms of both directions.
     assert!(is_close(visit.arrival, 0.002 + 0.0105));
     assert!(is_close(visit.shift.1, 0.0105));
     let upload = timeline.nodes.iter().find(|node| node.name == "upload").expect("was recorded");
@@ -106,7 +108,8 @@ fn unrelated_clocks_leave_sum_exact_and_position_uncertain() {
 #[test]
 fn wall_clock_step_during_visit_moves_no_node() {
     let mut detail = offloaded(Span::ZERO, |raw, _| OneWayDelay::stepped(raw, DelaySource::None));
-    // The edge's clock was set back by five seconds while the sample was on the cloud.
+    // The edge's clock was set back by five seconds while the sample was on the cloud. Only the answer, which arrives
+    // 27 ms after the start, is stamped after that.
     for node in 0..detail.tree.nodes().len() {
         let id = NodeId(node as u32);
         if let Some(Measure::Transit(transit)) = detail.tree.measure_mut(id)
@@ -141,7 +144,8 @@ fn lost_message_gives_timeline_without_visit() {
 #[test]
 fn visit_is_placed_despite_edge_clock_step() {
     let true_delay = |_, truth: Span| OneWayDelay {
-        // The delay is a difference of free-running clocks, one of which was started 5,000 s before the other.
+        // An arbitrary difference of free-running clocks. The timeline does not use it, but computes the raw delay from
+        // the wall-clock stamps.
         raw: truth + Span::from_seconds(5_000),
         value: Some(truth),
         bounds: Some(Interval::exactly(truth)),

@@ -10,7 +10,7 @@ use peernet_clock::{Span, Verdict};
 use peernet_logger::Name;
 use peernet_stream::{PipelineState, PlacementKind};
 
-use self::clocks::linked;
+use self::clocks::live_state_with_link;
 use super::*;
 use crate::tests::samples::{self, HOSTILE, figures, host, incident, pipeline, placement, refused, snapshot};
 use crate::view::pipeline_table::{Cell, PipelineTable};
@@ -377,7 +377,7 @@ async fn clock_fault_is_shown_on_every_page_it_concerns() {
         steps: Vec::new(),
         since,
     };
-    let mut live_state = linked(Some(0.00065), Verdict::Ok);
+    let mut live_state = live_state_with_link(Some(0.00065), Verdict::Ok);
     std::sync::Arc::make_mut(&mut live_state.hosts[0]).clock.faults = Some(clock_fault);
     let html = overview_of(&live_state, Vec::new()).await;
     assert!(

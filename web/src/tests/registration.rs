@@ -80,6 +80,7 @@ fn module_is_named_in_its_registration_file_only() {
                 }
                 let parent = folder.file_name().and_then(|name| name.to_str()).expect("a name");
                 let mut named = names_below(text, parent);
+                // Below the folder, `super` may be the module of the folder.
                 if path.starts_with(&folder) {
                     named.extend(names_below(text, "super"));
                 }

@@ -196,7 +196,8 @@ fn host_id() -> HostId {
     HostId::from_bytes([7; 16])
 }
 
-pub(crate) fn host(name: &str, kind: &str) -> HostSnapshot {
+/// Returns a connected host. `hardware` is the text of its processor, and of its version.
+pub(crate) fn host(name: &str, hardware: &str) -> HostSnapshot {
     let metrics =
         HostMetrics { cpu: Some(0.31), memory_used_bytes: Some(4_100_000_000), ..HostMetrics::default() };
     HostSnapshot {
@@ -205,8 +206,12 @@ pub(crate) fn host(name: &str, kind: &str) -> HostSnapshot {
             id: host_id(),
             name: slug(name),
             clock: ClockIdentity::new("boot", "system"),
-            version: kind.to_owned(),
-            hardware: Hardware { cpu: kind.to_owned(), memory_bytes: 16_000_000_000, ..Hardware::default() },
+            version: hardware.to_owned(),
+            hardware: Hardware {
+                cpu: hardware.to_owned(),
+                memory_bytes: 16_000_000_000,
+                ..Hardware::default()
+            },
             serves: None,
             models: Vec::new(),
         },
@@ -261,7 +266,8 @@ pub(crate) fn snapshot(hosts: Vec<HostSnapshot>, pipelines: Vec<PipelineSnapshot
 }
 
 /// Returns a sample of a cloud's clock, with an offset of 1.204 s that grows by 12.4 ppm, and delays of 6.3 and 0.6 ms.
-/// `half` is half the width of all bounds, seconds; `None` for a sample without an offset.
+/// `half` is half the width of the bounds of offset and delays, seconds; `None` for a sample without an offset. The
+/// bounds that chrony claims are always ±1.9 ms.
 pub(crate) fn clock_sample(at: WallTime, relation_period: u64, half: Option<f64>) -> ClockSample {
     let seconds = Span::from_seconds_f64;
     let estimate = seconds(1.204 + 12.4e-6 * (at - NOW).seconds());
@@ -333,8 +339,8 @@ pub(crate) fn clock_point(at: WallTime, relation_period: u64, half: Option<f64>)
     }
 }
 
-/// Returns a link from `cam-1` to `rack-a` with a history of two minutes. The history lacks the seconds whose ages, in
-/// seconds, are in `gaps`.
+/// Returns a link from `cam-1` to `rack-a` with a history of two minutes of [`clock_sample`]s with this `half`. The
+/// history lacks the seconds whose ages, in seconds, are in `gaps`.
 pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkSnapshot {
     let second = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
     let ages = (0..120).rev().filter(|ago| !gaps.contains(ago));
@@ -452,7 +458,7 @@ pub(crate) fn incident(kind: &str, text: &str) -> IncidentRow {
     }
 }
 
-/// Returns the only iteration of a run, with an empty tree.
+/// Returns an iteration of a long run, with an empty tree.
 pub(crate) fn iteration() -> IterationDetail {
     IterationDetail {
         row: IterationRow {

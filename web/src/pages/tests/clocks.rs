@@ -6,9 +6,9 @@ use super::super::{link, links, pipeline};
 use super::{check, overview_of};
 use crate::tests::samples::{self, host, snapshot};
 
-/// Returns a live state with one pipeline and the pipeline's link. `verdict` is that of the pipeline's delays. `half` is half the width of
-/// the offset's bounds, seconds; `None` without an offset.
-pub(super) fn linked(half: Option<f64>, verdict: Verdict) -> peernet_aggregator::LiveState {
+/// Returns a live state with one pipeline and the pipeline's link. `verdict` is the verdict of the pipeline's delays.
+/// `half` is half the width of the offset's bounds, seconds; `None` without an offset.
+pub(super) fn live_state_with_link(half: Option<f64>, verdict: Verdict) -> peernet_aggregator::LiveState {
     let mut live_state =
         snapshot(vec![host("cam-1", "Orin")], vec![samples::pipeline("line", 30.0, 1.0, verdict, &[])]);
     live_state.links.push(std::sync::Arc::new(samples::link(half, &[])));
@@ -18,10 +18,13 @@ pub(super) fn linked(half: Option<f64>, verdict: Verdict) -> peernet_aggregator:
 #[tokio::test]
 async fn link_page_renders_for_each_verdict_and_range() {
     let (app, _folder) = samples::app().await;
+    // The samples have downloads of 0.6 ms. Bounds of ±0.65 ms are too wide for them, bounds of ±0.02 ms are not.
     for (half, word) in [(Some(0.00065), "limited"), (Some(0.00002), "ok"), (None, "unsynchronised")] {
+        // The last part of a topic says whether the chart shows the offset with its drift removed or as measured.
         for topic in ["cam-1~rack-a/10min/removed", "cam-1~rack-a/10min/measured", "cam-1~rack-a/24h/removed"]
         {
-            let update = link::update(&app, &linked(half, Verdict::Ok), topic).await.expect("renders");
+            let update =
+                link::update(&app, &live_state_with_link(half, Verdict::Ok), topic).await.expect("renders");
             let html: String = update.parts.iter().map(|(_, html)| html.as_str()).collect();
             check(&html);
             assert!(html.contains(word), "{topic}: {html}");
@@ -29,23 +32,27 @@ async fn link_page_renders_for_each_verdict_and_range() {
             let empty: Vec<_> = update.parts.iter().filter(|(_, html)| html.trim().is_empty()).collect();
             assert!(empty.is_empty(), "{topic}: {empty:?}");
             assert!(html.contains("Each interval contains the true delay"), "{topic}: {html}");
+            // Only the chart of the last ten minutes is part of live updates.
             assert_eq!(update.parts.iter().any(|(id, _)| *id == "chart"), topic.contains("10min"), "{topic}");
         }
-        let update = links::update(&app, &linked(half, Verdict::Ok)).expect("renders");
+        let update = links::update(&app, &live_state_with_link(half, Verdict::Ok)).expect("renders");
         update.parts.iter().for_each(|(_, html)| check(html));
         assert!(update.parts[1].1.contains(word) && update.parts[1].1.contains("/links/cam-1~rack-a"));
     }
     for wrong in
         ["cam-1~rack-b/10min/removed", "cam-1/10min/removed", "cam-1~rack-a/1d/removed", "cam-1~rack-a"]
     {
-        assert!(link::update(&app, &linked(None, Verdict::Ok), wrong).await.is_err(), "{wrong}");
+        assert!(
+            link::update(&app, &live_state_with_link(None, Verdict::Ok), wrong).await.is_err(),
+            "{wrong}"
+        );
     }
 }
 
 #[tokio::test]
 async fn links_over_two_networks_have_distinct_names() {
     let (app, _folder) = samples::app().await;
-    let mut live_state = linked(Some(0.00065), Verdict::Ok);
+    let mut live_state = live_state_with_link(Some(0.00065), Verdict::Ok);
     live_state.links.push(std::sync::Arc::new(samples::link_over_udp(Some(0.00065))));
     let list = links::update(&app, &live_state).expect("renders");
     for (href, name) in [("cam-1~rack-a\"", "cam-1 → rack-a<"), ("cam-1~rack-a~zmq-udp\"", "over zmq-udp<")]
@@ -99,7 +106,7 @@ async fn link_without_live_host_has_a_page() {
 #[tokio::test]
 async fn link_with_one_clock_explains_exact_delays() {
     let (app, _folder) = samples::app().await;
-    let mut live_state = linked(Some(0.0), Verdict::Ok);
+    let mut live_state = live_state_with_link(Some(0.0), Verdict::Ok);
     std::sync::Arc::make_mut(&mut live_state.links[0]).live.same_clock = true;
     let update = link::update(&app, &live_state, "cam-1~rack-a/10min/removed").await.expect("renders");
     let html: String = update.parts.iter().map(|(_, html)| html.as_str()).collect();
@@ -113,11 +120,12 @@ async fn link_with_one_clock_explains_exact_delays() {
 
 #[tokio::test]
 async fn verdict_other_than_ok_links_to_page_of_link() {
-    let html = overview_of(&linked(Some(0.00065), Verdict::Limited), Vec::new()).await;
+    let html = overview_of(&live_state_with_link(Some(0.00065), Verdict::Limited), Vec::new()).await;
     assert!(html.contains("href=\"/links/cam-1~rack-a\""), "{html}");
     let (app, _folder) = samples::app().await;
     let update =
-        pipeline::update(&app, &linked(Some(0.00065), Verdict::Stepped), "cam-1/line/10").expect("renders");
+        pipeline::update(&app, &live_state_with_link(Some(0.00065), Verdict::Stepped), "cam-1/line/10")
+            .expect("renders");
     let title = &update.parts[0].1;
     assert!(title.contains("leave these delays out") && title.contains("/links/cam-1~rack-a"), "{title}");
 }

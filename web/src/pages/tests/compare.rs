@@ -1,4 +1,6 @@
 //! Tests of the page that compares runs, in every state that the runs may have.
+//!
+//! The arguments of [`configuration`] are: index, placement, factor of the usual stage means, bytes of an upload.
 
 use std::sync::Arc;
 
@@ -17,15 +19,24 @@ use crate::error::WebError;
 use crate::pages::shell::Shell;
 use crate::tests::samples;
 use crate::view::compare::tests::{comparison, configuration, totals};
-use crate::view::compare::{Configuration, RunMeans};
+use crate::view::compare::{Comparison, Configuration, RunMeans};
 
-/// Returns the HTML of a comparison. If `is_long`, each run has enough batches for an interval of the differences.
-async fn page_of(configurations: Vec<Configuration>, is_long: bool) -> String {
+/// Returns the HTML of a comparison of runs without means over time, so that the differences have no intervals.
+async fn page_of(configurations: Vec<Configuration>) -> String {
+    let comparison = comparison(configurations);
+    page_with_means(&comparison, &RunMeans::new()).await
+}
+
+/// Returns the HTML of a comparison of runs with enough means over time for intervals of the differences.
+async fn page_of_long_runs(configurations: Vec<Configuration>) -> String {
+    let comparison = comparison(configurations);
+    page_with_means(&comparison, &totals(&comparison, 20)).await
+}
+
+async fn page_with_means(comparison: &Comparison, means: &RunMeans) -> String {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-    let comparison = comparison(configurations);
-    let means = if is_long { totals(&comparison, 20) } else { RunMeans::new() };
-    let html = render_comparison(shell, &comparison, &means, (None, None)).expect("renders");
+    let html = render_comparison(shell, comparison, means, (None, None)).expect("renders");
     check(&html);
     html
 }
@@ -47,7 +58,7 @@ fn panel<'a>(html: &'a str, heading: &str) -> &'a str {
 #[tokio::test]
 async fn two_configurations_have_a_difference_with_its_interval() {
     let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
-    let html = page_of(two, true).await;
+    let html = page_of_long_runs(two).await;
     assert!(
         html.contains("<h2 id=\"cd-h\">Difference to B</h2>") && html.contains("95&#x202f;% interval"),
         "{html}"
@@ -63,9 +74,10 @@ async fn two_configurations_have_a_difference_with_its_interval() {
 #[tokio::test]
 async fn several_configurations_have_a_table_bars_and_a_plot() {
     let many = (0..8).map(|at| configuration(at, Remote, 1.0 + at as f64 * 0.3, 1e3 * (at + 1) as f64));
-    let html = page_of(many.collect(), false).await;
+    let html = page_of(many.collect()).await;
     let before_spread = html.split("How the total spreads").next().expect("the text before");
     let stacked = before_spread.split("id=\"differences\"").next().expect("the text before");
+    // The heading of the column of bars has the same class.
     assert_eq!(stacked.matches("class=\"bar\"").count() - 1, 8);
     let latency = panel(&html, "cl-h");
     assert!(latency.contains("upload: ") && latency.contains(" ms + size ÷ ("), "{latency}");
@@ -73,7 +85,7 @@ async fn several_configurations_have_a_table_bars_and_a_plot() {
     assert_eq!(latency.matches("class=\"g-upload bar\"").count(), 8, "5th to 95th percentile: {latency}");
     assert!(latency.contains("point: median") && latency.contains("messages of 8 runs, pooled"), "{latency}");
     assert!(latency.contains("messages of each size: 300"), "{latency}");
-    // The means over time were deleted, so the differences have no intervals.
+    // `page_of` gives no means over time, as if retention had deleted them.
     let differences = panel(&html, "cd-h");
     assert!(differences.contains("an interval needs at least"), "{differences}");
 }
@@ -84,7 +96,7 @@ async fn accuracies_are_columns_next_to_latencies() {
     let mut top = one.stages[0].clone();
     (top.stage, top.unit, top.statistics.mean) = (peernet_logger::Name::from("top-1"), String::new(), 0.84);
     one.stages.push(top);
-    let html = page_of(vec![one, configuration(1, Remote, 1.0, 1e3)], false).await;
+    let html = page_of(vec![one, configuration(1, Remote, 1.0, 1e3)]).await;
     assert!(
         html.contains(">Top-1<span class=\"u\"> %</span></th>")
             && html.contains(">84.0 <span class=\"pm\">("),
@@ -102,7 +114,7 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
         one.stages.push(top);
         one
     };
-    let html = page_of(vec![with(0, 0.7), with(1, 0.84)], false).await;
+    let html = page_of(vec![with(0, 0.7), with(1, 0.84)]).await;
     assert!(html.contains("Accuracy against latency") && html.contains("B 84.0\u{202f}% at"), "{html}");
     let panel = html.split("id=\"ca-1\"").nth(1).and_then(|rest| rest.split("</section>").next());
     let panel = panel.expect("a panel");
@@ -110,11 +122,11 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
     assert_eq!(panel.matches("class=\"f-ink\"").count(), 2, "{panel}");
     let row = "<td class=\"num\" data-h=\"number\">2</td><th scope=\"row\">B</th><td class=\"num\" data-h=\"Top-1, %\">84.0</td>";
     assert!(panel.contains(row), "{panel}");
-    let html = page_of(vec![with(0, 0.7), configuration(1, Local, 2.0, 1e3)], false).await;
+    let html = page_of(vec![with(0, 0.7), configuration(1, Local, 2.0, 1e3)]).await;
     assert!(!html.contains("Accuracy against latency"), "one point makes no plot");
     let mut without_total = with(1, 0.84);
     without_total.stages.retain(|stage| !["total", "stages-total"].contains(&stage.stage.as_str()));
-    let html = page_of(vec![with(0, 0.7), without_total], false).await;
+    let html = page_of(vec![with(0, 0.7), without_total]).await;
     assert!(!html.contains("Accuracy against latency"), "no other stage replaces a missing total");
 }
 
@@ -138,17 +150,21 @@ async fn latency_is_drawn_against_number_of_users() {
         }
         one
     };
-    let html = page_of(vec![with_users(0, 1), with_users(1, 2), with_users(2, 4)], false).await;
+    let html = page_of(vec![with_users(0, 1), with_users(1, 2), with_users(2, 4)]).await;
     assert!(html.contains("Latency against the number of edges"), "{html}");
     assert!(html.contains("B: 48.3\u{202f}ms at 2 edges, C: 80.5\u{202f}ms at 4 edges"), "{html}");
-    // Each edge gets 300 answers in 59 s.
+    // Each edge gets 300 answers in 59 s, which are 5.08 per second. Two edges get 10.2 per second.
     assert!(html.contains(">10.2</td>") && html.contains(">5.08</td>"), "{html}");
     assert!(html.contains("data-h=\"fairness\">1.000</td>"), "{html}");
-    let html = page_of(vec![with_users(0, 1), with_users(1, 1)], false).await;
+    let html = page_of(vec![with_users(0, 1), with_users(1, 1)]).await;
     assert!(!html.contains("id=\"cu-h\""), "no edges ran at the same time");
-    let html = page_of(vec![with_users(0, 2), with_users(1, 2)], false).await;
+    let html = page_of(vec![with_users(0, 2), with_users(1, 2)]).await;
     assert!(!html.contains("number of edges"), "equal numbers are no curve: {html}");
-    assert_eq!(html.matches("data-h=\"fairness\">1.000</td>").count(), 2, "but a table, as in files: {html}");
+    assert_eq!(
+        html.matches("data-h=\"fairness\">1.000</td>").count(),
+        2,
+        "but there is a table, as in the files of an experiment: {html}"
+    );
 }
 
 #[tokio::test]
@@ -170,7 +186,7 @@ async fn missing_interval_is_explained() {
 }
 
 #[tokio::test]
-async fn verdict_and_replayed_latencies_have_chips_of_run_page() {
+async fn verdict_and_replayed_latencies_have_chips() {
     let mut two = comparison(vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)]);
     let input = TrustInput { failure: Some("the cloud is gone".to_owned()), ..TrustInput::default() };
     two.trust_by_run.insert(2, Report::new(&input));
@@ -211,7 +227,7 @@ async fn baseline_can_be_chosen_among_configurations() {
 #[tokio::test]
 async fn iterations_are_compared_with_those_of_baseline() {
     let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
-    let html = page_of(two, true).await;
+    let html = page_of_long_runs(two).await;
     let pairs = html.split("class=\"bars pairs\"").nth(1).and_then(|rest| rest.split("</table>").next());
     let pairs = pairs.expect("a table");
     assert!(
@@ -224,10 +240,10 @@ async fn iterations_are_compared_with_those_of_baseline() {
 #[tokio::test]
 async fn run_with_deadline_adds_column_of_missed_deadlines() {
     let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
-    assert!(!page_of(two.clone(), false).await.contains("missed"));
+    assert!(!page_of(two.clone()).await.contains("missed"));
     let run = &mut two[1].runs[0];
     (run.deadline_s, run.misses) = (Some(0.1), Some(Misses { missed: 3, iterations: 300 }));
-    let html = page_of(two, false).await;
+    let html = page_of(two).await;
     assert!(
         html.contains("title=\"3 of 300 iterations, longer than 100\u{202f}ms or failed\">1.0</span>"),
         "{html}"
@@ -239,16 +255,16 @@ async fn run_with_deadline_adds_column_of_missed_deadlines() {
 async fn page_of_runs_without_iterations_renders() {
     let mut empty = configuration(0, Remote, 1.0, 1e3);
     empty.stages.clear();
-    let html = page_of(vec![empty.clone(), Configuration { name: "B".to_owned(), ..empty }], false).await;
+    let html = page_of(vec![empty.clone(), Configuration { name: "B".to_owned(), ..empty }]).await;
     assert!(html.contains("No successful iteration of these runs is stored yet"), "{html}");
 }
 
 #[tokio::test]
 async fn skipped_starts_are_named_below_title() {
     let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
-    assert!(!page_of(two.clone(), false).await.contains("skipped"));
+    assert!(!page_of(two.clone()).await.contains("skipped"));
     (two[1].runs[0].counts.ok, two[1].runs[0].skipped_starts) = (127, 73);
-    let html = page_of(two, false).await;
+    let html = page_of(two).await;
     let head = html.split("<section").next().expect("a head");
     assert!(head.contains("configured rate: B: 73 of 200 starts (36\u{202f}%).</span>"), "{head}");
 }
@@ -257,30 +273,31 @@ async fn skipped_starts_are_named_below_title() {
 async fn throughput_is_drawn_against_payload_with_its_numbers() {
     let many: Vec<_> =
         (0..5).map(|at| configuration(at, Remote, 1.0 + at as f64 * 0.3, 1e5 * (at + 1) as f64)).collect();
-    let html = page_of(many.clone(), false).await;
+    let html = page_of(many.clone()).await;
     let panel = panel(&html, "cw-h");
-    // 100 kB in 6.3 ms.
+    // 100 kB in 6.3 ms are 15.9 MB/s.
     assert!(panel.contains("data-h=\"size\">100\u{202f}kB</td>") && panel.contains(">15.9</td>"), "{panel}");
     assert_eq!(panel.matches("<th scope=\"row\">upload</th>").count(), 5, "downloads have no size: {panel}");
     assert!(panel.contains("point: size ÷ median delay"), "{panel}");
-    let two = page_of(many[..2].to_vec(), false).await;
+    let two = page_of(many[..2].to_vec()).await;
     assert!(
         two.contains("Throughput against payload") && !two.contains(" fit\" d=\"M"),
         "points without a line"
     );
     // There is no plot, because the largest size must be at least twice the smallest.
     let similar: Vec<_> = (0..3).map(|at| configuration(at, Remote, 1.0, 1e3 + 3e2 * at as f64)).collect();
-    assert!(!page_of(similar, false).await.contains("against payload"));
+    assert!(!page_of(similar).await.contains("against payload"));
 }
 
 #[tokio::test]
 async fn each_link_has_its_own_plot_of_latency() {
+    // A plot needs two sizes, the larger at least twice the smaller.
     let mut four: Vec<_> =
         (0..4).map(|at| configuration(at, Remote, 1.0, 1e4 * (1 + at % 2) as f64)).collect();
     for one in &mut four[2..] {
         one.runs[0].host_name = samples::slug("cam-2");
     }
-    let html = page_of(four, false).await;
+    let html = page_of(four).await;
     let latency = panel(&html, "cl-h");
     assert_eq!(latency.matches("class=\"plot-with-axes sizes\"").count(), 2, "{latency}");
     assert!(
@@ -294,7 +311,7 @@ async fn each_link_has_its_own_plot_of_latency() {
 #[tokio::test]
 async fn totals_and_inferences_are_boxes() {
     let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
-    let html = page_of(two, false).await;
+    let html = page_of(two).await;
     assert!(html.contains("How the total spreads") && html.contains("whiskers from p5 to p95"), "{html}");
     assert_eq!(html.matches("class=\"stages thin boxed\"").count(), 4, "two totals, two inferences: {html}");
 }
@@ -302,7 +319,7 @@ async fn totals_and_inferences_are_boxes() {
 #[tokio::test]
 async fn few_runs_show_all_distributions_or_selected_one() {
     let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
-    let html = page_of(two.clone(), false).await;
+    let html = page_of(two.clone()).await;
     let all = panel(&html, "distributions");
     let titles =
         ["Total", "Sensing time", "Upload time", "Inference time", "Download time", "Upload throughput"];
@@ -336,17 +353,17 @@ async fn few_runs_show_all_distributions_or_selected_one() {
     let refused = page_of_stage(&two, "<b>").await.expect_err("no run has this stage").to_string();
     assert!(refused.contains("none of the compared runs has \"<b>\"; ask for"), "{refused}");
 
-    let alone = page_of(two[..1].to_vec(), false).await;
+    let alone = page_of(two[..1].to_vec()).await;
     assert_eq!(panel(&alone, "distributions").matches("<figcaption>").count(), 6);
     two.iter_mut().for_each(|one| {
         one.stages.clear();
         one.mergeable = Default::default();
     });
-    assert!(!page_of(two, false).await.contains("id=\"distributions\""));
+    assert!(!page_of(two).await.contains("id=\"distributions\""));
 }
 
 #[tokio::test]
-async fn many_runs_show_one_distribution_per_configuration() {
+async fn many_runs_show_at_most_24_distributions() {
     let mut many: Vec<_> = (0..20).map(|at| configuration(at, Remote, 1.0 + at as f64, 1e3)).collect();
     for one in &mut many {
         let again =
@@ -354,11 +371,12 @@ async fn many_runs_show_one_distribution_per_configuration() {
         let again: Vec<_> = again.collect();
         one.runs.extend(again);
     }
-    let html = page_of(many, false).await;
+    let html = page_of(many).await;
     let drawn = panel(&html, "distributions");
     assert_eq!((drawn.matches("<h3").count(), drawn.matches("<figcaption>").count()), (1, 24), "{drawn}");
     assert!(drawn.contains("24 of 100 runs: ") && drawn.contains("> ms, logarithmic</span>"), "{drawn}");
     assert!(drawn.contains("aria-current=\"true\">total</a>") && !drawn.contains(">all</a>"), "{drawn}");
+    // The first run of each of the 20 configurations, and the second run of the first four.
     for run in (1..=20).chain(101..=104) {
         assert!(drawn.contains(&format!("<a href=\"/runs/{run}#distribution\">")), "{run}: {drawn}");
     }
@@ -366,7 +384,7 @@ async fn many_runs_show_one_distribution_per_configuration() {
 
 #[tokio::test]
 async fn delay_with_wide_interval_is_drawn_as_band() {
-    let of = |at: usize, half: f64, verdict| {
+    let with_half_width = |at: usize, half: f64, verdict| {
         let mut one = configuration(at, Remote, 1.0, 1e3);
         let mut widths = Summary::default();
         (0..300).for_each(|_| widths.record(half));
@@ -376,7 +394,7 @@ async fn delay_with_wide_interval_is_drawn_as_band() {
         one.mergeable = Arc::new(mergeable);
         one
     };
-    let two = vec![of(0, 0.000_65, Verdict::Ok), of(1, 0.004, Verdict::Limited)];
+    let two = vec![with_half_width(0, 0.000_65, Verdict::Ok), with_half_width(1, 0.004, Verdict::Limited)];
     let html = page_of_stage(&two, "upload").await.expect("a measured stage");
     let drawn = panel(&html, "distributions");
     assert_eq!(drawn.matches("class=\"band\"").count(), 2, "{drawn}");

@@ -32,10 +32,12 @@ async fn event_counts_of_each_state_are_shown() {
     let html = part("cam-1", "accounting");
     for text in [
         "1,204,500",
+        // 1,204,370 spooled events minus 1,203,000 sent events.
         "1,370 not yet",
         "catching up</span><span>3\u{202f}h 12\u{202f}min behind, about 4\u{202f}min left at 20,100 events/s",
         "312\u{202f}MB of 1.07\u{202f}GB",
         "because the agent&#39;s spool was full, or lost when the agent was killed; <a href=\"/incidents\">see 1 gap</a>",
+        // 312 MB of 1.07 GB.
         "width=\"29.",
     ] {
         assert!(html.contains(text), "{text} is missing: {html}");

@@ -45,7 +45,7 @@ async fn each_run_is_drawn_with_episodes_and_losses() {
         let median = path("median").split('"').next().expect("its end");
         assert_eq!(median.matches('M').count(), 2, "nothing is drawn over the gap: {median}");
         assert!(picture.contains("class=\"f-upload\""), "{picture}");
-        assert_eq!(picture.matches("class=\"warm-up\"").count(), 2, "{picture}");
+        assert_eq!(picture.matches("class=\"warm-up\"").count(), 2, "parts of episodes 1 and 3: {picture}");
     }
     assert!(panel.contains("to a little above the largest p95, over seconds since the first"), "{panel}");
     assert!(panel.contains("encode, ipc</li>"), "{panel}");
@@ -59,7 +59,7 @@ async fn each_run_is_drawn_with_episodes_and_losses() {
 }
 
 #[tokio::test]
-async fn first_runs_of_each_configuration_are_drawn() {
+async fn at_most_24_runs_are_drawn_over_time() {
     let mut many: Vec<_> = (0..20).map(|at| configuration(at, Remote, 1.0, 1e3)).collect();
     for one in &mut many {
         let again = RunSummary { number: one.runs[0].number + 100, ..one.runs[0].clone() };
@@ -73,10 +73,10 @@ async fn first_runs_of_each_configuration_are_drawn() {
 #[tokio::test]
 async fn sensing_is_shown_over_time_if_total_is_missing() {
     let mut one = configuration(0, Local, 1.0, 1e3);
-    one.stages.retain(|known| known.stage == stage::SENSING);
-    let known = one.summary(&stage::SENSING).expect("samples").clone();
+    one.stages.retain(|statistics| statistics.stage == stage::SENSING);
+    let sensing = one.summary(&stage::SENSING).expect("samples").clone();
     let mut mergeable = MergeableStatistics::default();
-    mergeable.add(stage::SENSING, "s", &known);
+    mergeable.add(stage::SENSING, "s", &sensing);
     one.mergeable = Arc::new(mergeable);
     let panel = panel_of(vec![one.clone()]).await.expect("a panel");
     assert!(panel.contains("aria-label=\"Run 1, sensing over time: medians from "), "{panel}");
@@ -112,12 +112,12 @@ async fn runs_without_successful_iteration_are_named() {
 #[tokio::test]
 async fn caption_states_length_of_short_run() {
     let mut one = configuration(0, Local, 1.0, 1e3);
-    let whole = panel_of(vec![one.clone()]).await.expect("a panel");
-    assert!(!whole.contains("between the starts of"), "{whole}");
+    let panel_of_a_minute = panel_of(vec![one.clone()]).await.expect("a panel");
+    assert!(!panel_of_a_minute.contains("between the starts of"), "{panel_of_a_minute}");
     one.runs[0].last_iteration = Some(samples::NOW + Span::from_millis(2_530));
-    let known = comparison(vec![one]);
-    let of_points = |count: usize| {
-        let mut series_by_run = run_time_series(&known);
+    let compared = comparison(vec![one]);
+    let over_time_of_points = |count: usize| {
+        let mut series_by_run = run_time_series(&compared);
         for time_series in series_by_run.values_mut() {
             time_series.series.stages[0].points.truncate(count);
             for (at, point) in time_series.series.stages[0].points.iter_mut().enumerate() {
@@ -125,12 +125,12 @@ async fn caption_states_length_of_short_run() {
             }
             time_series.episodes = Episodes { first: Some(samples::NOW), count: 1, ..Episodes::default() };
         }
-        over_time(&known, &series_by_run)
+        over_time(&compared, &series_by_run)
     };
-    let short = of_points(3).expect("three points");
+    let short = over_time_of_points(3).expect("three points");
     assert_eq!(
         short.runs[0].caption,
         "points of 1\u{202f}s, 2.5\u{202f}s between the starts of the first and the last iteration"
     );
-    assert!(of_points(2).is_none(), "two points are too few for a plot");
+    assert!(over_time_of_points(2).is_none(), "two points are too few for a plot");
 }
