@@ -47,7 +47,8 @@ pub struct Totals {
     /// Counts of the events in the database.
     pub stored: StoredCounts,
     /// Batches that arrived and were not stored.
-    pub arrivals: RejectedBatches,
+    #[serde(rename = "arrivals")]
+    pub rejected_batches: RejectedBatches,
     /// Frames that belong to no known host.
     pub refused: RefusedFrames,
 }
@@ -148,7 +149,8 @@ pub struct HostSnapshot {
     /// Counts of the host's events in the database.
     pub stored: StoredCounts,
     /// Batches that arrived and were not stored.
-    pub arrivals: RejectedBatches,
+    #[serde(rename = "arrivals")]
+    pub rejected_batches: RejectedBatches,
     /// Time of the host's newest stored event on the host's clock; `None` if nothing was stored since the aggregator's
     /// start.
     pub newest_stored: Option<WallTime>,

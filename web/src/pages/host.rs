@@ -215,7 +215,12 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             ("Clock name", description.clock.clock.to_string()),
         ],
         events: Events::of(host),
-        stored: events::stored_count_pairs(&host.stored, Some(&host.arrivals), host.newest_stored, app.zone),
+        stored: events::stored_count_pairs(
+            &host.stored,
+            Some(&host.rejected_batches),
+            host.newest_stored,
+            app.zone,
+        ),
         pipelines: PipelineTable::new(&own_pipelines).rows,
         name,
     }

@@ -226,7 +226,7 @@ pub(crate) fn host(name: &str, hardware: &str) -> HostSnapshot {
         metrics,
         accounting: Accounting::default(),
         stored: StoredCounts::default(),
-        arrivals: RejectedBatches::default(),
+        rejected_batches: RejectedBatches::default(),
         newest_stored: None,
         live_left_out: 0,
     }

@@ -221,7 +221,7 @@ impl Host {
             history: self.metrics.points(),
             accounting: self.events.accounting().clone(),
             stored: self.events.stored(),
-            arrivals: self.events.rejected_batches(),
+            rejected_batches: self.events.rejected_batches(),
             newest_stored: self.events.newest_stored(),
             live_left_out: self.discarded_items,
         });

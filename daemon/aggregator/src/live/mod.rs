@@ -147,11 +147,11 @@ impl LiveTracker {
                 return self.update_host(host, Host::record_duplicate);
             }
             LiveEvent::Deferred(host) => {
-                self.totals.arrivals.deferred += 1;
+                self.totals.rejected_batches.deferred += 1;
                 return self.update_host(host, |host| host.record_rejected(|counts| counts.deferred += 1));
             }
             LiveEvent::Damaged(host) => {
-                self.totals.arrivals.damaged += 1;
+                self.totals.rejected_batches.damaged += 1;
                 return self.update_host(host, |host| host.record_rejected(|counts| counts.damaged += 1));
             }
             LiveEvent::Unreadable => self.totals.refused.unreadable += 1,

@@ -118,7 +118,7 @@ async fn damaged_batch_is_requested_again_then_quarantined() {
     let snapshot = testbed.snapshot("the quarantined batch", |snapshot| {
         // The third batch may be in a separate transaction.
         snapshot.hosts.first().is_some_and(|host| {
-            host.stored.quarantined == 1 && host.arrivals.damaged == 4 && host.stored.nodes >= 42
+            host.stored.quarantined == 1 && host.rejected_batches.damaged == 4 && host.stored.nodes >= 42
         })
     });
     assert_eq!(snapshot.await.hosts[0].stored.nodes, 42);

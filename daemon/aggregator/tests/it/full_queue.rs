@@ -41,7 +41,7 @@ async fn deferred_batches_are_requested_when_queue_has_capacity() {
         }
     }
     let second_batch = agents[2].next();
-    testbed.snapshot("deferred batches", |snapshot| snapshot.totals.arrivals.deferred >= 6).await;
+    testbed.snapshot("deferred batches", |snapshot| snapshot.totals.rejected_batches.deferred >= 6).await;
     let third_batch = large_batch(&mut agents[2]);
     agents[2].socket.send_frame(second_batch.clone()).await;
     agents[2].socket.send_frame(third_batch.clone()).await;
@@ -50,7 +50,7 @@ async fn deferred_batches_are_requested_when_queue_has_capacity() {
             snapshot
                 .hosts
                 .iter()
-                .any(|host| host.description.name.as_str() == "late" && host.arrivals.deferred > 0)
+                .any(|host| host.description.name.as_str() == "late" && host.rejected_batches.deferred > 0)
         })
         .await;
     sqlx::raw_sql("ROLLBACK").execute(&mut holder).await.expect("unlocks");

@@ -297,7 +297,7 @@ impl From<&HostSnapshot> for Host {
             clock: Some(HostClock::from(&host.clock)),
             missing_events: missing.known,
             missing_events_incomplete: missing.is_incomplete,
-            stored: Stored::new(host.stored, host.arrivals),
+            stored: Stored::new(host.stored, host.rejected_batches),
         }
     }
 }

@@ -14,7 +14,7 @@ async fn event_counts_of_each_state_are_shown() {
         remaining: Span::from_seconds(240),
     });
     reported.newest_stored = Some(samples::NOW);
-    reported.arrivals = peernet_aggregator::RejectedBatches { deferred: 7, damaged: 2 };
+    reported.rejected_batches = peernet_aggregator::RejectedBatches { deferred: 7, damaged: 2 };
     let mut broken = host("cam-2", "Orin");
     broken.accounting = peernet_stream::Accounting {
         trouble: Some(HOSTILE.into()),

@@ -85,11 +85,11 @@ fn totals_include_absent_hosts_and_never_decrease() {
     );
     let expected = |events, damaged| Totals {
         stored: StoredCounts { quarantined: 1, ..stored(events) },
-        arrivals: RejectedBatches { deferred: 0, damaged },
+        rejected_batches: RejectedBatches { deferred: 0, damaged },
         ..Totals::default()
     };
     assert_eq!(snapshot.totals, expected(150, 1));
-    assert_eq!(snapshot.hosts[0].arrivals.damaged, 1);
+    assert_eq!(snapshot.hosts[0].rejected_batches.damaged, 1);
     // The host returns; the counts stored before are not added again.
     testbed.live.apply(LiveEvent::Hello(Box::new(description(gone, "gone")), 1), now(3_602.0));
     testbed.live.apply(LiveEvent::Stored(gone, stored(160), None), now(3_602.0));
