@@ -109,8 +109,7 @@ async fn produce(
     site.report(clock.wall() - Span::from_seconds(590), clock.wall()).await;
     site.store_incidents().await;
     site.store_clocks(if many { 120 } else { 3_600 }).await;
-    let has_ended = true;
-    site.store_run_of_each_pipeline(if many { 200 } else { 6_000 }, has_ended).await;
+    site.store_run_of_each_pipeline(if many { 200 } else { 6_000 }).await;
     if backlog {
         site.store_gaps(2, 42).await;
     }
@@ -124,8 +123,7 @@ async fn produce(
         site.store_attempts(200, &["stopped", "finished"]).await;
         site.store_users(200, &[1, 2, 3]).await;
     }
-    let has_ended = false;
-    site.store_run_of_each_pipeline(300, has_ended).await;
+    site.store_unfinished_run_of_each_pipeline(300).await;
     site.backlog = backlog.then(|| clock.wall());
     let mut ticks = tokio::time::interval(Duration::from_millis(250));
     loop {

@@ -7,8 +7,8 @@ use super::*;
 use crate::tests::samples;
 
 /// Returns an iteration with 2 ms of sensing, 20 ms of upload, 4 ms of inference on the cloud, and 1 ms of download.
-/// The cloud's wall clock is ahead of the edge's wall clock by `ahead`. `estimate_delay` computes the delay of a transit
-/// from the difference of the transit's wall-clock stamps, and from the true delay.
+/// The cloud's wall clock is ahead of the edge's wall clock by `ahead`. `estimate_delay` computes the delay of a
+/// transit from the difference of the transit's wall-clock stamps, and from the true delay.
 fn offloaded(ahead: Span, estimate_delay: impl Fn(Span, Span) -> OneWayDelay) -> IterationDetail {
     let edge = Arc::new(ManualClock::new(
         WallTime::from_unix_nanos(1_000_000_000),

@@ -265,7 +265,8 @@ pub(super) fn render_comparison(
     let over_time = over_time(comparison, &crate::view::compare::tests::run_time_series(comparison));
     let baseline = comparison.baseline(baseline)?;
     let compare = assemble(shell, comparison, (means, baseline), distributions, "localhost:8040");
-    let lengths = lengths(comparison, &crate::view::compare::lengths::tests::all_answers(comparison));
+    let lengths =
+        lengths(comparison, &crate::view::compare::lengths::tests::answers_from_quantiles(comparison));
     let users = users(comparison, &crate::view::compare::tests::measured_users(comparison));
     Ok(Compare { over_time, lengths, users, ..compare }.render().expect("renders"))
 }

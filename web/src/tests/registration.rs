@@ -1,4 +1,5 @@
-//! Checks that a module of a page or a REST resource is named in its registration file (`mod.rs`) and in no other module.
+//! Checks that a module of a page or a REST resource is named in its registration file (`mod.rs`) and in no other
+//! module.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -93,7 +93,7 @@ async fn live_and_stored_figures_are_served() {
         .expect("a total");
     let p50 = total["p50"].as_f64().expect("a median");
     assert!((0.019..0.025).contains(&p50), "{p50}");
-    assert_eq!(full["seconds"].as_array().expect("seconds").len(), 5);
+    assert_eq!(full["seconds"].as_array().expect("seconds").len(), 5, "a list has the last five seconds");
     let one = dashboard.get("/api/v1/pipelines/cam-2/offload-full").await.json();
     assert!(one["seconds"].as_array().expect("seconds").len() > 30);
 
@@ -223,7 +223,7 @@ async fn pipeline_query_selects_window_and_stages() {
 async fn lists_are_paged_without_loss_or_repetition() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     for _ in 0..4 {
-        site.store_run_of_each_pipeline(5, true).await;
+        site.store_run_of_each_pipeline(5).await;
     }
     let mut seen = Vec::new();
     let mut next = String::new();
@@ -286,6 +286,7 @@ async fn export_has_one_row_per_iteration() {
         assert_eq!(cell(&format!("{direction}-source")), "in-band");
         assert!(number(&format!("{direction}-raw")).abs() > 1.0, "the rack's clock is 1.2 s ahead");
     }
+    // The test's trees have a node `gpu-power` of 11.5 W.
     let sensing = number("capture") + number("transform");
     assert!((sensing - number("sensing")).abs() < 1e-9 && number("gpu-power") == 11.5, "{sensing}");
     assert!(number("upload-bytes") > 0.0 && number("upload-throughput-lo") < number("upload-throughput"));

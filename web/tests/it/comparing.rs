@@ -32,6 +32,7 @@ async fn run_page_states_trust_and_reasons() {
     let upload = dashboard.get("/api/v1/runs/2/trust").await;
     assert!(upload.text().contains("Of the delays of `upload`"), "{}", upload.text());
 
+    // Three gaps of 974 events.
     site.store_gaps(0, 3).await;
     let trust = dashboard.get("/api/v1/runs/1/trust").await.json();
     assert_eq!(trust["verdict"], "no", "{trust}");
@@ -44,7 +45,8 @@ async fn run_page_states_trust_and_reasons() {
 #[tokio::test]
 async fn skipped_starts_before_failed_iterations_are_shown() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
-    // 20 of the 120 iterations are warm-up, and 10 of the other 100 timed out.
+    // 20 of the 120 iterations are warm-up, and 10 of the other 100 timed out. 7 starts were skipped before each of
+    // these.
     site.store_skipping(0, 120, 7).await;
     assert_eq!(dashboard.get("/api/v1/runs/1").await.json()["skipped_starts"], 0);
     assert_eq!(dashboard.get("/api/v1/runs/2").await.json()["skipped_starts"], 70);
@@ -192,7 +194,8 @@ async fn repeats_of_an_experiment_are_combined() {
     assert!(dashboard.get("/runs").await.text().contains(">pictures</a>"));
     assert!(dashboard.get("/compare").await.text().contains(">pictures</a>"));
 
-    site.store_sizes(2, 100, &[600e3, 30e3, 2_000e3, 150e3].map(|bytes| (bytes, None))).await;
+    let without_index = [600e3, 30e3, 2_000e3, 150e3].map(|bytes| (bytes, None));
+    site.store_sizes(2, 100, &without_index).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
@@ -208,7 +211,8 @@ async fn repeats_of_an_experiment_are_combined() {
     );
     assert!(dashboard.get("/runs").await.text().contains("size = 2000 kB, repeat 1"));
 
-    site.store_sizes(2, 100, &[(600e3, Some(1)), (30e3, Some(2)), (150e3, Some(0))]).await;
+    let with_index = [(600e3, Some(1)), (30e3, Some(2)), (150e3, Some(0))];
+    site.store_sizes(2, 100, &with_index).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
@@ -242,7 +246,7 @@ async fn many_users_count_as_one_configuration() {
         page.text()
     );
     assert_eq!(page.text().matches("<option value=").count(), 50, "{}", page.text());
-    assert!(!page.text().contains("number of users"), "no run has several users");
+    assert!(!page.text().contains("number of edges"), "no configuration has several edges");
 }
 
 #[tokio::test]
@@ -374,11 +378,14 @@ async fn run_files_and_store_give_same_comparison() {
             let latency = line.latency(name).expect("measured");
             let stages = of_store["configurations"][at]["stages"].as_array().expect("stages");
             let stage = stages.iter().find(|stage| stage["name"] == name).expect("measured");
-            let known = |key: &str| stage[key].as_f64().expect("a number");
+            let stored = |key: &str| stage[key].as_f64().expect("a number");
             assert_eq!(stage["count"], latency.count, "{name}");
-            assert!((known("mean") / latency.mean - 1.0).abs() < 1e-9, "{name}: {stage} {latency:?}");
+            assert!((stored("mean") / latency.mean - 1.0).abs() < 1e-9, "{name}: {stage} {latency:?}");
             let std = latency.std.expect("several values");
-            assert!((known("std") - std).abs() < 1e-9 * std.max(latency.mean), "{name}: {stage} {latency:?}");
+            assert!(
+                (stored("std") - std).abs() < 1e-9 * std.max(latency.mean),
+                "{name}: {stage} {latency:?}"
+            );
         }
     }
     assert_eq!(of_store["best"], ["A", "B"][of_files.best.expect("both have a mean")]);

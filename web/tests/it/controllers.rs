@@ -52,6 +52,7 @@ async fn documented_controller_decides_by_known_values() {
     let page = include_str!("../../../docs/controllers.md");
     let (_, rest) = page.split_once("```python\n").expect("an example");
     let (example, _) = rest.split_once("```").expect("the end of the example");
+    // The loop of the example starts only if the module's name is `__main__`.
     let example = example.replace("__main__", "not run here");
     let mut python = Command::new("python3")
         .args(["-c", &format!("{example}{DRIVER}")])

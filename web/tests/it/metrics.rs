@@ -81,10 +81,13 @@ fn parse_metrics(text: &str) -> BTreeMap<String, Family> {
         assert!(family.kind == "counter" || family.kind == "gauge", "{line:?}");
         assert!(value.is_finite() && (value >= 0.0 || family.kind == "gauge"), "{line:?}");
         let names = label_names(inner);
-        let known: BTreeSet<String> = names.iter().cloned().collect();
-        assert_eq!(known.len(), names.len(), "a label occurs twice: {line:?}");
-        assert!(family.samples.is_empty() || family.labels == known, "other labels than before: {line:?}");
-        family.labels = known;
+        let label_set: BTreeSet<String> = names.iter().cloned().collect();
+        assert_eq!(label_set.len(), names.len(), "a label occurs twice: {line:?}");
+        assert!(
+            family.samples.is_empty() || family.labels == label_set,
+            "other labels than before: {line:?}"
+        );
+        family.labels = label_set;
         assert!(family.samples.insert(series.to_owned(), value).is_none(), "{series} occurs twice");
     }
     for (name, family) in &families {
@@ -152,7 +155,7 @@ async fn metric_lines_are_valid_and_counters_grow() {
         "an unknown delay has a sample"
     );
 
-    site.store_run_of_each_pipeline(50, true).await;
+    site.store_run_of_each_pipeline(50).await;
     let now = dashboard.clock.wall();
     site.report(now, now + Span::from_seconds(1)).await;
     let stored = value(&first, "peernet_aggregator_stored_nodes_total");
@@ -173,8 +176,8 @@ async fn metric_lines_are_valid_and_counters_grow() {
         }
     }
     assert!(grown > 10, "{grown} counters grew");
-    let hosts = second["peernet_host_stored_events"].samples.values().sum::<f64>();
-    assert_eq!(value(&second, "peernet_aggregator_stored_events_total"), hosts);
+    let stored_by_hosts = second["peernet_host_stored_events"].samples.values().sum::<f64>();
+    assert_eq!(value(&second, "peernet_aggregator_stored_events_total"), stored_by_hosts);
 }
 
 #[tokio::test]
@@ -189,16 +192,20 @@ async fn documented_metrics_are_the_served_ones() {
         let [name, kind, unit, labels, help] = cells[..] else { panic!("{row} has not five cells") };
         let name = name.trim_matches('`');
         let family = name.strip_suffix("_total").unwrap_or(name);
-        let known = served.get(family).unwrap_or_else(|| panic!("{name} is not served"));
+        let served_family = served.get(family).unwrap_or_else(|| panic!("{name} is not served"));
         assert_eq!(kind == "counter", name.ends_with("_total"), "{row}");
-        assert_eq!((kind, unit), (known.kind.as_str(), known.unit.as_str()), "{row}");
-        assert_eq!(help, known.help, "{row}");
+        assert_eq!((kind, unit), (served_family.kind.as_str(), served_family.unit.as_str()), "{row}");
+        assert_eq!(help, served_family.help, "{row}");
         let labels: BTreeSet<String> = labels
             .split(", ")
             .filter(|label| *label != "–")
             .map(|label| label.trim_matches('`').to_owned())
             .collect();
-        assert!(known.samples.is_empty() || labels == known.labels, "{row}: {:?}", known.labels);
+        assert!(
+            served_family.samples.is_empty() || labels == served_family.labels,
+            "{row}: {:?}",
+            served_family.labels
+        );
         assert!(listed.insert(family), "{row} occurs twice");
     }
     assert_eq!(listed.len(), served.len(), "listed {listed:?}, served {:?}", served.keys());

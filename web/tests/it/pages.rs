@@ -48,7 +48,7 @@ async fn every_page_is_complete_without_script() {
         assert!(answer.header("content-type").starts_with("text/html"), "{path}");
         assert!(answer.text().contains(text), "{path} lacks {text:?}: {}", answer.text());
         assert!(answer.text().contains("<h1"), "{path}");
-        assert!(!answer.text().contains(" style="), "{path}");
+        assert!(!answer.text().contains(" style="), "{path}: the policy refuses inline styles");
         let policy = answer.header("content-security-policy");
         assert!(
             policy.contains("script-src 'self';") && policy.contains("default-src 'none'"),
@@ -130,7 +130,7 @@ async fn unrecorded_events_are_shown_with_reason() {
 #[tokio::test]
 async fn run_is_running_while_its_host_reports_it() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
-    site.store_run_of_each_pipeline(30, false).await;
+    site.store_unfinished_run_of_each_pipeline(30).await;
     for current in [Some(2), None] {
         if current.is_none() {
             site.pipelines[0].run = None;

@@ -21,10 +21,11 @@ async fn deleted_data_is_named_and_remaining_data_shown() {
     let dashboard = TestDashboard::empty().await;
     let mut site =
         TestSite::new(&dashboard.listening, dashboard.clock.clone(), vec![TestPipeline::local()]).await;
-    site.store_run_of_each_pipeline(200, true).await;
-    site.store_run_of_each_pipeline(100, true).await;
-    let pinned = dashboard.aggregator.pin(2, true).await.expect("the database can be written");
-    assert!(pinned, "run 2 does not exist");
+    site.store_run_of_each_pipeline(200).await;
+    site.store_run_of_each_pipeline(100).await;
+    let (run, is_pinned) = (2, true);
+    let run_exists = dashboard.aggregator.pin(run, is_pinned).await.expect("the database can be written");
+    assert!(run_exists, "run 2 does not exist");
 
     let run = async |number: i64| dashboard.get(&format!("/api/v1/runs/{number}")).await.json();
     assert_eq!(run(1).await["deleted_through"], json!(0));

@@ -9,6 +9,9 @@ use tokio_util::sync::CancellationToken;
 
 use crate::test_dashboard::TestDashboard;
 
+/// Maximum number of open connections of a test's server. A quarter of them may be live streams.
+const MAX_CONNECTIONS: usize = 16;
+
 #[tokio::test]
 async fn server_stops_despite_open_stream() {
     let dashboard = TestDashboard::empty().await;
@@ -18,26 +21,26 @@ async fn server_stops_despite_open_stream() {
         dashboard.aggregator.clone(),
         dashboard.clock.clone(),
         stop.clone(),
-        16,
+        MAX_CONNECTIONS,
     )
     .await
     .expect("serves");
-    let mut listener = TcpStream::connect(server.address()).await.expect("connects");
-    listener
+    let mut client = TcpStream::connect(server.address()).await.expect("connects");
+    client
         .write_all(b"GET /api/v1/live?topics=overview HTTP/1.1\r\nHost: localhost\r\n\r\n")
         .await
         .expect("sends");
     let mut received = String::new();
     while !received.contains("event: page") {
         let mut chunk = [0; 4096];
-        let length = listener.read(&mut chunk).await.expect("reads");
+        let length = client.read(&mut chunk).await.expect("reads");
         assert_ne!(length, 0, "the stream ended early: {received}");
         received.push_str(&String::from_utf8_lossy(&chunk[..length]));
     }
     stop.cancel();
     server.join().await.expect("ends when asked to");
     let mut rest = Vec::new();
-    listener.read_to_end(&mut rest).await.expect("the connection is closed");
+    client.read_to_end(&mut rest).await.expect("the connection is closed");
 }
 
 /// Sends a request from a local address, and returns its connection.
@@ -67,7 +70,7 @@ async fn streams_leave_connections_to_other_requests() {
     let dashboard = TestDashboard::empty().await;
     let (config, aggregator, clock) =
         (dashboard.config.clone(), dashboard.aggregator.clone(), dashboard.clock.clone());
-    let server = peernet_web::serve(config, aggregator, clock, dashboard.stop.clone(), 16)
+    let server = peernet_web::serve(config, aggregator, clock, dashboard.stop.clone(), MAX_CONNECTIONS)
         .await
         .expect("serves")
         .address();
@@ -111,7 +114,7 @@ async fn invalid_host_header_is_refused() {
     let dashboard = TestDashboard::empty().await;
     let (config, aggregator, clock) =
         (dashboard.config.clone(), dashboard.aggregator.clone(), dashboard.clock.clone());
-    let server = peernet_web::serve(config, aggregator, clock, dashboard.stop.clone(), 16)
+    let server = peernet_web::serve(config, aggregator, clock, dashboard.stop.clone(), MAX_CONNECTIONS)
         .await
         .expect("serves")
         .address();
@@ -142,7 +145,7 @@ async fn port_in_use_is_named_in_the_error() {
         dashboard.aggregator.clone(),
         dashboard.clock.clone(),
         dashboard.stop.clone(),
-        16,
+        MAX_CONNECTIONS,
     )
     .await
     .expect_err("the port is taken");

@@ -10,10 +10,10 @@ use sqlx::sqlite::SqliteConnectOptions;
 use crate::test_dashboard::{Answer, TestDashboard};
 use crate::test_site::TestPipeline;
 
-/// Waits until the readiness of the aggregator is `ready`.
-async fn wait_until_ready_is(dashboard: &TestDashboard, ready: bool) {
+/// Waits until the aggregator can store events if `is_ready` is true, else until it cannot.
+async fn wait_until_ready_is(dashboard: &TestDashboard, is_ready: bool) {
     let mut readiness = dashboard.aggregator.readiness();
-    readiness.wait_for(|now| (*now == Readiness::Ready) == ready).await.expect("the aggregator runs");
+    readiness.wait_for(|now| (*now == Readiness::Ready) == is_ready).await.expect("the aggregator runs");
 }
 
 #[tokio::test]
@@ -65,6 +65,7 @@ async fn damaged_database_errors_match_readiness() {
     sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await.expect("carries over");
     let file = std::fs::File::options().write(true).open(dashboard.database()).expect("opens");
     let bytes = file.metadata().expect("is there").len();
+    // The first page of 4,096 bytes, with the header, stays intact.
     let noise = vec![0xa5; usize::try_from(bytes - 4096).expect("small")];
     std::os::unix::fs::FileExt::write_all_at(&file, &noise, 4096).expect("writes");
 

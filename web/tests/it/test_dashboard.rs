@@ -26,6 +26,7 @@ pub(crate) struct TestDashboard {
     /// Address at which the aggregator accepts agents.
     pub(crate) listening: String,
     router: Router,
+    /// Its tasks end when this value is dropped.
     _running: peernet_aggregator::RunningAggregator,
     folder: tempfile::TempDir,
 }
@@ -76,7 +77,7 @@ impl TestDashboard {
         let dashboard = Self::empty().await;
         let expected = pipelines.len();
         let mut site = TestSite::new(&dashboard.listening, dashboard.clock.clone(), pipelines).await;
-        site.store_run_of_each_pipeline(ITERATIONS, true).await;
+        site.store_run_of_each_pipeline(ITERATIONS).await;
         site.store_incidents().await;
         site.store_clocks(120).await;
         let now = dashboard.clock.wall();

@@ -91,8 +91,16 @@ async fn link_without_live_host_has_a_page() {
         let time_series =
             LinkTimeSeries::stored(peernet_store::ClockSeries { bucket_s: 1, points }, from, samples::NOW);
         let live_state = snapshot(Vec::new(), Vec::new());
-        let page =
-            link::link_page(&app, &live_state, &subject, &time_series, None, link::Query::default(), &[]);
+        let selected_series = None;
+        let page = link::link_page(
+            &app,
+            &live_state,
+            &subject,
+            &time_series,
+            selected_series,
+            link::Query::default(),
+            &[],
+        );
         let html = askama::Template::render(&page).expect("renders");
         check(&html);
         assert!(html.contains("cam-1 last reported this link on 19 Nov 2026, 12:01:07"), "{html}");

@@ -1,6 +1,7 @@
 //! Tests of the page that compares runs, in every state that the runs may have.
 //!
-//! The arguments of [`configuration`] are: index, placement, factor of the usual stage means, bytes of an upload.
+//! The arguments of [`configuration`] are: index, placement, factor of the usual stage means, bytes of an upload. The
+//! last argument of [`render_comparison`] is the selected stage, and a run of the selected baseline.
 
 use std::sync::Arc;
 

@@ -15,8 +15,9 @@ const HEADING: &str = "<h2 id=\"cr-h\">Response length against latency</h2>";
 async fn page_of(configurations: Vec<Configuration>) -> String {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-    let html = render_comparison(shell, &comparison(configurations), &RunMeans::new(), (None, None))
-        .expect("renders");
+    let (selected_stage, baseline) = (None, None);
+    let (compared, means) = (comparison(configurations), RunMeans::new());
+    let html = render_comparison(shell, &compared, &means, (selected_stage, baseline)).expect("renders");
     check(&html);
     html
 }

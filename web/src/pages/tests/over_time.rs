@@ -17,8 +17,9 @@ use crate::view::compare::{Configuration, RunMeans, over_time};
 async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {
     let (app, _folder) = samples::app().await;
     let shell = Shell::new(&app, &app.live_state(), "/compare", "Compare");
-    let html = render_comparison(shell, &comparison(configurations), &RunMeans::new(), (None, None))
-        .expect("renders");
+    let (selected_stage, baseline) = (None, None);
+    let (compared, means) = (comparison(configurations), RunMeans::new());
+    let html = render_comparison(shell, &compared, &means, (selected_stage, baseline)).expect("renders");
     check(&html);
     let panel = html.split("id=\"cc-h\"").nth(1)?;
     panel.split("</section>").next().map(str::to_owned)

@@ -61,7 +61,7 @@ pub(crate) fn stages(scale: f64, bytes: f64) -> (Vec<StageStatistics>, Vec<Delay
 }
 
 /// Returns a configuration of one run. The configuration with index 0 has the name `A` and the run 1, index 1 has `B`
-/// and 2, and so on.
+/// and 2, and so on. The means of the stages are `scale` times the usual values, and each upload has `bytes` bytes.
 pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f64) -> Configuration {
     let (stages, bounds) = stages(scale, bytes);
     let values = vec![format!("{} kB", bytes / 1e3), HOSTILE.to_owned()];
@@ -165,7 +165,7 @@ pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
         .collect()
 }
 
-/// Returns the measurements of users that each got 300 answers in 59 s.
+/// Returns the measurements of the users of the first repeat, who each got 300 answers in 59 s.
 pub(crate) fn measured_users(comparison: &Comparison) -> users::MeasuredUsers {
     let edge = |configuration: &Configuration| {
         let totals = configuration.summary(&stage::TOTAL).cloned().unwrap_or_default();
@@ -200,6 +200,7 @@ fn addresses_name_runs_or_an_experiment() {
     for wrong in [&[("runs", "3,x")][..], &[("run", "3")], &[("runs", "3"), ("experiment", "x")]] {
         assert!(parse(wrong).is_err(), "{wrong:?}");
     }
+    // A page compares at most 12 selected runs.
     let many = (1..=13).map(|n| n.to_string()).collect::<Vec<_>>().join(",");
     assert!(parse(&[("runs", &many)]).is_err());
 }
@@ -256,8 +257,8 @@ fn title_without_ranking_names_no_fastest() {
     assert_eq!(text, "A and B, C and 1 more do not differ by more than chance");
     let short = comparison_of_scales(&[1.0, 1.5, 2.0]);
     let text = title_of(&short, &totals(&short, 3), 0);
-    let known = "A has the smallest mean of the 3 configurations, 16.0\u{202f}ms; too short for this page (needs 5\u{202f}s): peernet compare can tell";
-    assert_eq!(text, known);
+    let expected = "A has the smallest mean of the 3 configurations, 16.0\u{202f}ms; too short for this page (needs 5\u{202f}s): peernet compare can tell";
+    assert_eq!(text, expected);
     let mut few = comparison_of_scales(&[1.0, 1.5, 2.0]);
     few.configurations[1].runs[0].counts.ok = 29;
     let text = title_of(&few, &totals(&few, 3), 0);
@@ -355,7 +356,11 @@ fn inference_of_model_is_compared_between_places() {
     ]);
     let (models, _) = place_comparisons(&mixed);
     let names: Vec<&str> = models[0].places.iter().map(|place| place.configuration.as_str()).collect();
-    assert_eq!((models.len(), names), (1, vec!["B", "A + C"]), "both clouds are one place, as in the figure");
+    assert_eq!(
+        (models.len(), names),
+        (1, vec!["B", "A + C"]),
+        "both clouds are one place, as in the figure `paired`"
+    );
     let mut many = configuration(1, PlacementKind::Remote, 1.0, 1e3);
     let run = many.runs.remove(0);
     for user in [10, 2, 1, 2] {
@@ -368,9 +373,8 @@ fn inference_of_model_is_compared_between_places() {
         "{}",
         several_users[0].places[1].place
     );
-    let equal_sizes =
-        comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
-    assert!(place_comparisons(&equal_sizes).0.is_empty());
+    let one_place = comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
+    assert!(place_comparisons(&one_place).0.is_empty());
 }
 
 #[test]

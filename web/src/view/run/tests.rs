@@ -40,6 +40,7 @@ fn run_with_standstill_has_no_rate() {
         (stored.rate(), stored.time_remarks().iter().any(|text| text.starts_with("no start for ")))
     };
     assert_eq!(rate_and_remark(Some(3_600.0)), (None, true));
+    // 15 starts are 14 periods in 56 s.
     assert_eq!(rate_and_remark(None), (Some(0.25), false));
 }
 

@@ -43,10 +43,10 @@ fn names_and_values(detail: &IterationDetail) -> Vec<(String, String)> {
 #[test]
 fn table_of_stepped_iteration_has_sum_of_directions() {
     let rows = names_and_values(&stepped_iteration());
-    let of =
+    let value_of =
         |stage_name: &str| rows.iter().find(|(name, _)| name == stage_name).map(|(_, value)| value.as_str());
-    assert_eq!((of("upload"), of("download")), (Some("—"), Some("—")));
-    assert_eq!((of("upload + download"), of("unattributed")), (Some("1,186.00"), Some("11.80")));
+    assert_eq!((value_of("upload"), value_of("download")), (Some("—"), Some("—")));
+    assert_eq!((value_of("upload + download"), value_of("unattributed")), (Some("1,186.00"), Some("11.80")));
 }
 
 #[test]
@@ -196,6 +196,7 @@ fn delay_has_digits_of_its_bounds() {
     }];
     let row = &delays(&Timeline::of(&detail), &detail.row.delays)[0];
     let basis = format!("by free-running clocks, ρ 200{SPACE}ppm, probes not authenticated");
+    // The source comes from the tree. Only the assumptions come from the row of the database.
     assert_eq!((row.source, row.basis.as_str()), ("in-band", basis.as_str()));
     let texts = [&row.raw, &row.offset, &row.value, &row.lo, &row.hi].map(String::as_str);
     assert_eq!(texts, ["1,204.043", "+1,204.000", "0.043", "0.039", "0.048"]);

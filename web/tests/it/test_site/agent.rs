@@ -118,7 +118,7 @@ impl Agent {
 
     /// Exchanges messages until the aggregator has accepted the connection.
     pub(crate) async fn wait_until_connected(&mut self) {
-        self.wait_until("the agent is welcome", Sending::is_up).await;
+        self.wait_until("the aggregator has accepted the agent", Sending::is_up).await;
     }
 
     /// Sends all events and waits until they are acknowledged.

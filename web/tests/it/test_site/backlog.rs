@@ -6,9 +6,14 @@ use peernet_stream::Accounting;
 /// Initial lag of storage, seconds.
 const INITIAL_LAG_S: f64 = 14_400.0;
 /// Seconds by which the lag falls per second.
-const RATE: f64 = 48.0;
+const CATCH_UP_RATE: f64 = 48.0;
 /// Events per second of measurement.
-const HZ: f64 = 300.0;
+const EVENTS_PER_SECOND: f64 = 300.0;
+/// Maximum number of waiting events that are in memory and not yet in the spool.
+const MAX_EVENTS_IN_MEMORY: u64 = 120;
+/// Maximum number of sent events that are not yet stored.
+const MAX_EVENTS_IN_FLIGHT: u64 = 1_024;
+const BYTES_PER_EVENT: u64 = 280;
 
 /// Returns the event counts of the agent with this index. Since the time `since`, the second agent catches up with a
 /// backlog, and the third agent has a failing disk. Without that time, all counts stay as they are.
@@ -20,19 +25,19 @@ pub(crate) fn add_backlog(
 ) -> Accounting {
     let Some(since) = since else { return account };
     let elapsed = (now - since).seconds();
-    let behind = (INITIAL_LAG_S - RATE * elapsed).max(0.0);
-    let waiting = (behind * HZ) as u64;
-    let delivered = (INITIAL_LAG_S * HZ) as u64 - waiting;
+    let behind = (INITIAL_LAG_S - CATCH_UP_RATE * elapsed).max(0.0);
+    let waiting = (behind * EVENTS_PER_SECOND) as u64;
+    let delivered = (INITIAL_LAG_S * EVENTS_PER_SECOND) as u64 - waiting;
     match index {
         1 => Accounting {
             produced: account.produced + delivered + waiting,
-            spooled: account.spooled + delivered + waiting - waiting.min(120),
-            sent: account.sent + delivered + waiting.min(1_024),
+            spooled: account.spooled + delivered + waiting - waiting.min(MAX_EVENTS_IN_MEMORY),
+            sent: account.sent + delivered + waiting.min(MAX_EVENTS_IN_FLIGHT),
             stored: account.stored + delivered,
             waiting: account.waiting + waiting,
-            spool_bytes: waiting * 280,
+            spool_bytes: waiting * BYTES_PER_EVENT,
             spool_limit_bytes: 2 << 30,
-            memory_bytes: waiting.min(120) * 280,
+            memory_bytes: waiting.min(MAX_EVENTS_IN_MEMORY) * BYTES_PER_EVENT,
             oldest: (waiting > 0).then(|| now - Span::from_seconds_f64(behind)),
             compressed: waiting > 0,
             ..account

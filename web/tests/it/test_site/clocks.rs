@@ -50,10 +50,10 @@ fn delays(pipeline: &TestPipeline, name: &str, numbers: &mut SplitMix64) -> Dela
         Clocks::Shared | Clocks::Unrelated => 0.0,
     };
     let bits = if name == stage::UPLOAD.as_str() { pipeline.bytes * 8.0 } else { 412.0 * 8.0 };
-    let known = pipeline.clocks != Clocks::Unrelated;
+    let is_known = pipeline.clocks != Clocks::Unrelated;
     DelaySecond {
         count: pipeline.hz as u32,
-        median: known.then(|| DelayPoint {
+        median: is_known.then(|| DelayPoint {
             value: seconds(value),
             bounds: Interval { lo: seconds((value - bound).max(0.0)), hi: seconds(value + bound) },
             bits_per_second: Some(bits / value),
@@ -62,7 +62,7 @@ fn delays(pipeline: &TestPipeline, name: &str, numbers: &mut SplitMix64) -> Dela
     }
 }
 
-/// Returns the clock sample at the end of the second that contains `at`, which is `ago` seconds before the newest
+/// Returns the clock sample at the last full second up to `at`. The sample is `ago` seconds older than the newest
 /// sample.
 pub(super) fn sample(
     pipeline: &TestPipeline,

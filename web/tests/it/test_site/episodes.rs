@@ -19,7 +19,7 @@ impl TestSite {
                 repeat: 0,
                 ..ExperimentPosition::default()
             };
-            let mut events = self.run(index, RunId::random(), iterations, true, Some(position));
+            let mut events = self.run(index, RunId::random(), iterations, Some(position));
             for event in &mut events {
                 if let Event::Iteration(iteration) = event {
                     let before = iteration.number - 1;

@@ -1,5 +1,5 @@
-//! A simulated site: agents of three cameras and of a rack that serves models. All data passes through the aggregator's socket, so
-//! that pages and API receive the same as in a real deployment.
+//! A simulated site: an agent of a camera for each pipeline, and an agent of a rack that serves models. All data passes
+//! through the aggregator's socket, so that pages and API receive the same as in a real deployment.
 
 mod agent;
 mod backlog;
@@ -21,7 +21,7 @@ use peernet_stream::{
     RunDescription, RunEnded,
 };
 
-/// The cameras' pipelines and the rack that serves two of them.
+/// The cameras' pipelines, and the rack that serves those of them that are remote.
 pub(crate) struct TestSite {
     /// The pipelines, each on its own camera.
     pub(crate) pipelines: Vec<TestPipeline>,
@@ -80,19 +80,31 @@ impl TestSite {
         self.agents.last().expect("there is a rack").id()
     }
 
-    /// Stores a run of each pipeline with `iterations` iterations, the last of which ends now. The runs have ended if
-    /// `ended` is true.
-    pub(crate) async fn store_run_of_each_pipeline(&mut self, iterations: u64, ended: bool) -> Vec<RunId> {
-        let mut runs = Vec::new();
+    /// Stores a finished run of each pipeline with `iterations` iterations, the last of which ends now.
+    pub(crate) async fn store_run_of_each_pipeline(&mut self, iterations: u64) {
         for index in 0..self.pipelines.len() {
             let run = RunId::random();
-            let events = self.run(index, run, iterations, ended, None);
-            self.pipelines[index].run = Some(run);
-            self.agents[index].offer(events);
-            self.agents[index].wait_until_stored().await;
-            runs.push(run);
+            let events = self.run(index, run, iterations, None);
+            self.store_current_run(index, run, events).await;
         }
-        runs
+    }
+
+    /// Stores a run of each pipeline with `iterations` iterations, whose end is not reported yet.
+    pub(crate) async fn store_unfinished_run_of_each_pipeline(&mut self, iterations: u64) {
+        for index in 0..self.pipelines.len() {
+            let run = RunId::random();
+            let mut events = self.run(index, run, iterations, None);
+            // The last event is the end of the run.
+            events.pop();
+            self.store_current_run(index, run, events).await;
+        }
+    }
+
+    /// Stores the events of a run, and makes it the current run of its pipeline.
+    async fn store_current_run(&mut self, index: usize, run: RunId, events: Vec<Event>) {
+        self.pipelines[index].run = Some(run);
+        self.agents[index].offer(events);
+        self.agents[index].wait_until_stored().await;
     }
 
     /// Stores an experiment with `repeats` runs of each pipeline.
@@ -118,8 +130,8 @@ impl TestSite {
         }
     }
 
-    /// Stores an experiment with a run of one pipeline for each element of `sizes`: the sample size, and the index of the
-    /// configuration in the experiment's file. The upload time is proportional to the size.
+    /// Stores an experiment with a run of one pipeline for each element of `sizes`: the sample size, and the index of
+    /// the configuration in the experiment's file. The upload time is proportional to the size.
     pub(crate) async fn store_sizes(&mut self, index: usize, iterations: u64, sizes: &[(f64, Option<u32>)]) {
         let (id, original) = (RunId::random().to_string(), self.pipelines[index].clone());
         for (bytes, configuration_index) in sizes {
@@ -149,7 +161,7 @@ impl TestSite {
     pub(crate) async fn store_users(&mut self, iterations: u64, numbers: &[usize]) {
         let (id, original) = (RunId::random().to_string(), self.pipelines.clone());
         for users in numbers {
-            for (index, known) in original.iter().enumerate().take(*users) {
+            for (index, camera_pipeline) in original.iter().enumerate().take(*users) {
                 // All users have equal pipelines, and wait for one another in the queue of the model.
                 let pipeline = TestPipeline::resized();
                 let queue = |(name, mean, spread): &(Name, f64, f64)| {
@@ -158,8 +170,8 @@ impl TestSite {
                 };
                 self.pipelines[index] = TestPipeline {
                     stages: pipeline.stages.iter().map(queue).collect(),
-                    name: known.name,
-                    host: known.host,
+                    name: camera_pipeline.name,
+                    host: camera_pipeline.host,
                     ..pipeline
                 };
                 let configuration = vec![("Users".to_owned(), users.to_string())];
@@ -212,7 +224,7 @@ impl TestSite {
                 repeat: 0,
                 ..ExperimentPosition::default()
             };
-            let mut events = self.run(0, RunId::random(), iterations, true, Some(position));
+            let mut events = self.run(0, RunId::random(), iterations, Some(position));
             for event in &mut events {
                 if let Event::RunEnded(ended) = event {
                     ended.reason = (*reason).into();
@@ -225,18 +237,17 @@ impl TestSite {
 
     /// Stores a run of a pipeline at a position in an experiment.
     async fn store_at_position(&mut self, index: usize, iterations: u64, position: ExperimentPosition) {
-        let events = self.run(index, RunId::random(), iterations, true, Some(position));
+        let events = self.run(index, RunId::random(), iterations, Some(position));
         self.agents[index].offer(events);
         self.agents[index].wait_until_stored().await;
     }
 
-    /// Returns the events of a run that ends now. `ended` adds the event of its end.
+    /// Returns the events of a run that ends now. The last event is the end of the run.
     fn run(
         &mut self,
         index: usize,
         run: RunId,
         iterations: u64,
-        ended: bool,
         experiment: Option<ExperimentPosition>,
     ) -> Vec<Event> {
         let (edge, rack) = (self.agents[index].id(), self.rack_id());
@@ -244,6 +255,8 @@ impl TestSite {
         let step = Span::from_seconds_f64(1.0 / pipeline.hz);
         let now = self.clock.wall();
         let started = now - Span::from_seconds_f64(iterations as f64 / pipeline.hz);
+        // Only runs of experiments have a doubtful condition, so that pages are tested with it and without it.
+        let has_slow_governor = experiment.is_some();
         let mut events = vec![Event::RunStarted(RunDescription {
             run,
             pipeline: slug(pipeline.name),
@@ -252,11 +265,12 @@ impl TestSite {
             facts: pipeline.facts(),
             configuration: pipeline.configuration(),
             version: "0.1.0".into(),
-            conditions: conditions(pipeline.host, experiment.is_some()),
+            conditions: conditions(pipeline.host, has_slow_governor),
             experiment: experiment.map(Box::new),
         })];
         let mut at = started;
         for number in 1..=iterations {
+            // One of 4,001 iterations is lost, and one times out.
             let outcome = match number {
                 n if n % 4_001 == 900 => Outcome::Lost("the connection to rack-a closed".into()),
                 n if n % 4_001 == 1_700 => Outcome::Timeout(String::new()),
@@ -276,9 +290,7 @@ impl TestSite {
             }));
             at = at + step;
         }
-        if ended {
-            events.push(Event::RunEnded(RunEnded { run, ended: at, reason: EndReason::Finished }));
-        }
+        events.push(Event::RunEnded(RunEnded { run, ended: at, reason: EndReason::Finished }));
         events
     }
 
@@ -334,9 +346,11 @@ impl TestSite {
     /// Reports the seconds from `from` to `to` of all pipelines. The last second may be incomplete.
     pub(crate) async fn report(&mut self, from: WallTime, to: WallTime) {
         let seconds: Vec<i64> = (from.unix_seconds()..=to.unix_seconds()).collect();
+        // The pipelines take turns of 20 seconds, so that none is far ahead of the others.
         for chunk in seconds.chunks(20) {
             for index in 0..self.pipelines.len() {
                 let pipeline = &self.pipelines[index];
+                // An update has the newest second first.
                 let seconds = chunk.iter().filter(|at| !pipeline.is_silent(to.unix_seconds() - **at)).rev();
                 let seconds = seconds.map(|at| pipeline.second(*at, to, &mut self.numbers)).collect();
                 let pipeline = PipelineLive {
@@ -405,8 +419,8 @@ impl TestSite {
     }
 }
 
-/// Returns the conditions of an edge. If `is_careless` is true, its CPU governor is not `performance`.
-fn conditions(host: &str, is_careless: bool) -> Vec<Condition> {
+/// Returns the conditions of an edge. If `has_slow_governor` is true, its CPU governor is not `performance`.
+fn conditions(host: &str, has_slow_governor: bool) -> Vec<Condition> {
     let found = |about: &str, found: &str, grade, advice: &str| Condition {
         host: host.to_owned(),
         about: about.to_owned(),
@@ -414,7 +428,7 @@ fn conditions(host: &str, is_careless: bool) -> Vec<Condition> {
         grade,
         advice: advice.to_owned(),
     };
-    let governor = if is_careless {
+    let governor = if has_slow_governor {
         let advice = "set it to `performance` for the measurement";
         found("CPU governor", "schedutil: the frequency follows the load", Grade::Doubtful, advice)
     } else {

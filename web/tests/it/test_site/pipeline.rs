@@ -98,6 +98,8 @@ impl TestPipeline {
         Self { name: "offload-answers", answer_bytes: (100.0, 900.0), ..Self::resized() }
     }
 
+    /// Returns a pipeline. `means` are the means of the stages in ms, in the order of `names` below. A stage with the
+    /// mean 0 is left out.
     fn new(
         name: &'static str,
         host: &'static str,
@@ -134,8 +136,8 @@ impl TestPipeline {
         }
     }
 
-    /// Draws the stage durations of one iteration, seconds. `when` is its position in the run, 0 to 1. The network is slow for a part of
-    /// the run, and a few iterations take much longer.
+    /// Draws the stage durations of one iteration, seconds. `when` is its position in the run, 0 to 1. The network is
+    /// slow for a part of the run, and a few iterations take much longer.
     pub(crate) fn draw(&self, numbers: &mut SplitMix64, when: f64) -> Vec<(Name, f64)> {
         let slow = if (0.42..0.45).contains(&when) { 1.9 } else { 1.0 };
         let is_outlier = numbers.unit() < 0.001;
@@ -151,8 +153,8 @@ impl TestPipeline {
         stages.collect()
     }
 
-    /// Returns whether the camera was silent `ago` seconds ago. The camera of `offload-full` was silent for 35 seconds, until 200
-    /// seconds ago.
+    /// Returns whether the camera was silent `ago` seconds ago. The camera of `offload-full` was silent for 35 seconds,
+    /// until 200 seconds ago.
     pub(crate) fn is_silent(&self, ago: i64) -> bool {
         self.name == "offload-full" && (200..235).contains(&ago)
     }
@@ -219,6 +221,7 @@ impl TestPipeline {
                 if name == stage::UPLOAD {
                     record(stage::UPLOAD_THROUGHPUT, self.bytes * 8.0 / value);
                 } else if name == stage::DOWNLOAD && self.name == "offload-full" {
+                    // The other pipelines lack this quantity, so that pages are tested with it and without it.
                     record(stage::DOWNLOAD_THROUGHPUT, 412.0 * 8.0 / value);
                 }
                 if let Some(names) = bound_names(&name) {
@@ -242,8 +245,8 @@ impl TestPipeline {
             }
         }
         let directions = if self.is_remote { vec![stage::UPLOAD, stage::DOWNLOAD] } else { Vec::new() };
-        let known = self.clocks != Clocks::Unrelated;
-        let bounds = directions.iter().filter(|_| known).map(|name| (name.clone(), half_widths.clone()));
+        let is_known = self.clocks != Clocks::Unrelated;
+        let bounds = directions.iter().filter(|_| is_known).map(|name| (name.clone(), half_widths.clone()));
         let verdicts =
             directions.iter().map(|name| (name.clone(), Name::from_static(self.verdict(name)), ok));
         Second {
@@ -260,6 +263,7 @@ impl TestPipeline {
         let mean =
             self.stages.iter().find(|(known, ..)| known == name).map_or(0.0, |(_, mean, _)| mean / 1e3);
         match self.clocks {
+            // As in the clock estimator: the interval of the delay is wider than half the delay.
             Clocks::Within(bound) if 2.0 * bound > mean / 2.0 => "limited",
             Clocks::Unrelated => "unsynchronised",
             Clocks::Within(_) | Clocks::Shared => "ok",

@@ -10,7 +10,7 @@ impl TestSite {
     /// Stores a run of a pipeline. Every tenth iteration times out, and `skipped` starts are skipped before it. Each
     /// iteration has two nodes with the name `crop`, as for two objects in a picture.
     pub(crate) async fn store_skipping(&mut self, index: usize, iterations: u64, skipped: u32) {
-        let mut events = self.run(index, RunId::random(), iterations, true, None);
+        let mut events = self.run(index, RunId::random(), iterations, None);
         for event in &mut events {
             let Event::Iteration(iteration) = event else { continue };
             for millis in [1, 2] {

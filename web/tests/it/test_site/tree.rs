@@ -43,7 +43,8 @@ fn answer_bytes(pipeline: &TestPipeline, at: WallTime) -> f64 {
 }
 
 /// Returns the tree of an iteration that started at `at`. The rack's wall clock is 1.2 s ahead of the edge's wall
-/// clock, unless both hosts read one clock.
+/// clock, unless both hosts read one clock. If `answered` is false, the upload of a remote pipeline is lost, and no
+/// later stage has a node.
 pub(super) fn build_tree(
     pipeline: &TestPipeline,
     stages: &[(Name, f64)],
@@ -109,14 +110,14 @@ pub(super) fn build_tree(
         }
     }
     if answered && pipeline.is_remote {
-        let mut add_sizes = |name: [Name; 3], bytes: f64, metadata: f64, delay: Option<Span>| {
+        let mut add_sizes = |names: [Name; 3], bytes: f64, metadata: f64, delay: Option<Span>| {
             let transfer_time = (pipeline.clocks != Clocks::Unrelated).then_some(delay).flatten();
             let value = transfer_time.map(|delay| (bytes + metadata) * 8.0 / delay.seconds());
-            let [size, logger, speed] = name;
+            let [size, logger_size, throughput] = names;
             nodes.add(0, size, 0, edge_time, Measure::Value(bytes, Unit::BYTES));
-            nodes.add(0, logger, 0, edge_time, Measure::Value(metadata, Unit::BYTES));
+            nodes.add(0, logger_size, 0, edge_time, Measure::Value(metadata, Unit::BYTES));
             let bounds = value.map(|value| (value * 0.6, value * 1.8));
-            nodes.add(0, speed, 0, edge_time, Measure::Throughput(Rate { value, bounds }));
+            nodes.add(0, throughput, 0, edge_time, Measure::Throughput(Rate { value, bounds }));
         };
         add_sizes(
             [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES, stage::UPLOAD_THROUGHPUT],

@@ -30,36 +30,37 @@ pub(crate) fn answers_of_lengths(at: usize, name: &str, points: &[(f64, f64)]) -
     one
 }
 
-/// Returns answers of 20 to 320 tokens that take 30 ms and 10 ms for each token. One in fifty takes 1.5 s longer.
+/// Returns answers of 20 to 320 tokens. An answer takes 30 ms plus 10 ms per token. One in fifty takes 1.5 s longer.
 pub(crate) fn sample_answers(count: usize) -> Vec<(f64, f64)> {
     let point = |n: usize| {
         let tokens = 20.0 + (n * 11 % 301) as f64;
-        let late = if n % 50 == 3 { 1.5 } else { 0.002 * (n as f64 * 1.7).sin() };
-        (tokens, 0.030 + 0.010 * tokens + late)
+        let delay_or_noise = if n % 50 == 3 { 1.5 } else { 0.002 * (n as f64 * 1.7).sin() };
+        (tokens, 0.030 + 0.010 * tokens + delay_or_noise)
     };
     (0..count).map(point).collect()
 }
 
 /// Returns at most 500 answers of each configuration, from the quantiles of its lengths and latencies, as if the
 /// iterations were stored.
-pub(crate) fn all_answers(comparison: &Comparison) -> Vec<Answers> {
+pub(crate) fn answers_from_quantiles(comparison: &Comparison) -> Vec<Answers> {
     let varying = VaryingLengths::all(comparison).into_iter().take(MAX_CONFIGURATIONS);
     let answers_of = |varying_lengths: VaryingLengths<'_>| {
-        let most = varying_lengths.lengths.count().min(500);
-        let at = |n: u64| (n as f64 + 0.5) / most as f64;
+        let count = varying_lengths.lengths.count().min(500);
+        let at = |n: u64| (n as f64 + 0.5) / count as f64;
         let point = |n: u64| {
             Some((varying_lengths.lengths.quantile(at(n))?, varying_lengths.latencies.quantile(at(n))?))
         };
         Answers {
             name: varying_lengths.configuration.name.clone(),
-            points: (0..most).filter_map(point).collect(),
-            is_whole: most == varying_lengths.lengths.count(),
+            points: (0..count).filter_map(point).collect(),
+            is_whole: count == varying_lengths.lengths.count(),
         }
     };
     varying.map(answers_of).collect()
 }
 
-/// Returns the answers of the first configuration, which is named `A`.
+/// Returns the answers of the first configuration, which is named `A`. `is_whole` says whether they are all that are
+/// stored.
 fn answers_of_first(points: Vec<(f64, f64)>, is_whole: bool) -> Vec<Answers> {
     vec![Answers { name: "A".to_owned(), points, is_whole }]
 }
@@ -78,7 +79,7 @@ fn cost_of_a_token_has_an_interval() {
     );
     assert!(sentences[1].ends_with(", by Theil–Sen through 800 iterations."), "{sentences:?}");
     assert_eq!(sentences[2], "All 800 iterations.");
-    assert_eq!(sentences.len(), 3, "nothing lies beyond: {sentences:?}");
+    assert_eq!(sentences.len(), 3, "no value lies beyond the axes: {sentences:?}");
     let html = found.rows[0].plot.to_string();
     assert!(
         html.contains("aria-label=\"A: inference against the length of the answer. Median 1.73"),
@@ -123,10 +124,11 @@ fn too_few_or_flat_points_give_no_line() {
         Growth::from_iterations(points).map(|growth| growth.describe_slope("download-bytes"))
     };
     assert_eq!(sentence(&sample_answers(59)), Err(NoLine::TooFewAnswers(59)));
-    let equal_lengths: Vec<(f64, f64)> =
+    // One answer has the length 1, all others have the length 0.
+    let nearly_equal_lengths: Vec<(f64, f64)> =
         sample_answers(60).iter().map(|(x, y)| (f64::from(*x > 30.0 && *x < 32.0), *y)).collect();
     assert_eq!(
-        sentence(&equal_lengths),
+        sentence(&nearly_equal_lengths),
         Err(NoLine::EqualLengths(60)),
         "one answer of another length gives no line"
     );
@@ -202,12 +204,13 @@ fn count_intervals_with_slope(iterations: usize, iteration: impl Fn(&mut SplitMi
 
 #[test]
 fn interval_contains_slope_for_skewed_and_uniform_lengths() {
-    let tailed = count_intervals_with_slope(120, |random| {
+    // An interval at 95 % contains the slope in 190 of 200 sets on average. Chance permits a few sets less.
+    let skewed = count_intervals_with_slope(120, |random| {
         let tokens = (4.5 + 0.6 * normal(random)).exp().round();
         let late = if uniform(random) < 0.05 { -0.08 * uniform(random).ln() } else { 0.0 };
         (tokens, (0.2e-3 + 0.005e-3 * tokens) * normal(random) + late)
     });
-    assert!(tailed >= 180, "{tailed} of 200");
+    assert!(skewed >= 180, "{skewed} of 200");
     let even = count_intervals_with_slope(300, |random| {
         ((3.0 + 38.0 * uniform(random)).floor(), 2e-5 * normal(random).abs())
     });
@@ -236,6 +239,7 @@ fn iterations_without_valid_length_are_counted() {
     let one = comparison(vec![answers_of_lengths(0, "tokens", &points)]);
     let counted: Vec<(f64, f64)> =
         points.iter().copied().filter(|(length, _)| is_included(*length)).collect();
+    // Statistics accept four of the seven lengths: -5, 0, 1e-320 and 3.
     assert_eq!(counted.len(), 168);
     let found = lengths(&one, &answers_of_first(counted.clone(), true)).expect("lengths");
     let sentences = &found.rows[0].sentences;
@@ -276,7 +280,8 @@ fn at_most_six_configurations_with_varying_lengths_are_drawn() {
     );
     assert!(lengths(&comparison(Vec::new()), &[]).is_none());
     all[1] = answers_of_lengths(1, "download-bytes", &equal_lengths);
-    let found = lengths(&comparison(all.clone()), &all_answers(&comparison(all))).expect("lengths");
+    let found =
+        lengths(&comparison(all.clone()), &answers_from_quantiles(&comparison(all))).expect("lengths");
     let names: Vec<&str> = found.rows.iter().map(|row| row.name.as_str()).collect();
     assert_eq!((names.join(""), found.others.as_deref()), ("ACDEFG".to_owned(), Some("H")));
 }
@@ -289,13 +294,13 @@ fn tokens_and_bytes_have_separate_axes() {
         answers_of_lengths(0, "tokens", &points),
         answers_of_lengths(1, "download-bytes", &many),
     ]);
-    let found = lengths(&both, &all_answers(&both)).expect("lengths");
+    let found = lengths(&both, &answers_from_quantiles(&both)).expect("lengths");
     assert!(found.has_cells, "450 points are drawn as cells");
     let [tokens, bytes] = [0, 1].map(|at| found.rows[at].plot.to_string());
     assert!(tokens.contains(">tokens<") && bytes.contains(">kB of answer<"), "{bytes}");
-    let rows = |html: &str| {
+    let vertical_axis = |html: &str| {
         html.split("class=\"yaxis\"").nth(1).map(|rest| rest.split("</svg>").next().map(str::to_owned))
     };
-    assert_eq!(rows(&tokens), rows(&bytes));
+    assert_eq!(vertical_axis(&tokens), vertical_axis(&bytes));
     assert!(found.rows[1].sentences[1].contains("Each further kB takes"), "{:?}", found.rows[1].sentences);
 }

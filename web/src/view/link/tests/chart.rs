@@ -55,13 +55,13 @@ fn clock_step_outliers_change_neither_trend_nor_scale() {
     let mut link = link(Some(0.000_01), &[]);
     // A clock was set back by five seconds. The first second after the step still has the offset from before the step,
     // and the band of the next second is wide.
-    for (place, point) in link.history.iter_mut().enumerate().skip(60) {
+    for (index, point) in link.history.iter_mut().enumerate().skip(60) {
         let point = Arc::make_mut(point);
         point.relation_period = 2;
         let offset = point.offset.as_mut().expect("known");
-        let by = if place == 60 { Span::ZERO } else { Span::from_seconds(5) };
-        offset.estimate += by;
-        let half = if place == 61 { Span::from_millis(40) } else { Span::from_micros(10) };
+        let step = if index == 60 { Span::ZERO } else { Span::from_seconds(5) };
+        offset.estimate += step;
+        let half = if index == 61 { Span::from_millis(40) } else { Span::from_micros(10) };
         offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
     }
     let points: Vec<ClockPoint> = link.history.iter().map(|point| (**point).clone()).collect();
@@ -73,12 +73,14 @@ fn clock_step_outliers_change_neither_trend_nor_scale() {
     let picture =
         tracks(&Subject::live(&link), &time_series(&link), OffsetView::DriftRemoved, &[], Zone::Utc);
     let axis = picture.tracks[0].axis.to_string();
+    // The scale shows the usual bounds of ±0.01 ms, not the wide bounds of ±40 ms.
     assert!(axis.ends_with(">+0.015</text></svg>"), "{axis}");
 }
 
 #[test]
 fn repeated_seconds_are_drawn_per_relation_period() {
     let at = |half_seconds: i64| WallTime::from_unix_nanos(NOW.unix_nanos() + half_seconds * 500_000_000);
+    // A clock was set back, so each second is in two relation periods.
     let points: Vec<ClockPoint> = (0..40).map(|n| clock_point(at(n), (n % 2) as u64, Some(0.0005))).collect();
     let whole = LinkTimeSeries { from: at(0), to: at(40), bucket: 1, points };
     let mut subject_link = link(Some(0.0005), &[]);

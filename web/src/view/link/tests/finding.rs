@@ -30,9 +30,9 @@ fn title_says_whether_delays_can_be_trusted() {
         title_of(&off_centre)
     );
     assert!(title_of(&link(None, &[])).contains("were never related"));
-    let mut one = link(Some(0.0), &[]);
-    one.live.same_clock = true;
-    assert_eq!(title_of(&one), "cam-1 and rack-a read one clock: delays between them are exact");
+    let mut one_clock = link(Some(0.0), &[]);
+    one_clock.live.same_clock = true;
+    assert_eq!(title_of(&one_clock), "cam-1 and rack-a read one clock: delays between them are exact");
     let mut away = mixed.clone();
     away.connected = false;
     assert!(
@@ -84,6 +84,7 @@ fn verdicts_are_explained_with_numbers_of_the_link() {
 
 #[test]
 fn verdict_ignores_first_seconds_of_link() {
+    // While the clocks are not yet related, the verdict is `stale`.
     let mut young = link(Some(0.00005), &[]);
     young.history.drain(..119);
     young.live.latest_sample.offset.iter_mut().for_each(|offset| {
@@ -93,6 +94,7 @@ fn verdict_ignores_first_seconds_of_link() {
     assert!(title(&subject, Zone::Utc).contains("too few exchanges yet"), "{}", title(&subject, Zone::Utc));
     assert_eq!(subject.verdict(), Some(Verdict::Stale));
 
+    // Later seconds decide the verdict without the stale first second.
     let mut link = link(Some(0.00005), &[]);
     link.history.drain(..115);
     let first = Arc::make_mut(&mut link.history[0]);

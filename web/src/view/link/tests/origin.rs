@@ -18,12 +18,14 @@ fn unused_claims_are_listed_with_exchanges() {
     let claims =
         HostClock { claim: Some(ClockClaim { source: DelaySource::Chrony, error }), ..HostClock::default() };
     (link.live.edge, link.live.cloud) = (Some(claims.clone()), Some(claims));
+    // The claims remain, but chrony is no longer a source of the bounds.
     if let Some(offset) = &mut link.live.latest_sample.offset {
         offset.sources.truncate(1);
     }
     let origin = Origin::of(&Subject::live(&link), &time_series(&link));
     let names: Vec<&str> = origin.rows.iter().map(|row| row.name.as_str()).collect();
     assert_eq!(names, ["in-band, 612 exchanges", "as claimed by chrony on both hosts, not used", "used"]);
+    // Each of the two hosts claims ±1 ms.
     assert_eq!(origin.rows[1].width, "4.00");
     assert!(origin.hints[0].contains("is wider and does not help"), "{origin:?}");
 
@@ -37,8 +39,8 @@ fn unused_claims_are_listed_with_exchanges() {
 
 #[test]
 fn narrow_bound_names_its_sources_and_needs_no_time_daemon() {
-    // Narrower than half of the best round trip, 1.30 ms.
     let mut link = link(Some(0.00065), &[]);
+    // Bounds of ±0.03 ms are narrower than the best round trip of 1.30 ms alone can make them.
     if let Some(offset) = &mut link.live.latest_sample.offset {
         let half = Span::from_micros(30);
         offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
@@ -131,19 +133,21 @@ fn known_reason_for_unanswered_probes_is_shown() {
     assert!(answers.contains("key_file") && hint.contains("key_file"), "{answers} {hint}");
 }
 
+/// Returns a link whose offset contradicts itself: its in-band bounds and the bounds that chrony claims have no common
+/// interval. Only the first `sources` of these two sources are reported.
 fn inconsistent(sources: usize) -> LinkSnapshot {
     let mut link = link(Some(0.0005), &[]);
     let ms = Span::from_millis;
-    let away = Interval { lo: ms(249), hi: ms(250) };
-    let spoil = |offset: &mut Offset| {
+    let distant_bounds = Interval { lo: ms(249), hi: ms(250) };
+    let make_inconsistent = |offset: &mut Offset| {
         offset.verdict = Verdict::Inconsistent;
-        offset.sources = vec![(DelaySource::InBand, offset.bounds), (DelaySource::Chrony, away)];
+        offset.sources = vec![(DelaySource::InBand, offset.bounds), (DelaySource::Chrony, distant_bounds)];
         offset.sources.truncate(sources);
-        offset.bounds = offset.bounds.hull(away);
+        offset.bounds = offset.bounds.hull(distant_bounds);
     };
-    link.live.latest_sample.offset.iter_mut().for_each(spoil);
+    link.live.latest_sample.offset.iter_mut().for_each(make_inconsistent);
     for point in &mut link.history {
-        Arc::make_mut(point).offset.iter_mut().for_each(spoil);
+        Arc::make_mut(point).offset.iter_mut().for_each(make_inconsistent);
     }
     link
 }

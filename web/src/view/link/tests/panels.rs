@@ -41,6 +41,7 @@ fn no_clock_is_ahead_if_bounds_contain_zero() {
     assert!(stat.line.ends_with("is ahead, ±0.90\u{202f}ms"), "{}", stat.line);
 }
 
+/// A named reflector is a further reflector that the configuration names for a cloud.
 #[test]
 fn named_reflector_is_shown_as_tied_to_no_host() {
     let mut link = link(Some(0.00065), &[]);
