@@ -1,6 +1,6 @@
 //! Registrations that the master should have, and the calls of the master that are needed. No I/O.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -70,6 +70,8 @@ enum RegistrationStatus {
     Registered,
     /// The master does not have the registration; it is to be registered again.
     Missing,
+    /// The master refused the registration. It becomes missing again after the next check.
+    Refused,
     /// The registration is to be removed.
     Unregistering,
 }
@@ -78,8 +80,10 @@ enum RegistrationStatus {
 #[derive(Debug, Default)]
 pub(super) struct Registrations {
     entries: BTreeMap<Registration, RegistrationStatus>,
-    /// `true` after a call that did not reach the master, or a registration that the master refused. Calls are then
-    /// repeated at the retry interval.
+    /// Registrations that the master refused at their last attempt, and whose refusal was reported.
+    reported_refusals: BTreeSet<Registration>,
+    /// `true` after a call that did not reach the master, or a check that the master refused. Calls are then repeated
+    /// at the retry interval.
     is_retrying: bool,
     /// `true` if the master is to be asked whether it still knows the node.
     is_check_due: bool,
@@ -88,11 +92,13 @@ pub(super) struct Registrations {
 impl Registrations {
     /// Adds a registration that the master has.
     pub(super) fn add(&mut self, registration: Registration) {
+        self.reported_refusals.remove(&registration);
         self.entries.insert(registration, RegistrationStatus::Registered);
     }
 
     /// Marks a registration for removal. The call that unregisters it is due next.
     pub(super) fn remove(&mut self, registration: Registration) {
+        self.reported_refusals.remove(&registration);
         self.entries.insert(registration, RegistrationStatus::Unregistering);
     }
 
@@ -141,6 +147,7 @@ impl Registrations {
             }
             (_, CallOutcome::NodeReplaced { uri }) => return Some(Notice::NodeReplaced { uri }),
             (MasterCall::Register(registration), CallOutcome::Success) => {
+                self.reported_refusals.remove(registration);
                 if let Some(status) = self.entries.get_mut(registration)
                     && *status == RegistrationStatus::Missing
                 {
@@ -154,12 +161,29 @@ impl Registrations {
                 self.finish_unregistering(registration);
                 return Some(Notice::Refused { reason });
             }
-            (MasterCall::Register(_) | MasterCall::LookUpNode, CallOutcome::Refused { reason }) => {
+            (MasterCall::Register(registration), CallOutcome::Refused { reason }) => {
+                // The topic may have been removed during the call.
+                let status = self.entries.get_mut(registration)?;
+                if *status != RegistrationStatus::Missing {
+                    return None;
+                }
+                // The call is repeated after the next check, and reported once. The other registrations do not wait
+                // for it.
+                *status = RegistrationStatus::Refused;
+                let is_new = self.reported_refusals.insert(registration.clone());
+                return is_new.then_some(Notice::Refused { reason });
+            }
+            (MasterCall::LookUpNode, CallOutcome::Refused { reason }) => {
                 // The call is repeated after the retry interval, and reported once.
                 self.is_retrying = true;
                 return (!was_retrying).then_some(Notice::Refused { reason });
             }
-            (MasterCall::LookUpNode, CallOutcome::Success) | (_, CallOutcome::Unreachable { .. }) => {}
+            (MasterCall::LookUpNode, CallOutcome::Success) => {
+                let refused_entries =
+                    self.entries.values_mut().filter(|status| **status == RegistrationStatus::Refused);
+                refused_entries.for_each(|status| *status = RegistrationStatus::Missing);
+            }
+            (_, CallOutcome::Unreachable { .. }) => {}
         }
         was_retrying.then_some(Notice::MasterReachable)
     }
@@ -232,6 +256,34 @@ mod tests {
             assert_eq!(state.next_call(), Some(call.clone()));
             assert_eq!(state.handle_outcome(&call, CallOutcome::Success), None);
         }
+        assert_eq!(state.next_call(), None);
+    }
+
+    #[test]
+    fn refused_registration_is_reported_once_without_delaying_others() {
+        let mut state = Registrations::default();
+        for topic in ["/a", "/b"] {
+            state.add(registration(topic));
+        }
+        state.handle_outcome(&MasterCall::LookUpNode, CallOutcome::NodeUnknown);
+        let refused = || CallOutcome::Refused { reason: "no".into() };
+        let refused_call = MasterCall::Register(registration("/a"));
+        assert_eq!(state.next_call(), Some(refused_call.clone()));
+        let notice = Notice::Refused { reason: "no".into() };
+        assert_eq!(state.handle_outcome(&refused_call, refused()), Some(notice));
+        let other_call = MasterCall::Register(registration("/b"));
+        assert_eq!(state.next_call(), Some(other_call.clone()));
+        assert_eq!(state.handle_outcome(&other_call, CallOutcome::Success), None);
+        for outcome in [refused(), refused(), CallOutcome::Success] {
+            assert_eq!(state.next_call(), None, "the call waits for the next check");
+            state.request_check();
+            assert_eq!(state.next_call(), Some(MasterCall::LookUpNode));
+            assert_eq!(state.handle_outcome(&MasterCall::LookUpNode, CallOutcome::Success), None);
+            assert_eq!(state.next_call(), Some(refused_call.clone()));
+            assert_eq!(state.handle_outcome(&refused_call, outcome), None);
+        }
+        state.request_check();
+        state.handle_outcome(&MasterCall::LookUpNode, CallOutcome::Success);
         assert_eq!(state.next_call(), None);
     }
 
