@@ -98,9 +98,7 @@ impl ArrivalCounter {
         let distance = self.distance_to(number);
         if distance >= 0 {
             let number = self.next_number + distance.unsigned_abs();
-            if self.check_and_count_confirmed(NextNumber { number, has_arrived: true }, now) {
-                self.record_next_arrival(number);
-            }
+            self.record_if_plausible(NextNumber { number, has_arrived: true }, now);
             return;
         }
         let Some(number) = self.next_number.checked_add_signed(distance) else { return };
@@ -126,30 +124,37 @@ impl ArrivalCounter {
         self.count_losses(now);
         // The distance is negative if an older heartbeat arrives late.
         let number = self.next_number + self.distance_to(next).max(0).unsigned_abs();
-        if self.check_and_count_confirmed(NextNumber { number, has_arrived: false }, now) {
+        self.record_if_plausible(NextNumber { number, has_arrived: false }, now);
+    }
+
+    /// Records a number if it is plausible. If it confirms the number of a datagram beyond a gap, this datagram is
+    /// counted now, because it was not counted when it arrived.
+    fn record_if_plausible(&mut self, candidate: NextNumber, now: MonoTime) {
+        let Some(confirmed) = self.gap_check.check(self.next_number, candidate, now) else { return };
+        match confirmed.filter(|next_number| next_number.has_arrived) {
+            Some(earlier) if earlier.number < candidate.number => {
+                self.record_next(earlier);
+                self.record_next(candidate);
+            }
+            Some(overtaking) => {
+                // Numbers are recorded in ascending order, and the candidate has the lower number.
+                self.record_next(candidate);
+                self.record_next(overtaking);
+                self.totals.reordered += u64::from(candidate.has_arrived);
+            }
+            None => self.record_next(candidate),
+        }
+    }
+
+    /// Records a number that is the next number or above it.
+    fn record_next(&mut self, NextNumber { number, has_arrived }: NextNumber) {
+        if has_arrived {
+            self.advance(number + 1 - self.next_number);
+            self.set_arrived(number);
+            self.arrived_later += 1;
+        } else {
             self.advance(number.saturating_sub(self.next_number));
         }
-    }
-
-    /// Returns whether a number is plausible. If the number confirms an earlier number beyond a gap, the datagram with
-    /// that earlier number is counted now, because it was not counted when it arrived.
-    fn check_and_count_confirmed(&mut self, candidate: NextNumber, now: MonoTime) -> bool {
-        let Some(confirmed) = self.gap_check.check(self.next_number, candidate, now) else { return false };
-        // Datagrams are counted here in ascending order only, so a datagram with a higher number than the candidate is
-        // left out.
-        let uncounted =
-            confirmed.filter(|next_number| next_number.has_arrived && next_number.number < candidate.number);
-        if let Some(uncounted) = uncounted {
-            self.record_next_arrival(uncounted.number);
-        }
-        true
-    }
-
-    /// Counts a datagram whose number is the next number or above it.
-    fn record_next_arrival(&mut self, number: u64) {
-        self.advance(number + 1 - self.next_number);
-        self.set_arrived(number);
-        self.arrived_later += 1;
     }
 
     /// Notes that `count` more numbers were sent. None of them has arrived.
@@ -285,6 +290,19 @@ mod tests {
         }
         counter.totals(at(1_000));
         assert_eq!(counter.totals(at(2_000)), totals(3_000 - 4, 0, 0));
+    }
+
+    #[test]
+    fn datagram_overtaking_in_long_gap_is_not_lost() {
+        let mut counter = ArrivalCounter::new(at(0));
+        for number in [0, 2_001, 2_000, 2_002] {
+            counter.record_arrival(number, at(10));
+        }
+        // The report of the number 4,000 was sent before the datagram with this number, and arrives after it.
+        counter.record_arrival(4_000, at(20));
+        counter.note_sent(4_000, at(20));
+        counter.totals(at(1_000));
+        assert_eq!(counter.totals(at(2_000)), totals(4_001 - 5, 0, 1));
     }
 
     #[test]
