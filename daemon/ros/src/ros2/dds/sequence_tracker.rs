@@ -7,8 +7,16 @@ use crate::ros2::{EndpointId, ReceiveCounts};
 /// Sequence numbers of the publishers of a topic, from which gaps are derived.
 #[derive(Debug, Default)]
 pub(super) struct SequenceTracker {
-    /// Highest sequence number of each publisher.
-    highest: BTreeMap<EndpointId, i64>,
+    /// Sequence numbers of each publisher.
+    publishers: BTreeMap<EndpointId, SequenceRange>,
+}
+
+/// Sequence numbers of one publisher.
+#[derive(Debug)]
+struct SequenceRange {
+    /// Number of the first message that arrived.
+    first: i64,
+    highest: i64,
 }
 
 impl SequenceTracker {
@@ -20,19 +28,22 @@ impl SequenceTracker {
     /// No message is missing before the first message of a publisher, because a volatile subscription does not get
     /// earlier messages.
     pub(super) fn record(&mut self, writer: EndpointId, sequence: i64, counts: &mut ReceiveCounts) -> u64 {
-        let Some(highest) = self.highest.get_mut(&writer) else {
-            if self.highest.len() >= Self::MAX_PUBLISHERS {
+        let Some(SequenceRange { first, highest }) = self.publishers.get_mut(&writer) else {
+            if self.publishers.len() >= Self::MAX_PUBLISHERS {
                 // Any publisher may be removed. It is then treated as a new publisher: a gap before its next message is
                 // not counted.
-                self.highest.pop_first();
+                self.publishers.pop_first();
             }
-            self.highest.insert(writer, sequence);
+            self.publishers.insert(writer, SequenceRange { first: sequence, highest: sequence });
             return 0;
         };
         if sequence <= *highest {
-            // The message was counted as lost when a later message arrived.
             counts.late += 1;
-            counts.lost = counts.lost.saturating_sub(1);
+            // A message above the first number was counted as lost when a later message arrived. No message below the
+            // first number was counted as lost.
+            if sequence > *first {
+                counts.lost = counts.lost.saturating_sub(1);
+            }
             return 0;
         }
         let missing = u64::try_from(sequence.saturating_sub(*highest).saturating_sub(1)).unwrap_or(0);
@@ -62,6 +73,16 @@ mod tests {
     }
 
     #[test]
+    fn message_older_than_first_reduces_no_loss() {
+        let (a, b) = (EndpointId([1; 16]), EndpointId([2; 16]));
+        let (mut tracker, mut counts) = (SequenceTracker::default(), ReceiveCounts::default());
+        for (writer, sequence) in [(a, 1), (a, 3), (b, 8), (b, 7)] {
+            tracker.record(writer, sequence, &mut counts);
+        }
+        assert_eq!((counts.lost, counts.late), (1, 1));
+    }
+
+    #[test]
     fn hostile_numbers_do_not_overflow() {
         let (mut tracker, mut counts) = (SequenceTracker::default(), ReceiveCounts::default());
         tracker.record(EndpointId([1; 16]), i64::MIN, &mut counts);
@@ -74,6 +95,6 @@ mod tests {
                 tracker.record(EndpointId(id), 1, &mut counts);
             }
         }
-        assert!(tracker.highest.len() <= SequenceTracker::MAX_PUBLISHERS);
+        assert!(tracker.publishers.len() <= SequenceTracker::MAX_PUBLISHERS);
     }
 }
