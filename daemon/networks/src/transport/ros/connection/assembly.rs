@@ -14,6 +14,10 @@ use crate::transport::ros::fragments::FrameFragments;
 use crate::transport::ros::frames;
 use crate::transport::ros::pairing::{MessageHalf, Pairing, request_number};
 
+/// Memory of a message about the session that waits, in addition to the bytes that the peer sent: more than a companion
+/// and the list of its frame lengths take. Bytes.
+const WAITING_OVERHEAD_BYTES: usize = 1_024;
+
 /// Messages that have arrived in part. Their memory is reserved, and each waits for a limited time.
 #[derive(Debug)]
 pub(super) struct MessageAssembly {
@@ -80,12 +84,11 @@ impl MessageAssembly {
             events.push(Event::InvalidData(problem.to_string()));
             return;
         }
-        let Some(reserved) = self.reserve(companion.frames.len()) else {
-            events.push_incomplete(vec![MessageLoss {
-                tag: request_number(&companion),
-                received: 1,
-                total: 2,
-            }]);
+        let loss = MessageLoss { tag: request_number(&companion), received: 1, total: 2 };
+        // The peer chooses the length of the reason, which a companion with frames does not need.
+        let length = companion.frames.len() + companion.reason.len();
+        let Some(mut reserved) = self.reserve(length) else {
+            events.push_incomplete(vec![loss]);
             return;
         };
         let stamp = companion.header.stamp.as_nanos();
@@ -102,7 +105,12 @@ impl MessageAssembly {
         events.push_incomplete(lost);
         // A message about the session may end the session. Answers whose payloads arrive later would then be lost.
         if companion.request == MessageInfo::NO_REQUEST && self.pairing.awaits_any_payload() {
-            self.overtaking_messages.push((companion, reserved));
+            // A message may have no bytes in its frames, and any number of messages may wait.
+            let waiting_length = (length + WAITING_OVERHEAD_BYTES) as u64;
+            match reserved.resize(&self.budget, waiting_length) {
+                Ok(()) => self.overtaking_messages.push((companion, reserved)),
+                Err(_) => events.push_incomplete(vec![loss]),
+            }
         } else {
             deliver(&companion, None, vec![reserved], events);
         }
@@ -231,6 +239,30 @@ mod tests {
         assert!(matches!(&first, Some(Event::Message(..))), "{first:?}");
         assert!(matches!(events.pop(), Some(Event::IncomingLost(MessageLoss { tag: Some(2), .. }))));
         drop(first);
+        assert_eq!(budget.reserved_bytes(), 0);
+    }
+
+    #[test]
+    fn messages_that_overtake_payload_need_bounded_memory() {
+        let (budget, mut events) =
+            (MemoryBudget::new(10 * WAITING_OVERHEAD_BYTES as u64), EventQueue::default());
+        let mut assembly = assembly(&budget);
+        let mut awaiting = MessageInfo::default();
+        let has_payload = true;
+        assert!(frames::pack(&mut awaiting, &[Bytes::new(), Bytes::new(), Bytes::new()], has_payload));
+        assembly.receive_data(awaiting, MonoTime::default(), &mut events);
+        for _ in 0..100 {
+            let without_frames = MessageInfo { request: MessageInfo::NO_REQUEST, ..MessageInfo::default() };
+            assembly.receive_data(without_frames, MonoTime::default(), &mut events);
+        }
+        let lost = std::iter::from_fn(|| events.pop())
+            .filter(|event| matches!(event, Event::IncomingLost(MessageLoss { tag: None, .. })));
+        assert_eq!(lost.count(), 90);
+        assembly.expire(MonoTime::default() + Span::from_seconds(30), &mut events);
+        assert!(assembly.deliver_overtaking_messages(&mut events));
+        let delivered =
+            std::iter::from_fn(|| events.pop()).filter(|event| matches!(event, Event::Message(..)));
+        assert_eq!(delivered.count(), 10);
         assert_eq!(budget.reserved_bytes(), 0);
     }
 
