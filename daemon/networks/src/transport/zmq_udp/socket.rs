@@ -60,6 +60,22 @@ pub(super) const fn unspecified_address(peer: SocketAddr) -> IpAddr {
     }
 }
 
+/// Returns the warning about a receive buffer and a send buffer of which the system granted fewer bytes than requested.
+/// `None` if both have the requested size.
+fn describe_capped_buffers(granted_bytes: [usize; 2], requested_bytes: usize) -> Option<String> {
+    let buffers = ["net.core.rmem_max", "net.core.wmem_max"].into_iter().zip(granted_bytes);
+    let (keys, sizes): (Vec<&str>, Vec<usize>) =
+        buffers.filter(|(_, granted_bytes)| *granted_bytes < requested_bytes).unzip();
+    let smallest = sizes.into_iter().min()?;
+    let commands: Vec<String> =
+        keys.into_iter().map(|key| format!("sysctl -w {key}={requested_bytes}")).collect();
+    Some(format!(
+        "the system caps the buffers of UDP sockets at {smallest} of {requested_bytes} bytes, which slows large samples \
+         down; run `{}`, or set socket_buffer_bytes lower",
+        commands.join(" && ")
+    ))
+}
+
 impl UdpPort {
     /// Binds a socket to an address of this host, with buffers of `buffer_bytes` if the system allows this size.
     ///
@@ -77,20 +93,8 @@ impl UdpPort {
         // Linux sets twice the requested size, because Linux includes its own overhead (socket(7)).
         let receive_buffer = options.recv_buffer_size()?;
         let address = socket.local_addr()?;
-        let buffers =
-            [("net.core.rmem_max", receive_buffer), ("net.core.wmem_max", options.send_buffer_size()?)];
-        let capped_buffers =
-            buffers.into_iter().filter(|(_, granted_bytes)| granted_bytes / 2 < buffer_bytes);
-        let commands: Vec<String> =
-            capped_buffers.map(|(key, _)| format!("sysctl -w {key}={buffer_bytes}")).collect();
-        let caveat = (!commands.is_empty()).then(|| {
-            let granted_bytes = receive_buffer / 2;
-            format!(
-                "the system caps the buffers of UDP sockets at {granted_bytes} of {buffer_bytes} bytes, which slows large samples \
-                 down; run `{}`, or set socket_buffer_bytes lower",
-                commands.join(" && ")
-            )
-        });
+        let granted_bytes = [receive_buffer / 2, options.send_buffer_size()? / 2];
+        let caveat = describe_capped_buffers(granted_bytes, buffer_bytes);
         Ok(Self { socket, state, address, receive_buffer, caveat })
     }
 
@@ -200,5 +204,20 @@ impl UdpPort {
     /// Waits until something can be sent.
     pub(super) async fn writable(&self) -> io::Result<()> {
         self.socket.writable().await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn warning_names_capped_buffer_with_its_size() {
+        assert_eq!(describe_capped_buffers([4_096, 4_096], 4_096), None);
+        let text = describe_capped_buffers([4_096, 512], 4_096).expect("the send buffer is capped");
+        assert!(text.contains("at 512 of 4096 bytes"), "{text}");
+        assert!(text.contains("run `sysctl -w net.core.wmem_max=4096`,"), "{text}");
+        let text = describe_capped_buffers([256, 512], 4_096).expect("both buffers are capped");
+        assert!(text.contains("at 256 of 4096 bytes") && text.contains("rmem_max=4096 && sysctl"), "{text}");
     }
 }
