@@ -12,8 +12,8 @@ use super::topic_check::list_topics;
 use super::{MessageType, RosVersion, TopicError};
 use crate::messages::WireForm;
 use crate::ros1::{
-    self, Environment, Node, NodeError, PublisherState, QueueLimits, Subscriber, SubscriberOptions,
-    TopicType, WhenFull,
+    self, Environment, Node, NodeError, PublisherState, PublisherStatus, QueueLimits, Subscriber,
+    SubscriberOptions, TopicType, WhenFull,
 };
 use crate::ros2::{QosProfile, Reliability, Ros2Node, Ros2Subscription};
 
@@ -204,7 +204,61 @@ async fn describe_missing_message(subscriber: &Subscriber, environment: &Environ
                 "no publisher of it is known, and the ROS master did not answer which topics exist: {error}"
             ),
         },
-        [publisher] => format!("its publisher at {} is connected, but publishes nothing", publisher.uri),
-        publishers => format!("its {} publishers are connected, but publish nothing", publishers.len()),
+        publishers => describe_silent_publishers(publishers),
+    }
+}
+
+/// Returns the reason why no message arrives from publishers whose connections have not failed.
+fn describe_silent_publishers(publishers: &[PublisherStatus]) -> String {
+    let is_connected = |status: &&PublisherStatus| matches!(status.state, PublisherState::Connected(_));
+    let connected = publishers.iter().filter(is_connected).count();
+    match (publishers, connected) {
+        ([publisher], 0) => {
+            format!("its publisher at {} has not answered the request for a connection yet", publisher.uri)
+        }
+        ([publisher], _) => format!("its publisher at {} is connected, but publishes nothing", publisher.uri),
+        (publishers, connected) if connected == publishers.len() => {
+            format!("its {connected} publishers are connected, but publish nothing")
+        }
+        (publishers, connected) => format!(
+            "{connected} of its {} publishers are connected, but publish nothing; the others have not answered the request for a \
+             connection yet",
+            publishers.len()
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ros1::{PublisherInfo, ReceiveCounts};
+
+    #[test]
+    fn publisher_without_answer_is_not_called_connected() {
+        let with_state = |state| PublisherStatus {
+            uri: "http://robot:1/".into(),
+            state,
+            counts: ReceiveCounts::default(),
+            rejected_node: None,
+        };
+        let address = "127.0.0.1:1".parse().expect("an address");
+        let info = PublisherInfo {
+            node: "/camera".into(),
+            uri: "http://robot:1/".into(),
+            kind: TopicType::any(),
+            local: address,
+            remote: address,
+        };
+        let connected = with_state(PublisherState::Connected(Arc::new(info)));
+        let connecting = with_state(PublisherState::Connecting);
+        for (publishers, expected) in [
+            (vec![connecting.clone()], "at http://robot:1/ has not answered"),
+            (vec![connected.clone()], "at http://robot:1/ is connected"),
+            (vec![connected.clone(), connected.clone()], "its 2 publishers are connected"),
+            (vec![connected, connecting], "1 of its 2 publishers are connected"),
+        ] {
+            let text = describe_silent_publishers(&publishers);
+            assert!(text.contains(expected), "{text}");
+        }
     }
 }
