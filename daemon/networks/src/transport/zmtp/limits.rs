@@ -9,8 +9,8 @@ pub struct ListenerLimits {
     pub max_connections: usize,
     /// Largest message of an admitted connection, all frames together. Bytes.
     pub max_message_bytes: usize,
-    /// Memory for the unfinished messages of all admitted connections. A single message of the largest length is always
-    /// possible. Bytes.
+    /// Memory for the unfinished messages of all admitted connections. A single message of the largest length and at
+    /// most 1,024 frames is always possible. Bytes.
     pub max_unfinished_bytes: u64,
     /// Time limit for the hello that admits a connection, after the ZMTP handshake.
     pub hello_timeout: Duration,
@@ -59,7 +59,8 @@ impl ListenerLimits {
         at_least_one(self.max_connections / 4)
     }
 
-    /// Returns the budget of unfinished messages. A single message of the largest length always fits.
+    /// Returns the budget of unfinished messages. A single message of the largest length and at most 1,024 frames always
+    /// fits.
     pub(super) fn unfinished_budget(&self) -> u64 {
         // The added bytes cover `FRAME_OVERHEAD_BYTES` of 1,024 frames.
         let largest = self.max_message_bytes as u64 + MAX_UNADMITTED_BYTES as u64;
