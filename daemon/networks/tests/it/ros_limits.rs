@@ -1,5 +1,7 @@
 //! Tests of the limits that apply to ROS 1 nodes without a session.
 
+use std::time::Duration;
+
 use bytes::Bytes;
 use peernet_networks::SessionSettings;
 use peernet_ros::messages::{EncodedMessage, Header, Message, MessageInfo, SessionHello, Time, WireForm};
@@ -104,4 +106,25 @@ async fn connections_without_session_leave_memory_for_sessions() {
         assert_eq!(exchange(&mut cloud, &session, sample.clone()).await, sample);
     }
     assert_eq!(session.statistics().lost_messages, 0);
+}
+
+#[tokio::test]
+async fn connection_without_session_ends_after_hello_timeout() {
+    let master = RosMaster::start();
+    // The heartbeat timeout, which ends a silent connection as well, is longer than the test may take.
+    let timeouts = SessionSettings { hello_timeout_ms: 2_000, heartbeat_timeout_ms: 60_000, ..settings() };
+    let cloud = Cloud::start_at(&master.address(), timeouts).await;
+    let node = foreign_node(&master, "silent").await;
+    let hellos = hello_publisher(&cloud, &node).await;
+    let kind = TopicType::from_message::<MessageInfo>();
+    let options = PublisherOptions::default();
+    let publisher = node.publish("/silent/request_info", kind, options).await.expect("registered");
+    send_hello(&hellos, &node, "silent".to_owned(), "/silent".to_owned()).await;
+    within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");
+    within(async {
+        while !publisher.subscribers().is_empty() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    })
+    .await;
 }
