@@ -19,6 +19,8 @@ mod handshake;
 mod hostile;
 #[path = "../it/limits.rs"]
 mod limits;
+#[path = "../it/partial_replies.rs"]
+mod partial_replies;
 #[path = "../it/requests.rs"]
 mod requests;
 #[path = "../it/ros.rs"]
