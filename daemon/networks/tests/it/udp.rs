@@ -300,8 +300,9 @@ async fn small_socket_buffers_leave_requests_answered_or_lost() {
     let address = cloud.address();
     let _echo = echo_all(cloud);
     let session = open(&address, hello(), small_buffers).await.expect("accepted");
+    // `exchange_all` panics if a request is neither answered nor lost.
     let (answered, lost) = exchange_all(&session, vec![300_000; 20], 4).await;
-    assert_eq!(answered + lost, 20);
+    assert!(answered > 0, "{lost} lost");
 }
 
 #[tokio::test]
