@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_networks::outgoing_interface;
 use peernet_stream::ConnectionStatistics;
 
-use crate::support::{Cloud, TIME_LIMIT, recorder, sample, settings, within};
+use crate::support::{Cloud, TIME_LIMIT, echo, recorder, request, sample, settings, within};
 
 #[tokio::test]
 async fn both_ends_count_same_bytes_and_messages() {
@@ -43,6 +43,35 @@ async fn both_ends_count_same_bytes_and_messages() {
 
     // The kernel has statistics of each connection only, not of a listener.
     assert_eq!((listener_statistics.round_trip, listener_statistics.sent.retransmitted), (None, None));
+}
+
+#[tokio::test]
+async fn cloud_counts_acknowledgements_of_partial_answers() {
+    let mut cloud = Cloud::start().await;
+    let (session, _) = cloud.session(settings()).await;
+    let pending = request(&session, "count", TIME_LIMIT);
+    let incoming = cloud.next_request().await;
+    let partial_answers = incoming.partial_answers.clone();
+    // More partial answers than may be unread, so the edge has to acknowledge some.
+    let sending =
+        tokio::task::spawn_blocking(move || (0..300).try_for_each(|_| partial_answers.send(&sample("part"))));
+    let sent = tokio::select! {
+        sent = within(sending) => sent.expect("no panic"),
+        incoming = cloud.next() => panic!("unexpected {incoming:?}"),
+    };
+    assert_eq!(sent, Ok(()));
+    incoming.reply.send(incoming.recorder, Ok(sample("whole")));
+    assert!(within(pending).await.expect("no panic").result.is_ok());
+    // TCP keeps the order, so the cloud has read all earlier messages when it answers this request.
+    echo(&mut cloud, &session, "next").await;
+
+    cloud.listener.announcer().report_statistics();
+    let mut peer_statistics = session.peer_statistics();
+    within(peer_statistics.wait_for(Option::is_some)).await.expect("the session is open");
+    let peer = session.statistics_reader().peer().expect("the cloud has reported");
+    let sent = session.statistics().sent;
+    assert!(sent.messages > 3, "the hello, two requests and acknowledgements: {sent:?}");
+    assert_eq!((peer.received.messages, peer.received.bytes), (sent.messages, sent.bytes));
 }
 
 #[tokio::test]

@@ -46,11 +46,15 @@ pub(super) fn handle_message(
     };
     // This is a separate statement, so that the lock is released before the branches below take it.
     let message = shared.lock_server().receive(peer, header);
-    // Only a message that opens a session or starts a request counts for its session. Other messages count for the port
-    // only.
-    if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &message
-        && let Some(counters) = shared.lock_server().session_counters(*session)
-    {
+    // A message that belongs to no open session counts for the port only.
+    let counters = match &message {
+        EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) => {
+            shared.lock_server().session_counters(*session)
+        }
+        EdgeMessage::Handled => shared.lock_server().connection_counters(peer.connection),
+        EdgeMessage::AnswerWith(_) | EdgeMessage::Closed(..) | EdgeMessage::Malformed(_) => None,
+    };
+    if let Some(counters) = counters {
         counters.count_received(bytes);
     }
     match message {
