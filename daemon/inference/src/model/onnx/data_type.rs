@@ -1,6 +1,7 @@
 //! Types of the elements of inputs and outputs.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 
 use ort::value::TensorElementType;
 use peernet_sample::ElementType;
@@ -58,6 +59,22 @@ impl DataType {
 
     pub(super) const fn is_float(self) -> bool {
         matches!(self, Self::Float16 | Self::Float32 | Self::Float64)
+    }
+
+    /// Returns the integers of the type, 0 and 1 for truth values; `None` for a floating-point type.
+    pub(super) fn integers(self) -> Option<RangeInclusive<i128>> {
+        match self {
+            Self::Float16 | Self::Float32 | Self::Float64 => None,
+            Self::Int8 => Some(i8::MIN.into()..=i8::MAX.into()),
+            Self::Int16 => Some(i16::MIN.into()..=i16::MAX.into()),
+            Self::Int32 => Some(i32::MIN.into()..=i32::MAX.into()),
+            Self::Int64 => Some(i64::MIN.into()..=i64::MAX.into()),
+            Self::Uint8 => Some(0..=u8::MAX.into()),
+            Self::Uint16 => Some(0..=u16::MAX.into()),
+            Self::Uint32 => Some(0..=u32::MAX.into()),
+            Self::Uint64 => Some(0..=u64::MAX.into()),
+            Self::Bool => Some(0..=1),
+        }
     }
 
     fn names(self) -> &'static (Self, &'static str, ElementType, TensorElementType) {

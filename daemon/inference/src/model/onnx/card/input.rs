@@ -3,13 +3,13 @@
 
 use std::collections::HashSet;
 
+use half::f16;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
 use super::ModelCardError;
 use super::preprocessing::{Colour, Layout, Normalisation, Preprocessing};
 use crate::model::onnx::data_type::DataType;
-use crate::model::onnx::numbers::{Element, Numbers, for_elements};
 
 /// An input of the model.
 #[derive(Clone, Debug, PartialEq)]
@@ -159,19 +159,18 @@ fn check_constant(
     if values.len() != 1 && values.len() != expected {
         return Err(ModelCardError::ConstantLength { input, count: values.len(), expected });
     }
-    let mut converted = Numbers::zeros(data_type, values.len());
-    converted.fill(&values);
-    let is_representable = |index: usize| {
-        let converted = for_elements!(&converted, elements => f64::from(elements[index].to_f32()));
-        // Floats may be rounded, but not to infinity. A 64-bit float is not rounded at all; an infinite `converted`
-        // comes from `to_f32` only. Integers must not be rounded.
-        if data_type.is_float() {
-            return data_type == DataType::Float64 || converted.is_finite();
-        }
-        converted == f64::from(values[index] as f32) && values[index].fract() == 0.0
+    let is_representable = |value: f64| match data_type.integers() {
+        // Integers must not be rounded. All integer types are within the range of 128-bit integers.
+        Some(integers) => value.fract() == 0.0 && integers.contains(&(value as i128)),
+        // Floats may be rounded, but not to infinity.
+        None => match data_type {
+            DataType::Float16 => f16::from_f64(value).is_finite(),
+            DataType::Float32 => (value as f32).is_finite(),
+            _ => true,
+        },
     };
-    match (0..values.len()).find(|index| !values[*index].is_finite() || !is_representable(*index)) {
-        Some(index) => Err(ModelCardError::ConstantValue { input, value: values[index], data_type }),
+    match values.iter().find(|value| !value.is_finite() || !is_representable(**value)) {
+        Some(value) => Err(ModelCardError::ConstantValue { input, value: *value, data_type }),
         None => Ok(values),
     }
 }

@@ -248,6 +248,11 @@ fn contradictory_inputs_and_outputs_are_named() {
                 "dtype = \"float64\"\nshape = [1, 2]\nvalue = [[1e300, inf]]",
                 "has inf, which the type float64 cannot represent",
             ),
+            (
+                "dtype = \"int64\"\nshape = [1, 2]\nvalue = [[3, 4]]",
+                "dtype = \"int32\"\nshape = [1, 2]\nvalue = [[2147483647, 2147483648]]",
+                "has 2147483648, which the type int32 cannot represent",
+            ),
             ("value = [[3, 4]]", "value = \"three\"", "is not a number"),
             ("dtype = \"bool\"", "", "missing field `dtype`"),
         ],
