@@ -42,6 +42,11 @@ pub(in crate::model::onnx) enum ModelCardError {
     /// A picture has truth values as pixels.
     #[error("input {0:?} is a picture of dtype bool; a picture has numbers")]
     PictureType(String),
+    /// An input is a constant and has keys of a picture.
+    #[error(
+        "input {0:?} is a constant, because it has the key `value`; a constant has no layout, colour or preprocessing"
+    )]
+    ConstantPicture(String),
     /// A constant has neither one number nor as many numbers as its shape has elements.
     #[error(
         "the key `value` of input {input:?} has {count} numbers; its shape needs {expected}, or one for all"

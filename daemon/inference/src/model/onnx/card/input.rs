@@ -88,6 +88,7 @@ impl Input {
         let InputTable { name, dtype: data_type, shape, layout, colour, preprocessing, value } = table;
         let is_picture = layout.is_some() || colour.is_some() || preprocessing.is_some();
         let source = match value {
+            Some(_) if is_picture => return Err(ModelCardError::ConstantPicture(name)),
             Some(value) => Source::Constant(check_constant(&name, data_type, &shape, value)?),
             None if is_picture => {
                 let missing = |key| ModelCardError::IncompletePicture { input: name.clone(), missing: key };

@@ -253,6 +253,7 @@ fn contradictory_inputs_and_outputs_are_named() {
                 "dtype = \"int32\"\nshape = [1, 2]\nvalue = [[2147483647, 2147483648]]",
                 "has 2147483648, which the type int32 cannot represent",
             ),
+            ("value = [[3, 4]]", "value = [[3, 4]]\ncolour = \"rgb\"", "input \"steps\" is a constant"),
             ("value = [[3, 4]]", "value = \"three\"", "is not a number"),
             ("dtype = \"bool\"", "", "missing field `dtype`"),
         ],
