@@ -193,6 +193,7 @@ fn invalid_distribution_is_refused_with_key() {
         ("", "data", "give one of data, histogram and mean_ms"),
         ("mean_ms = 1.0\nstd_ms = 0.0\ndata = 'x'", "data", "give one of"),
         ("mean_ms = 1.0", "std_ms", "needs its standard deviation"),
+        ("data = 'x'\nstd_ms = 1.0", "std_ms", "only a log-normal distribution"),
         ("mean_ms = 0.0\nstd_ms = 1.0", "mean_ms", "above 0"),
         ("mean_ms = 1e9\nstd_ms = 1.0", "mean_ms", "1000000000 is not a latency"),
         ("mean_ms = 1.0\nstd_ms = -1.0", "std_ms", "-1 is not a latency"),

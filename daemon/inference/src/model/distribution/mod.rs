@@ -145,6 +145,11 @@ impl DistributionConfig {
     /// Returns the configured distribution; reads the file.
     fn distribution(&self, common: &CommonSettings) -> Result<LatencyDistribution, LoadError> {
         let invalid_key = |key, reason| LoadError::InvalidKey { model: common.name.to_string(), key, reason };
+        if self.std_ms.is_some() && self.mean_ms.is_none() {
+            let reason =
+                "only a log-normal distribution has this key; give mean_ms, too, or leave std_ms out";
+            return Err(invalid_key("std_ms", reason.to_owned()));
+        }
         match (&self.data, &self.histogram, self.mean_ms) {
             (Some(data), None, None) => {
                 let recorded = read_latencies(&data_file(data)?, &self.column)?;
