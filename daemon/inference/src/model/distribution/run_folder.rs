@@ -1,7 +1,7 @@
 //! The `data.csv` in the folder of a run.
 
-use std::fs;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 use crate::LoadError;
 
@@ -18,17 +18,20 @@ const MAX_NAMED_RUNS: usize = 3;
 ///
 /// # Errors
 /// If the folder is that of an experiment, which has several runs, or that of a run with several users, each of whom
-/// has a `data.csv`.
+/// has a `data.csv`. If the runs of an experiment cannot be listed.
 pub(super) fn data_file(path: &Path) -> Result<PathBuf, LoadError> {
     if !path.is_dir() {
         return Ok(path.to_owned());
     }
     let file = path.join(FILE_NAME);
+    if file.exists() {
+        return Ok(file);
+    }
     let is_experiment = path.join(EXPERIMENT_FILE).is_file();
-    let runs = if is_experiment { runs_of_experiment(path) } else { folders_with_data(entries(path)) };
+    let runs = if is_experiment { runs_of_experiment(path)? } else { folders_with_data(entries(path)) };
     // A folder without runs is taken for the folder of a run. If `data.csv` is missing there, the caller fails to read
     // the file.
-    if file.exists() || !is_experiment && runs.is_empty() {
+    if !is_experiment && runs.is_empty() {
         return Ok(file);
     }
     let advice = match runs.get(..MAX_NAMED_RUNS) {
@@ -48,10 +51,19 @@ pub(super) fn data_file(path: &Path) -> Result<PathBuf, LoadError> {
 
 /// Returns the paths of an experiment's folders that contain a `data.csv`, sorted. A run with several users has one
 /// such folder for each user.
-fn runs_of_experiment(path: &Path) -> Vec<String> {
-    let runs = entries(&path.join(RUNS_FOLDER));
+fn runs_of_experiment(path: &Path) -> Result<Vec<String>, LoadError> {
+    let folder = path.join(RUNS_FOLDER);
+    let runs: Vec<PathBuf> = match fs::read_dir(&folder) {
+        Ok(runs) => runs.flatten().map(|run| run.path()).collect(),
+        // An experiment has this folder from its first run on.
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
+        Err(error) => {
+            let reason = format!("the runs of the experiment cannot be listed: {error}");
+            return Err(LoadError::File { file: folder, reason });
+        }
+    };
     let users = runs.iter().flat_map(|run| entries(run)).collect::<Vec<_>>();
-    folders_with_data(runs.into_iter().chain(users))
+    Ok(folders_with_data(runs.into_iter().chain(users)))
 }
 
 /// Returns the paths of those folders that contain a `data.csv`, sorted.
@@ -79,6 +91,9 @@ mod tests {
         fs::write(path.join(EXPERIMENT_FILE), "{}").expect("written");
         let refusal = || data_file(path).expect_err("an experiment").to_string();
         assert!(refusal().contains("it has no finished run yet"), "{}", refusal());
+        fs::write(path.join("runs"), "").expect("written");
+        assert!(refusal().contains("/runs: the runs of the experiment cannot be listed"), "{}", refusal());
+        fs::remove_file(path.join("runs")).expect("removed");
         for run in ["001-local-r1", "002-cloud-r1/user-1", "002-cloud-r1/user-2"] {
             fs::create_dir_all(path.join("runs").join(run)).expect("created");
             fs::write(path.join("runs").join(run).join(FILE_NAME), "inference\n").expect("written");
