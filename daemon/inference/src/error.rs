@@ -88,6 +88,12 @@ pub enum LoadError {
         /// The configured device.
         offered: String,
     },
+    /// No device is offered for the models of the folders.
+    #[error(
+        "model {0} is offered on no device, because devices is empty in [bank] of the serving host; list a device there, such as \
+         \"cpu\""
+    )]
+    NoDevice(String),
     /// No device has this name.
     #[error(
         "{0:?} is not a device; use cpu, cuda:N, tensorrt:N or openvino:DEVICE (N from 0, DEVICE such as CPU or GPU.0)"
@@ -238,6 +244,7 @@ impl LoadError {
             | Self::Duplicate(_)
             | Self::AboveLimit { .. }
             | Self::OtherDevice { .. }
+            | Self::NoDevice(_)
             | Self::InvalidDevice(_) => self.to_string(),
         }
     }

@@ -38,7 +38,8 @@ impl ModelCache {
     /// device stands for the first offered device.
     ///
     /// # Errors
-    /// If the model does not exist or has an error, if the device is not offered, or if all entries are in use.
+    /// If the model does not exist or has an error, if the host does not offer the device or offers none, or if all
+    /// entries are in use.
     pub(super) fn entry(
         &self,
         name: &Slug,
@@ -47,16 +48,16 @@ impl ModelCache {
         let found = self.folders.find(name.as_str())?;
         found.card?;
         let devices = &self.config.devices;
-        let other_device = |requested: &str| LoadError::OtherDevice {
-            model: name.to_string(),
-            requested: requested.to_owned(),
-            offered: devices.join(", "),
-        };
+        let first = devices.first().ok_or_else(|| LoadError::NoDevice(name.to_string()))?;
         let device = match device {
-            Some(requested) => {
-                devices.iter().find(|offered| *offered == requested).ok_or_else(|| other_device(requested))?
-            }
-            None => devices.first().ok_or_else(|| other_device("any device"))?,
+            Some(requested) => devices.iter().find(|offered| *offered == requested).ok_or_else(|| {
+                LoadError::OtherDevice {
+                    model: name.to_string(),
+                    requested: requested.to_owned(),
+                    offered: devices.join(", "),
+                }
+            })?,
+            None => first,
         };
         let stamp = FilesStamp::read(&found.folder);
         let mut entries = self.lock();

@@ -220,6 +220,10 @@ fn bank_without_devices_offers_no_model() {
     link_demo_model(root.path(), "plates");
     let bank = Bank::new(Vec::new(), OnnxRuntimeConfig::default(), clock()).with_folders(without_devices);
     assert!(bank.offered_names().is_empty());
+    for device in [None, Some("cpu")] {
+        let error = bank.load(&slug("plates"), device).expect_err("no device is offered").to_string();
+        assert!(error.contains("offered on no device, because devices is empty in [bank]"), "{error}");
+    }
 }
 
 #[test]
