@@ -174,15 +174,15 @@ impl ReplyAssembler {
             ("done", Role::Actuator) => return Ok(self.finish(ReplyOutcome::Done)),
             // A sensor sends its sample with the word `answer`, too.
             ("answer" | "part", Role::Sensor | Role::Model) | ("partial", Role::Model) => {
-                let position = match word {
-                    "answer" => Position::Last,
-                    "part" => Position::Inner,
-                    _ => Position::Partial,
+                let (position, form) = match word {
+                    "answer" => (Position::Last, ANSWER_FORM),
+                    "part" => (Position::Inner, PART_FORM),
+                    _ => (Position::Partial, PARTIAL_FORM),
                 };
                 // The error `None` means that the line does not have the expected form.
                 return self
                     .announce_part(rest, position)
-                    .map_err(|error| error.unwrap_or_else(|| form_error(ANSWER_FORM)));
+                    .map_err(|error| error.unwrap_or_else(|| form_error(form)));
             }
             _ => return Err(self.unknown_word(line)),
         }
@@ -262,6 +262,8 @@ const REWARD_FORM: &str = "reward NUMBER";
 const SUCCESS_FORM: &str = "success 0, or success 1";
 const VALUE_FORM: &str = "value NAME NUMBER [UNIT]";
 const ANSWER_FORM: &str = "answer BYTES [MEDIA-TYPE [SHAPE]] (a shape such as 480x640x3:u8)";
+const PART_FORM: &str = "part BYTES [MEDIA-TYPE [SHAPE]] (a shape such as 480x640x3:u8)";
+const PARTIAL_FORM: &str = "partial BYTES [MEDIA-TYPE [SHAPE]] (a shape such as 480x640x3:u8)";
 
 /// Parses `NAME SECONDS`.
 fn parse_stage(rest: &str) -> Option<(&str, Span)> {

@@ -143,6 +143,8 @@ fn errors_show_the_expected_form() {
         ("answer\n", "answer BYTES"),
         ("answer -3\n", "answer BYTES"),
         ("answer 3 text/plain - more\n", "answer BYTES"),
+        ("part -3\n", "part BYTES"),
+        ("partial 3 text/plain - more\n", "partial BYTES"),
         ("answer 9999999999999\n", "at most"),
         ("answer 3 application/x-tensor 2:u8\n", "its shape and type need 2 bytes"),
         ("stage inference\n", "stage NAME SECONDS"),
