@@ -4,6 +4,7 @@ use std::io;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::process::ExitStatusExt;
 use std::process::ExitStatus;
+use std::thread;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -19,6 +20,8 @@ use super::{Fault, Launch, ProcessEnd, ProcessError};
 const PIPE_CLOSE_BEFORE_EXIT: Span = Span::from_millis(200);
 /// Time for a running process that closed a pipe to end by itself, so that its exit status can be reported.
 const EXIT_AFTER_PIPE_CLOSE: Span = Span::from_millis(1000);
+/// Time between two queries whether a process has ended, if the kernel has no pidfd.
+const EXIT_QUERY_INTERVAL: Duration = Duration::from_millis(5);
 /// Longest wait for the rest of the standard error after the end of a process.
 const LAST_OUTPUT_TIMEOUT: Duration = Duration::from_millis(200);
 
@@ -190,11 +193,22 @@ impl Process {
         }
     }
 
-    /// Waits for the end of the process without collecting its status. Returns whether the process has ended. If the
-    /// kernel has no pidfd, this returns `false` at once for a process whose status was not collected.
+    /// Waits for the end of the process without collecting its status. Returns whether the process has ended.
     fn exits_within(&self, timeout: Span) -> bool {
+        if self.status.is_some() {
+            return true;
+        }
         let deadline = self.clock.mono() + timeout;
-        self.status.is_some() || wait_until(&self.clock, self.pidfd.as_ref(), deadline).wait_for_exit()
+        if self.pidfd.is_some() {
+            return wait_until(&self.clock, self.pidfd.as_ref(), deadline).wait_for_exit();
+        }
+        while !self.group.leader_has_ended() {
+            if deadline <= self.clock.mono() {
+                return false;
+            }
+            thread::sleep(EXIT_QUERY_INTERVAL);
+        }
+        true
     }
 
     /// Kills the process and its group, and collects the exit status. `fault` is the preceding misbehaviour of the
@@ -221,4 +235,33 @@ impl Drop for Process {
 
 fn wait_until<'a>(clock: &'a SharedClock, pidfd: Option<&'a OwnedFd>, deadline: MonoTime) -> Wait<'a> {
     Wait { clock, deadline, pidfd: pidfd.map(AsFd::as_fd) }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{ClockIdentity, SystemClock};
+
+    use super::super::StderrLog;
+    use super::*;
+
+    #[test]
+    fn process_without_pidfd_has_time_to_end() {
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")));
+        let launch = Launch {
+            name: "the program of a test".to_owned(),
+            stderr_log: StderrLog::Exec,
+            program: "sh".into(),
+            arguments: vec!["-c".into(), "read -r _; sleep 0.2; exit 3".into()],
+            folder: None,
+            environment: [].into(),
+            inherited_file: None,
+        };
+        let mut process = Process::start(&launch, &clock).expect("sh is there");
+        process.pidfd = None;
+        let end = process.end(Span::from_millis(60_000));
+        assert_eq!(end.status.and_then(|status| status.code()), Some(3), "{end}");
+        assert!(!end.was_killed && !end.termination_requested, "{end}");
+    }
 }
