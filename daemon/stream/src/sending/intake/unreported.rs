@@ -51,7 +51,8 @@ impl UnreportedLosses {
         }
         let count = std::mem::take(&mut self.earlier_drops);
         if count > 0 {
-            let reason = "dropped before the agent last stopped, because its spool had no space left";
+            // The spool has the number of these events only. They may have been dropped for any reason.
+            let reason = "dropped before the agent last stopped; the reason was not stored";
             self.losses.add(None, None, now, count, reason.to_owned());
         }
     }

@@ -1,5 +1,6 @@
 //! Sending from memory while the spool fails.
 
+use super::super::super::Gap;
 use super::*;
 
 /// Returns an agent whose disk begins to fail after three batches were delivered.
@@ -150,17 +151,18 @@ fn events_beyond_disk_and_memory_are_counted_as_dropped() {
     assert_eq!((accounting.produced, accounting.stored, accounting.dropped), (21, 7, 14));
 }
 
-/// Returns the number of events that the gaps in the file report.
-fn reported_losses(file: &File) -> u64 {
-    let count = |event: &Event| match event {
-        Event::Gap(gap) => gap.count,
-        _ => 0,
-    };
+/// Returns the gaps in the file.
+fn gaps(file: &File) -> Vec<Gap> {
     let batches = file.batches.values();
     batches
         .flat_map(|batch| codec::decode_events(&batch.body, batch.events).expect("the events are readable"))
-        .map(|event| count(&event))
-        .sum()
+        .filter_map(|event| if let Event::Gap(gap) = event { Some(gap) } else { None })
+        .collect()
+}
+
+/// Returns the number of events that the gaps in the file report.
+fn reported_losses(file: &File) -> u64 {
+    gaps(file).iter().map(|gap| gap.count).sum()
 }
 
 #[test]
@@ -185,6 +187,9 @@ fn losses_are_counted_while_disk_is_full() {
         (accounting.produced, accounting.waiting, accounting.dropped, reported_losses(&agent.file)),
         (18, 4, 14, 14)
     );
+    let gaps = gaps(&agent.file);
+    let reason = &gaps.last().expect("the loss is reported").reason;
+    assert_eq!(reason, "dropped before the agent last stopped; the reason was not stored");
 }
 
 #[test]
