@@ -4,6 +4,7 @@ mod ros1;
 mod ros2;
 mod sequence_gaps;
 
+use futures::future::Either;
 use peernet_ros::topics::TopicError;
 
 pub(super) use self::ros1::Ros1Topic;
@@ -103,12 +104,14 @@ impl Topic {
         }
     }
 
-    /// Waits until the publishers change: in ROS 1 after the first poll of the future, in ROS 2 after the latest call
+    /// Returns a future that ends when the publishers change: in ROS 1 after this call, in ROS 2 after the latest call
     /// of `follow_publishers`.
-    pub(super) async fn publishers_changed(&self) {
+    // This is no `async fn`: its body would begin at the first poll, and a change between the call and the first poll
+    // would be missed.
+    pub(super) fn publishers_changed(&self) -> impl Future<Output = ()> + '_ {
         match self {
-            Self::Ros1(topic) => topic.publishers_changed().await,
-            Self::Ros2(topic) => topic.publishers_changed().await,
+            Self::Ros1(topic) => Either::Left(topic.publishers_changed()),
+            Self::Ros2(topic) => Either::Right(topic.publishers_changed()),
         }
     }
 
