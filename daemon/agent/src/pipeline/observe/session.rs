@@ -44,6 +44,9 @@ pub(super) struct Observation<'a> {
     config: &'a ObserveConfig,
     timeout: Span,
     pairing: Pairing<Input, ReceivedMessage>,
+    /// Input messages that arrived after midnight, before the run of the previous day had ended. They belong to the
+    /// next run.
+    inputs_of_next_run: Vec<TopicMessage>,
     input_arrivals: Arrivals,
     output_arrivals: Arrivals,
     unpaired_counts: UnpairedCounts,
@@ -67,6 +70,7 @@ impl<'a> Observation<'a> {
             config,
             timeout,
             pairing: Pairing::new(timeout, MAX_UNPAIRED),
+            inputs_of_next_run: Vec::new(),
             input_arrivals: Arrivals::default(),
             output_arrivals: Arrivals::default(),
             unpaired_counts: UnpairedCounts::default(),
@@ -92,6 +96,9 @@ impl<'a> Observation<'a> {
         let mut problem: Option<String> = None;
         let mut reported_drops = source.input.dropped() + source.output.dropped();
         let mut next_check_at = clock.mono();
+        for message in std::mem::take(&mut self.inputs_of_next_run) {
+            self.handle_input(message, run, runner);
+        }
         loop {
             let now = clock.mono();
             while let Some(resolution) = self.pairing.expire(now) {
@@ -134,6 +141,12 @@ impl<'a> Observation<'a> {
                 }
                 message = source.input.next() => match message {
                     Ok(message) if ending.is_none() => self.handle_input(message, run, runner),
+                    Ok(message)
+                        if matches!(ending, Some(SessionEnd::Midnight))
+                            && self.inputs_of_next_run.len() < MAX_UNPAIRED =>
+                    {
+                        self.inputs_of_next_run.push(message);
+                    }
                     // The run is ending: no further iteration starts.
                     Ok(_) => {}
                     Err(error) => return SessionEnd::SourceLost(error.into()),
