@@ -225,7 +225,9 @@ impl LiveTracker {
         if self.hosts.len() >= MAX_HOSTS {
             let longest_silent =
                 self.hosts.iter().min_by_key(|(_, host)| host.last_seen()).map(|(id, _)| *id);
-            if let Some((id, host)) = longest_silent.and_then(|id| self.hosts.remove_entry(&id)) {
+            if let Some((id, host)) = longest_silent.and_then(|id| self.hosts.remove_entry(&id))
+                && host.has_stored_events()
+            {
                 self.remember(id, host.stored());
             }
         }

@@ -1,5 +1,6 @@
 //! Tests of the durable lane's effect on the live state: the durable lane changes only counts.
 
+use super::super::MAX_HOSTS;
 use super::*;
 use crate::live_state::{RejectedBatches, Totals};
 
@@ -96,6 +97,17 @@ fn totals_include_absent_hosts_and_never_decrease() {
     let snapshot = testbed.snapshot(3_602.0);
     assert_eq!(snapshot.totals, expected(160, 1));
     assert_eq!(snapshot.hosts.iter().map(|host| host.stored.events).max(), Some(160));
+}
+
+#[test]
+fn evicted_host_without_stored_events_is_not_absent() {
+    let mut testbed = Testbed::new();
+    for _ in 0..=MAX_HOSTS {
+        let guest = description(HostId::random(), "guest");
+        testbed.live.apply(LiveEvent::Hello(Box::new(guest), 1), now(0.0));
+    }
+    let snapshot = testbed.snapshot(0.0);
+    assert_eq!((snapshot.hosts.len(), snapshot.absent), (MAX_HOSTS, 0));
 }
 
 #[test]
