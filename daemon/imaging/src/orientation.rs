@@ -5,7 +5,7 @@ use image::metadata::Orientation as Tag;
 use peernet_sample::{MediaType, Part, PixelFormat};
 use serde::{Deserialize, Serialize};
 
-use crate::decode::{open_jpeg, open_png};
+use crate::decode::{detect_format, open_jpeg, open_png};
 use crate::{ImageError, Picture};
 
 /// Orientation of a decoded picture.
@@ -32,11 +32,15 @@ impl Orientation {
 /// # Errors
 /// If the header of the file cannot be read.
 pub fn turn_upright(part: &Part, picture: &mut Picture) -> Result<(), ImageError> {
-    let exif = match &part.description.media {
+    if !matches!(part.description.media, MediaType::Jpeg | MediaType::Png) {
+        return Ok(());
+    }
+    // `read_part` decodes a file by its first bytes, too, which may differ from the description.
+    let exif = if detect_format(&part.bytes)? == MediaType::Jpeg {
         // The pixel format has no effect, because only the header is read.
-        MediaType::Jpeg => open_jpeg(&part.bytes, PixelFormat::Rgb8)?.decoder.exif().cloned(),
-        MediaType::Png => open_png(&part.bytes)?.decoder.exif_metadata().ok().flatten(),
-        _ => None,
+        open_jpeg(&part.bytes, PixelFormat::Rgb8)?.decoder.exif().cloned()
+    } else {
+        open_png(&part.bytes)?.decoder.exif_metadata().ok().flatten()
     };
     match exif.as_deref().and_then(Tag::from_exif_chunk) {
         None | Some(Tag::NoTransforms) => {}
@@ -114,6 +118,16 @@ mod tests {
             );
             assert_eq!(picture.pixels(), expected.as_bytes(), "{number}");
         }
+    }
+
+    #[test]
+    fn file_with_wrong_description_is_turned_upright() {
+        // With orientation 6, the upright picture has the width and the height exchanged.
+        let part = Part { description: Description::unshaped(MediaType::Png), ..jpeg(&exif(6)) };
+        let mut picture = Picture::default();
+        read_part(&part, PixelFormat::Rgb8, &mut picture).expect("is whole");
+        turn_upright(&part, &mut picture).expect("has a header");
+        assert_eq!((picture.width(), picture.height()), (16, 24));
     }
 
     #[test]
