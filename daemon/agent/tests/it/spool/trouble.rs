@@ -2,10 +2,10 @@
 
 use std::num::NonZeroUsize;
 
-use peernet_stream::{IncidentKind, Iteration, PipelineState};
+use peernet_stream::{IncidentKind, PipelineState};
 
 use super::{address_without_aggregator, idle_config, pipeline, state};
-use crate::harness::{Aggregator, TestAgent, assert_contiguous, value};
+use crate::harness::{Aggregator, TestAgent, assert_contiguous};
 
 const RATE: &str = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
 
@@ -71,10 +71,9 @@ async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
         aggregator.until(|received_events| received_events.events.len() as u64 == account.stored).await;
     let missing: u64 = received_events.gaps().iter().map(|gap| gap.count).sum();
     assert_eq!(missing, account.dropped);
-    // Skipped starts have no event.
-    let skipped = |it: &&Iteration| value(&it.tree, "skipped-starts");
-    let skipped: f64 = received_events.iterations().iter().filter_map(skipped).sum();
-    assert!(received_events.iterations().len() as u64 + missing + skipped as u64 >= 5000 - 64);
+    // Each of the 5000 iterations is stored or missing. Other events may be missing, too.
+    let stored_iterations = received_events.iterations().len() as u64;
+    assert!(stored_iterations < 5000 && stored_iterations + missing >= 5000, "{stored_iterations} {missing}");
     agent.stop().await.expect("stops well");
 }
 
