@@ -176,6 +176,9 @@ async fn nothing_is_acknowledged_while_database_file_is_moved() {
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((1..=50).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
     agent.sending.flush(testbed.clock.wall());
+    // While the file is in its place, an acknowledgement arrives within a small part of this time.
+    let exchange_until = testbed.clock.mono() + Span::from_seconds(1);
+    agent.until("a second has passed", |_| testbed.clock.mono() >= exchange_until).await;
     assert_eq!((agent.accounting().stored, agent.accounting().waiting), (1, 50));
 
     std::fs::rename(&moved, &testbed.database).expect("moves back");
