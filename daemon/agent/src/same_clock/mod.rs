@@ -6,9 +6,9 @@
 //! namespace. A cloud that may read the same clock connects before it accepts the session, and then answers queries.
 //!
 //! An answer proves three things. Both processes are in one time namespace. The time that each reads through the C
-//! library is the time that a direct system call returns. The cloud's reading of the free-running clock lies between
-//! two readings of the edge. The edge sends a query every two seconds; an answer is valid for five seconds. The delays
-//! of hosts without the proof are estimated.
+//! library is the time that the kernel returns. The cloud's reading of the free-running clock lies between two readings
+//! of the edge. The edge sends a query every two seconds; an answer is valid for five seconds. The delays of hosts
+//! without the proof are estimated.
 //!
 //! ```text
 //! messages  query and answer as bytes
