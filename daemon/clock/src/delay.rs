@@ -86,7 +86,8 @@ pub enum Verdict {
     Ok,
     /// The interval contains the true delay but is wider than half of the delay.
     Limited,
-    /// There are no recent exchanges, or too few.
+    /// There are no recent exchanges, or too few; or the newest exchanges contradict the others, and neither of the two
+    /// groups is refuted yet.
     Stale,
     /// The two clocks were never related.
     Unsynchronised,
