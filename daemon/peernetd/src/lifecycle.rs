@@ -57,7 +57,7 @@ impl Default for LifecycleConfig {
     }
 }
 
-/// Time that is reserved for each part that has not been stopped yet.
+/// Time that is reserved for each part that has not been stopped yet, unless the deadline is too short for it.
 const RESERVED_PER_PART: Duration = Duration::from_secs(1);
 
 /// A part of the process, which runs until it is stopped.
@@ -165,13 +165,18 @@ async fn wait_for_first_end(parts: &[Part]) -> &'static str {
 }
 
 /// Stops the parts in reverse order, so that an agent sends its events before an aggregator in the same process
-/// stops. A part that takes too long is aborted, so that each part after it has at least [`RESERVED_PER_PART`].
+/// stops. A part that takes too long is aborted, so that each part after it has at least [`RESERVED_PER_PART`], or an
+/// equal share of a short `stop_timeout`.
 async fn stop_in_reverse(parts: Vec<Part>, stop_timeout: Duration) -> Exit {
     let deadline = Instant::now() + stop_timeout;
+    let part_count = u32::try_from(parts.len()).unwrap_or(u32::MAX).max(1);
+    // Otherwise the time reserved for later parts could use up a short timeout, and the first part would be aborted
+    // at once.
+    let reserved_per_part = RESERVED_PER_PART.min(stop_timeout / part_count);
     let mut exit = Exit::Ok;
     for (remaining_parts, mut part) in parts.into_iter().enumerate().rev() {
         part.stop.cancel();
-        let reserved = RESERVED_PER_PART * u32::try_from(remaining_parts).unwrap_or(u32::MAX);
+        let reserved = reserved_per_part * u32::try_from(remaining_parts).unwrap_or(u32::MAX);
         match timeout_at(deadline.checked_sub(reserved).unwrap_or(deadline), &mut part.task).await {
             Ok(Ok(Ok(()))) => debug!("the {} has stopped", part.name),
             Ok(Ok(Err(problem))) => {
@@ -216,5 +221,28 @@ async fn wait_for_tick(timer: &mut Option<tokio::time::Interval>) {
 fn notify(states: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
         warn!("cannot notify the service manager through NOTIFY_SOCKET: {error}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns a part that needs a moment to stop.
+    fn part(name: &'static str) -> Part {
+        let stop = CancellationToken::new();
+        let stopped = stop.clone();
+        let task = tokio::spawn(async move {
+            stopped.cancelled().await;
+            tokio::time::sleep(Duration::from_millis(10)).await;
+            Ok(())
+        });
+        Part { name, stop, ended: CancellationToken::new(), task }
+    }
+
+    #[tokio::test]
+    async fn short_deadline_leaves_time_for_each_part() {
+        let parts = vec![part("aggregator"), part("web server"), part("agent")];
+        assert_eq!(stop_in_reverse(parts, Duration::from_secs(1)).await, Exit::Ok);
     }
 }
