@@ -71,8 +71,13 @@ impl PipelineSelection {
         }
         for second in &mut pipeline.seconds {
             second.means.retain(|name, _| is_selected(name));
+            second.parts.retain(|name, _| is_selected(name));
+            second.total_p95.take_if(|_| !is_selected("total"));
             second.transfers.upload.take_if(|_| !is_selected("upload"));
             second.transfers.download.take_if(|_| !is_selected("download"));
+        }
+        if !is_selected("total") {
+            pipeline.total_over_time.points.clear();
         }
         pipeline
     }
