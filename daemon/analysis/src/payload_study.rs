@@ -151,10 +151,13 @@ impl DirectionMessages {
         ends.is_some_and(|(smallest, largest)| largest.wire_bytes >= 2.0 * smallest.wire_bytes)
     }
 
-    /// Returns the reason why the direction is not drawn; `None` if no message in this direction has a known
-    /// delay.
+    /// Returns the reason why the direction is not drawn; `None` if no message was sent in this direction.
     fn missing_reason(&self) -> Option<String> {
-        let (smallest, largest) = self.sizes.first().zip(self.sizes.last())?;
+        let Some((smallest, largest)) = self.sizes.first().zip(self.sizes.last()) else {
+            let messages = counted(self.unknown_delays, "message");
+            let text = || format!("not drawn: {messages} of {}, because no delay is known", self.name);
+            return (self.unknown_delays > 0).then(text);
+        };
         let ends = [smallest, largest].map(|size| bytes(size.wire_bytes).plain());
         let sizes = if ends[0] == ends[1] { ends[0].clone() } else { ends.join(" to ") };
         Some(format!(
@@ -302,6 +305,19 @@ mod tests {
         assert!(merged.iter().all(|(_, counts)| counts.iter().sum::<u64>() <= 1_080), "{merged:?}");
         let few = (0..MAX_SIZES as u64).map(|size| (size, vec![size])).collect();
         assert_eq!(merge_sizes(few, |count| *count).len(), MAX_SIZES, "few sizes stay separate");
+    }
+
+    #[test]
+    fn direction_without_known_delays_is_noted() {
+        let direction = |name, unknown_delays| DirectionMessages {
+            name,
+            sizes: Vec::new(),
+            unknown_delays,
+            runs_with_several_sizes: 0,
+        };
+        let link = Link { hosts: Default::default(), network: Default::default() };
+        let study = PayloadStudy::new(&link, [direction("upload", 2), direction("download", 0)], []);
+        assert_eq!(study.missing, ["not drawn: 2 messages of upload, because no delay is known"]);
     }
 
     #[test]
