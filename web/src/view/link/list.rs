@@ -106,8 +106,9 @@ impl LinkLine {
 pub(super) fn missing_offset_reason(subject: &Subject<'_>) -> &'static str {
     match (subject.contradicts(), subject.was_related()) {
         (true, _) => CONTRADICTION,
-        (false, true) => "no exchange has finished since a clock was stepped",
-        (false, false) => "the two clocks were never related",
+        (false, Some(true)) => "no exchange has finished since a clock was stepped",
+        (false, Some(false)) => "the two clocks were never related",
+        (false, None) => "no offset was stored in this time",
     }
 }
 

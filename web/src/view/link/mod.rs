@@ -225,10 +225,10 @@ impl<'a> Subject<'a> {
         self.offset().is_some_and(|offset| !offset.is_consistent())
     }
 
-    /// Returns whether any exchange ever related the two clocks, even if a clock was stepped since then.
-    pub(crate) fn was_related(&self) -> bool {
-        // No counts of exchanges are known for a link that is not in the live state, so its clocks count as related.
-        self.live.is_none_or(|link| {
+    /// Returns whether any exchange ever related the two clocks, even if a clock was stepped since then. `None` for a
+    /// link that is not in the live state, because its counts of exchanges are not known.
+    pub(crate) fn was_related(&self) -> Option<bool> {
+        self.live.map(|link| {
             link.live.latest_sample.exchanges.accepted > 0
                 || link.history.iter().any(|point| point.offset.is_some())
         })

@@ -58,11 +58,15 @@ impl Origin {
     /// Describes the origin of the bounds of a link's offset.
     pub(crate) fn of(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Self {
         let Some(offset) = subject.offset() else {
-            let why = if subject.was_related() {
-                "No exchange has finished since a clock was stepped: earlier exchanges do not bound the present offset."
-            } else {
-                "No exchange between the two hosts has finished yet. A data message and its answer are an exchange, and so are a \
-                 probe and its answer."
+            let why = match subject.was_related() {
+                Some(true) => {
+                    "No exchange has finished since a clock was stepped: earlier exchanges do not bound the present offset."
+                }
+                Some(false) => {
+                    "No exchange between the two hosts has finished yet. A data message and its answer are an exchange, and so are a \
+                     probe and its answer."
+                }
+                None => "No offset of the two clocks was stored in this time.",
             };
             return Self {
                 title: "Why there is no bound".to_owned(),

@@ -116,6 +116,9 @@ fn disconnected_link_shows_last_offset() {
     let offset = stats.iter().find(|stat| stat.name == "Clock offset").expect("it is a figure");
     assert!(offset.line.contains("when last reported"), "{offset:?}");
     assert!(!format!("{:?}", Origin::of(&past, &time_series(&away))).contains("No exchange"));
+    // Without a stored offset, nothing is known about clock steps.
+    let why = Origin::of(&Subject::past(&row), &time_series(&away)).why;
+    assert_eq!(why, ["No offset of the two clocks was stored in this time."]);
 }
 
 #[test]
