@@ -57,6 +57,7 @@ impl SizeLimit {
         deletions: &mut Vec<Deletion>,
     ) -> Result<bool, sqlx::Error> {
         for kind in DELETION_ORDER {
+            let earlier_deletions = deletions.len();
             let TrimResult { cost, is_complete } =
                 arrivals::trim(connection, (kind, Cause::Size), i64::MAX, now_s, max_cost, deletions).await?;
             if cost > 0 {
@@ -69,7 +70,9 @@ impl SizeLimit {
                     self.is_reported = true;
                 }
                 self.nothing_left_at = None;
-                record_early_deletion(connection, now, cost).await?;
+                let items: u64 =
+                    deletions.iter().skip(earlier_deletions).map(|deletion| deletion.items).sum();
+                record_early_deletion(connection, now, items).await?;
                 return Ok(true);
             }
             // This transaction removed only rows of the table `arrival` whose data was deleted already, and stopped at
@@ -102,19 +105,19 @@ async fn used_bytes(connection: &mut SqliteConnection) -> Result<u64, sqlx::Erro
     Ok(count(bytes))
 }
 
-/// Records for `peernetd doctor` that data was deleted before the end of its retention period. `cost` is the cost of
-/// the deletion, in rows of the table `node`.
+/// Records for `peernetd doctor` that data was deleted before the end of its retention period. `items` is the number of
+/// deleted iterations or rows of statistics.
 async fn record_early_deletion(
     connection: &mut SqliteConnection,
     now: WallTime,
-    cost: u64,
+    items: u64,
 ) -> Result<(), sqlx::Error> {
     sqlx::query(
         "INSERT INTO retention_note (what, first_ns, last_ns, count) VALUES ('size-limit', ?1, ?1, ?2) \
          ON CONFLICT DO UPDATE SET last_ns = excluded.last_ns, count = count + excluded.count",
     )
     .bind(now.unix_nanos())
-    .bind(column(cost))
+    .bind(column(items))
     .execute(connection)
     .await?;
     Ok(())

@@ -42,7 +42,7 @@ const STORED_ROWS: &str = "WITH kept AS ( \
          (SELECT count(*) FROM node WHERE node.run = kept.run AND iteration > newest - 20) AS nodes \
        FROM kept WHERE newest IS NOT NULL \
      ) SELECT coalesce(sum(iterations), 0), coalesce(sum(iterations * nodes / sample), 0) FROM sampled";
-/// Rows that retention deleted before the end of their period.
+/// Numbers of iterations and rows of statistics that retention deleted before the end of their period.
 const EARLY_DELETIONS: &str = "SELECT what, count FROM retention_note";
 /// Time and text of the last deletion by retention. All deletions of an hour share one incident, whose time is the time
 /// of the first of these deletions.
@@ -123,9 +123,9 @@ fn add_findings(report: &mut Report, early_deletions: &[(String, i64)], debts: i
         );
         report.notice(what, "restart the agents: they end their runs and send the events in their spools");
     }
-    for (what, rows) in early_deletions {
+    for (what, items) in early_deletions {
         report.notice(
-            format!("retention deleted {rows} rows before the end of their period ({what})"),
+            format!("retention deleted {items} iterations and rows of statistics before the end of their period ({what})"),
             "raise [aggregator.retention] size_limit_bytes, or shorten the periods",
         );
     }
