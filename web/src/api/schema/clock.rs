@@ -65,6 +65,8 @@ pub(crate) struct ClockFaultStep {
     pub at_s: f64,
     /// Size of the step, seconds; positive if the clock is set forward.
     pub by_s: f64,
+    /// Clock that is stepped: `wall`, or `raw` for the free-running clock.
+    pub clock: &'static str,
 }
 
 impl From<&ClockFaults> for ClockFault {
@@ -74,7 +76,11 @@ impl From<&ClockFaults> for ClockFault {
             offset_s: clock_fault.offset.seconds(),
             drift_ppm: clock_fault.drift_ppm,
             steps: steps
-                .map(|step| ClockFaultStep { at_s: step.at.seconds(), by_s: step.by.seconds() })
+                .map(|step| ClockFaultStep {
+                    at_s: step.at.seconds(),
+                    by_s: step.by.seconds(),
+                    clock: if step.clock.is_wall() { "wall" } else { "raw" },
+                })
                 .collect(),
             since: time(clock_fault.since),
         }
@@ -91,5 +97,22 @@ impl From<&stream::HostClock> for HostClock {
             clock_fault: clock.faults.as_ref().map(ClockFault::from),
             clocksource: clock.clocksource.clone(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{Span, SteppedClock, WallTime};
+
+    use super::*;
+
+    #[test]
+    fn step_of_clock_fault_names_its_clock() {
+        let wall = peernet_clock::ClockFaultStep::wall_step(Span::from_seconds(9), Span::from_seconds(3));
+        let raw = peernet_clock::ClockFaultStep { clock: SteppedClock::Raw, ..wall };
+        let since = WallTime::from_unix_nanos(0);
+        let faults = ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: vec![wall, raw], since };
+        let clock_fault = ClockFault::from(&faults);
+        assert_eq!(clock_fault.steps.iter().map(|step| step.clock).collect::<Vec<_>>(), ["wall", "raw"]);
     }
 }
