@@ -45,7 +45,7 @@ async fn backup_is_consistent_and_overwrites_no_file() {
     assert!(!target.with_file_name("copy.sqlite.partial").exists());
     assert_eq!((count(&target, "iteration").await, count(&test_store.path, "iteration").await), (100, 200));
     let report = examine(&target, FULL).await.expect("opens");
-    assert!(report.is_healthy(), "{report:?}");
+    assert!(report.is_healthy() && report.integrity.full, "{report:?}");
 
     let repeated_backup = Backup::prepare(&test_store.path, &target).await.expect_err("the target exists");
     assert!(matches!(repeated_backup, BackupError::Exists(_)), "{repeated_backup}");
@@ -152,6 +152,8 @@ async fn damaged_page_is_reported() {
     let report = examine(&copy, QUICK).await.expect("opens");
     assert!(problems(&report).iter().any(|problem| problem.contains("damaged")), "{report:?}");
     assert!(report.findings.iter().all(|finding| !finding.advice.is_empty()));
+    let report = examine(&copy, FULL).await.expect("opens");
+    assert!(!report.integrity.full, "after damage the full check is skipped");
 
     // A file that is no database is reported, too, and so is the database of another program.
     file.write_all_at(&[0xa5; 100], 0).expect("writes");

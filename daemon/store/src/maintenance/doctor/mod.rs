@@ -220,13 +220,16 @@ impl Report {
     /// Runs SQLite's own checks: the quick check, and the full check if `full` is `true` and the quick check found
     /// nothing.
     async fn check_integrity(&mut self, connection: &mut SqliteConnection, full: bool) {
-        self.integrity.full = full;
         // If the quick check finds damage, the full check is skipped: it would take several times as long and find
         // nothing more in damaged trees.
         let earlier_findings = self.findings.len();
-        for pragma in [Some("PRAGMA quick_check(100)"), full.then_some("PRAGMA integrity_check(100)")] {
+        let pragmas = [(false, "PRAGMA quick_check(100)"), (true, "PRAGMA integrity_check(100)")];
+        for (is_full, pragma) in pragmas.into_iter().filter(|(is_full, _)| full || !is_full) {
             let is_undamaged = self.integrity.problems.is_empty() && self.findings.len() == earlier_findings;
-            let Some(pragma) = pragma.filter(|_| is_undamaged) else { continue };
+            if !is_undamaged {
+                continue;
+            }
+            self.integrity.full = is_full;
             let answer: Result<Vec<String>, _> =
                 sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await;
             let lines = self.value_or_problem("the whole file", answer);

@@ -80,7 +80,7 @@ pub struct Schema {
 /// Result of SQLite's own check.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Integrity {
-    /// `true` if indexes were compared with their tables, too.
+    /// `true` if indexes were compared with their tables, too. They are not compared if the quick check found damage.
     pub full: bool,
     /// Errors that the check found, at most 100.
     pub problems: Vec<String>,
