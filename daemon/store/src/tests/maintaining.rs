@@ -3,6 +3,7 @@
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
+use peernet_clock::Span;
 use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnectOptions;
 use tokio_util::sync::CancellationToken;
@@ -107,6 +108,28 @@ async fn estimated_row_counts_are_exact_after_deletions() {
         let reported_rows = report.tables.iter().find(|rows| rows.table == table).expect("is there").rows;
         assert_eq!(reported_rows, count(&test_store.path, table).await.cast_unsigned(), "{table}");
     }
+}
+
+#[tokio::test]
+async fn full_list_of_open_runs_states_minimum() {
+    let mut test_store = TestStore::new().await;
+    test_store.store_run(1).await;
+    let mut connection =
+        SqliteConnectOptions::new().filename(&test_store.path).connect().await.expect("opens");
+    sqlx::raw_sql(
+        "WITH RECURSIVE copy (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM copy WHERE n < 1500) \
+         INSERT INTO run (uuid, pipeline, started_ns, placement, model, facts, configuration, version) \
+         SELECT uuid || n, pipeline, started_ns, placement, model, facts, configuration, version FROM run, copy",
+    )
+    .execute(&mut connection)
+    .await
+    .expect("inserts");
+    let later = Examination { now: NOW + Span::from_seconds(100_000), ..QUICK };
+    let report = examine(&test_store.path, later).await.expect("opens");
+    assert!(
+        report.findings.iter().any(|finding| finding.what.starts_with("at least 1000 runs have no end")),
+        "{report:?}"
+    );
 }
 
 #[tokio::test]

@@ -25,10 +25,12 @@ const ROLLUPS: &str = "SELECT width.column1 AS resolution_s, \
      min((SELECT min(bucket_s) FROM rollup WHERE rollup.run = run.number AND resolution_s = width.column1)) AS oldest_s, \
      max((SELECT max(bucket_s) FROM rollup WHERE rollup.run = run.number AND resolution_s = width.column1)) AS newest_s \
      FROM (VALUES (1), (10), (60), (3600)) AS width LEFT JOIN run GROUP BY width.column1 ORDER BY width.column1";
-/// Runs without an end whose hosts were not seen since a time: ?1 this time.
+/// Maximum number of runs in the list of open runs.
+const MAX_OPEN_RUNS: u32 = 1_000;
+/// Runs without an end whose hosts were not seen since a time: ?1 this time, ?2 maximum number.
 const OPEN_RUNS: &str = "SELECT run.number, pipeline.name AS pipeline, host.name AS host, host.last_seen_ns \
      FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
-     WHERE run.ended_ns IS NULL AND host.last_seen_ns < ?1 ORDER BY run.number LIMIT 1000";
+     WHERE run.ended_ns IS NULL AND host.last_seen_ns < ?1 ORDER BY run.number LIMIT ?2";
 /// Estimates the numbers of stored iterations and nodes with a few lookups per run. The number of iterations of a run
 /// is the range from the first stored number to the last, but at most the run's counter. The number of nodes per
 /// iteration is the average of the newest 20 iterations.
@@ -62,8 +64,8 @@ pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection,
     report.quarantine = report.value_or_problem("the quarantine", answer);
     let answer = sqlx::query_as(ROLLUPS).fetch_all(&mut *connection).await;
     report.rollups = report.value_or_problem("the roll-ups", answer);
-    let answer =
-        sqlx::query_as(OPEN_RUNS).bind((now - SILENCE_LIMIT).unix_nanos()).fetch_all(&mut *connection).await;
+    let query = sqlx::query_as(OPEN_RUNS).bind((now - SILENCE_LIMIT).unix_nanos()).bind(MAX_OPEN_RUNS);
+    let answer = query.fetch_all(&mut *connection).await;
     let open: Vec<OpenRun> = report.value_or_problem("the open runs", answer);
     report.open_runs = open;
     let answer = sqlx::query_as(EARLY_DELETIONS).fetch_all(&mut *connection).await;
@@ -116,9 +118,10 @@ fn add_findings(report: &mut Report, early_deletions: &[(String, i64)], debts: i
         );
     }
     if let [first, ..] = report.open_runs.as_slice() {
+        let runs = report.open_runs.len();
+        let prefix = if runs < MAX_OPEN_RUNS as usize { "" } else { "at least " };
         let what = format!(
-            "{} runs have no end, and their hosts have been silent for an hour; the first is #{}",
-            report.open_runs.len(),
+            "{prefix}{runs} runs have no end, and their hosts have been silent for an hour; the first is #{}",
             first.number
         );
         report.notice(what, "restart the agents: they end their runs and send the events in their spools");
