@@ -50,7 +50,7 @@ pub(crate) enum Command {
     },
     /// Examine an aggregator's database or an agent's spool: damage, gaps, streams, sizes. Changes nothing.
     ///
-    /// Reads the whole file once; the aggregator or agent may continue. Exits with 0 if there is no problem, 65 if
+    /// Reads the whole file; the aggregator or agent may continue. Exits with 0 if there is no problem, 65 if
     /// there is one (each is printed with advice), 69 if a file cannot be opened. With --repair it exits with 0 if the
     /// database is intact afterwards, 65 if nothing of the database can be read, 69 if the aggregator runs or the new
     /// file cannot be written.
