@@ -78,6 +78,7 @@ fn exit_code(error: &RepairError) -> Exit {
         | RepairError::ForeignLog(_)
         | RepairError::NoRoom { .. }
         | RepairError::File { .. }
+        | RepairError::Check { .. }
         | RepairError::Write { .. } => Exit::Unavailable,
     }
 }

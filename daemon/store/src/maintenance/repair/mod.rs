@@ -84,6 +84,14 @@ pub enum RepairError {
         /// The system's error.
         source: io::Error,
     },
+    /// The database cannot be checked for damage, for example because another program locks it.
+    #[error("cannot check the database {} for damage: {source}", path.display())]
+    Check {
+        /// The database.
+        path: PathBuf,
+        /// SQLite's error.
+        source: DatabaseError,
+    },
     /// The new file cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     Write {
@@ -154,7 +162,7 @@ pub async fn repair(
     // rewritten.
     let damage = find_damage_with_sqlite(&path, &CancellationToken::new())
         .await
-        .map_err(|error| RepairError::Write { path: path.clone(), source: DatabaseError::new(error) })?;
+        .map_err(|error| RepairError::Check { path: path.clone(), source: DatabaseError::new(error) })?;
     if damage.is_none() && !without_log {
         if recorded_damage.is_some() {
             delete_record(&path).map_err(|source| file_error(&path, source))?;
