@@ -22,18 +22,13 @@ pub(crate) fn check(files: &[PathBuf]) -> Exit {
                 let note = |text: &dyn Display| {
                     print_to_stdout(format_args!("{}: note: {text}", file.display()));
                 };
+                // Only an agent has remarks.
+                let Some(agent) = &configuration.agent else { continue };
                 match configuration.clock() {
-                    Ok(clock) => {
-                        let agent = configuration.agent.iter();
-                        agent
-                            .flat_map(|agent| Agent::remarks(agent, &clock))
-                            .for_each(|remark| note(&remark));
-                    }
-                    Err(error) => {
-                        note(&format_args!(
-                            "the agent's settings were not examined for remarks, because the clock cannot be read: {error}"
-                        ));
-                    }
+                    Ok(clock) => Agent::remarks(agent, &clock).into_iter().for_each(|remark| note(&remark)),
+                    Err(error) => note(&format_args!(
+                        "the agent's settings were not examined for remarks, because the clock cannot be read: {error}"
+                    )),
                 }
             }
             Err(problems) => {
