@@ -1,5 +1,7 @@
 //! Latencies that were not measured but drawn from a distribution, and the time by which the host exceeded them.
 
+use std::collections::BTreeSet;
+
 use peernet_statistics::Moments;
 use peernet_statistics::number::milliseconds;
 
@@ -67,8 +69,8 @@ impl ReplayedLatencies {
         }
     }
 
-    /// Describes the latencies of runs of one configuration, which may have different seeds; `None` if all are
-    /// measured.
+    /// Describes the latencies of runs of one configuration, which may have different seeds and distributions; `None` if
+    /// all are measured.
     pub fn describe_all(runs: impl IntoIterator<Item = Self>) -> Option<String> {
         let runs: Vec<Self> = runs.into_iter().collect();
         let first = runs.first()?;
@@ -76,12 +78,12 @@ impl ReplayedLatencies {
             Some((distribution, _)) => distribution.to_owned(),
             None => run.distribution.clone(),
         };
-        let distribution = match without_seed(first) {
+        let distributions: BTreeSet<String> = runs.iter().map(without_seed).collect();
+        let distributions: Vec<String> = distributions.into_iter().collect();
+        let distribution = match distributions.as_slice() {
             _ if runs.iter().all(|run| run.distribution == first.distribution) => first.distribution.clone(),
-            shared if runs.iter().all(|run| without_seed(run) == shared) => {
-                format!("{shared}, a seed of its own for each run")
-            }
-            _ => first.distribution.clone(),
+            [shared] => format!("{shared}, a seed of its own for each run"),
+            several => several.join(" or "),
         };
         let mean = |value: fn(&Self) -> Option<f64>| mean(runs.iter().filter_map(value));
         Some(Self { distribution, drawn: mean(|run| run.drawn), overrun: mean(|run| run.overrun) }.describe())
@@ -125,6 +127,7 @@ mod tests {
         };
         assert_eq!(description_of(&[]), None);
         assert_eq!(description_of(&[("x, seed 3", 0.0), ("x, seed 3", 0.0)]).as_deref(), Some("x, seed 3"));
+        assert_eq!(description_of(&[("y, seed 3", 0.0), ("x, seed 3", 0.0)]).as_deref(), Some("x or y"));
         assert_eq!(
             description_of(&[("x, seed 3", 0.0), ("x, seed 4", 0.004)]).as_deref(),
             Some(
