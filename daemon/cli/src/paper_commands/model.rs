@@ -40,10 +40,12 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
     if model_name == "echo" {
         return Ok(ModelConfig::echo(slug(model_name)));
     }
-    let device = bank_device(device_option.unwrap_or(DEFAULT_DEVICE));
     let common_settings = |name| {
         let common = CommonSettings::new(slug(name));
-        if device_option.is_some() { CommonSettings { device: device.to_owned(), ..common } } else { common }
+        match device_option {
+            Some(device) => CommonSettings { device: device.to_owned(), ..common },
+            None => common,
+        }
     };
     let timeout_ms = arguments.timeout_ms().and_then(NonZeroU64::new);
     Ok(match super::exec_command(model_name)? {
@@ -54,7 +56,7 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
         None => {
             let model = ModelFolders::search(&arguments.models_dir).find(model_name);
             let model = model.map_err(|error| Failure::new(Exit::NoInput, error))?;
-            model.configuration(device)
+            model.configuration(bank_device(device_option.unwrap_or(DEFAULT_DEVICE)))
         }
     })
 }
@@ -113,7 +115,18 @@ fn slug(text: &str) -> Slug {
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser;
+
     use super::*;
+    use crate::Cli;
+
+    #[test]
+    fn custom_code_receives_device_as_it_is() {
+        let line = "peernet --server --name a --network-config b.yaml --iterations 7 --model-name m::N --device cuda";
+        let line = Cli::try_parse_from(line.split_whitespace()).expect("a command line of the paper");
+        let arguments = line.paper.expect("its options are at the top level");
+        assert_eq!(configuration(&arguments).expect("a model").device(), "cuda");
+    }
 
     #[test]
     fn object_and_command_names_become_model_names() {
