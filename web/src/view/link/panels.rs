@@ -36,9 +36,11 @@ pub(crate) fn reported_error_bounds(clock: &HostClock) -> String {
     format!("{}{SPACE}ms from true time, {}", offset_ms(lo + half, half), bound(half))
 }
 
-/// Clock sources that read the counter of the processor. With any other clock source, the hypervisor supplies the time. It may change the
-/// rate of a clock that is free-running from the view of the guest.
+/// Clock sources that read the counter of the processor.
 const PROCESSOR_COUNTERS: [&str; 2] = ["tsc", "arch_sys_counter"];
+/// Clock sources that read another counter of a machine or of its kernel. With any other clock source, the hypervisor
+/// supplies the time. It may change the rate of a clock that is free-running from the view of the guest.
+const OTHER_COUNTERS: [&str; 4] = ["hpet", "acpi_pm", "jiffies", "refined-jiffies"];
 
 /// Describes how a clock is synchronised, and whether the hypervisor supplies it.
 pub(crate) fn describe_synchronisation(clock: &HostClock) -> String {
@@ -48,6 +50,9 @@ pub(crate) fn describe_synchronisation(clock: &HostClock) -> String {
         (true, None) => "not reported".to_owned(),
     };
     match clock.clocksource.as_deref() {
+        Some(source) if OTHER_COUNTERS.contains(&source) => {
+            format!("{text}; clock source {source} instead of the processor's counter")
+        }
         Some(source) if !PROCESSOR_COUNTERS.contains(&source) => {
             format!("{text}; clock supplied by the hypervisor ({source})")
         }

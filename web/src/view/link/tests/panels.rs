@@ -134,4 +134,6 @@ fn clock_that_a_hypervisor_supplies_is_named() {
     }
     let supplied = panels::describe_synchronisation(&clock(Some("kvm-clock")));
     assert_eq!(supplied, "chrony, stratum 2; clock supplied by the hypervisor (kvm-clock)");
+    let hardware = panels::describe_synchronisation(&clock(Some("hpet")));
+    assert_eq!(hardware, "chrony, stratum 2; clock source hpet instead of the processor's counter");
 }
