@@ -119,8 +119,8 @@ impl RunObserver for SweepObserver<'_> {
             }
             Event::Iteration(iteration) => {
                 let sample = Sample::new(&iteration, self.plan.payload(iteration.number));
-                // A warm-up sample counts as an answer even if it failed.
-                if sample.is_in_statistics() || sample.warm_up {
+                // A peer answers with the error if its model fails, so a failed iteration counts as an answer, too.
+                if matches!(iteration.outcome, Outcome::Ok | Outcome::Failed(_)) {
                     self.peer_wait.record_answer(self.clock.mono());
                 }
                 let (payload, is_first) =
