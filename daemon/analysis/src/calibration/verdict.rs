@@ -153,7 +153,7 @@ impl Verdict {
         if up_distance == 0.0 && down_distance == 0.0 {
             let max_error = up.max_error.max(down.max_error);
             let sentence = format!(
-                "the intercepts, {intercepts}, lie within what the clock bounds allow ({allowed}): one-way delays over this link can be trusted to ± {} ms",
+                "the intercepts, {intercepts}, agree with what the clock bounds allow ({allowed}): one-way delays over this link can be trusted to ± {} ms",
                 error_ms(max_error)
             );
             return Self { kind: VerdictKind::Trusted, max_error: Some(max_error), sentence };
