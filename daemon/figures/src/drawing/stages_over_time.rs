@@ -2,6 +2,7 @@
 //! same axes. The plots are drawn only on web pages, not in files.
 
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
+use peernet_statistics::MIN_VALUES_FOR_P95;
 
 use super::stage_bar::StagePart;
 use crate::look::{STAGES, Style, stage};
@@ -206,10 +207,11 @@ impl OverTimeAxes {
     pub fn legend(runs: &[StagesOverTime]) -> Vec<Key> {
         let any = |condition: fn(&StagesOverTime) -> bool| runs.iter().any(condition);
         let line = |class| Swatch::Line(Style::of_page(class));
+        // With fewer iterations, a bucket has no 95th percentile.
+        let p95_text = format!("p95 (points of at least {MIN_VALUES_FOR_P95} iterations)");
         let keys = [
             (true, line("median"), "median of the total"),
-            // With fewer than `MIN_VALUES_FOR_P95` iterations, a bucket has no 95th percentile.
-            (any(StagesOverTime::has_p95), line("p95"), "p95 (points of at least 60 iterations)"),
+            (any(StagesOverTime::has_p95), line("p95"), p95_text.as_str()),
             (any(|run| !run.borders.is_empty()), line("border"), "new episode"),
             (any(|run| !run.warm_up.is_empty()), Swatch::Area(Style::shade()), "warm-up"),
             (any(|run| !run.failed.is_empty()), line("lost"), "failed"),
