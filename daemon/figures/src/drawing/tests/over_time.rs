@@ -37,6 +37,13 @@ fn warm_up_episodes_and_failures_are_marked() {
 }
 
 #[test]
+fn line_has_at_most_seven_marks() {
+    let figure = time_series((0..1_000).map(|i| (f64::from(i), 0.05)).collect()).figure();
+    let is_mark = |item: &&crate::plot::Item| matches!(item, crate::plot::Item::Mark { .. });
+    assert_eq!(figure.plots[0].items.iter().filter(is_mark).count(), 7);
+}
+
+#[test]
 fn figure_of_100000_iterations_is_small_file() {
     let latency = |i: u32| if i == 77_777 { 0.5 } else { 0.05 + f64::from(i % 97) * 1e-4 };
     let figure = time_series((0..100_000).map(|i| (f64::from(i) * 1e-2, latency(i))).collect());

@@ -194,7 +194,7 @@ impl TimeSeries {
         let mut items = vec![Item::path(medians, look.line(0.9))];
         // Consecutive bins share a mark. The position of the mark among these bins depends on the stage, so that
         // no mark hides another.
-        let bins_per_mark = (BIN_COUNT / MAX_MARKS).max(1);
+        let bins_per_mark = BIN_COUNT.div_ceil(MAX_MARKS);
         for group in bins.chunk_by(|a, b| a.index / bins_per_mark == b.index / bins_per_mark) {
             if let Some(bin) = group.get(group.len() * (stage_index + 1) / (MARK_POSITIONS + 1)) {
                 items.push(Item::mark(
