@@ -60,20 +60,10 @@ pub(super) struct DatabaseFile {
     path: PathBuf,
     identity: Identity,
     log_path: PathBuf,
-    /// Identity of the write-ahead log. SQLite creates the log with the first connection and removes it with the last
-    /// connection. While the writer is connected, the log is the same file, even if it is checkpointed and written from
-    /// its start again.
-    log: LogState,
-}
-
-/// State of the write-ahead log file.
-#[derive(Debug)]
-enum LogState {
-    /// The write-ahead log was not examined yet. [`DatabaseFile::open`] examines the log.
-    Unknown,
-    /// Identity of the write-ahead log when it was examined; `None` if there was no log although something had been
-    /// committed.
-    Examined(Option<Identity>),
+    /// Identity of the write-ahead log; `None` if there was no log although the connection had read. SQLite creates the
+    /// log with the first connection and removes it with the last connection. While the writer is connected, the log is
+    /// the same file, even if it is checkpointed and written from its start again.
+    log: Option<Identity>,
 }
 
 impl DatabaseFile {
@@ -82,9 +72,8 @@ impl DatabaseFile {
         let identity = identity(&path)?;
         let mut log_path = path.clone().into_os_string();
         log_path.push("-wal");
-        let mut file = Self { path, identity, log_path: log_path.into(), log: LogState::Unknown };
-        file.record_log();
-        Ok(file)
+        let log = self::identity(log_path.as_ref()).ok();
+        Ok(Self { path, identity, log_path: log_path.into(), log })
     }
 
     /// Returns the error of a commit that SQLite refused.
@@ -100,14 +89,6 @@ impl DatabaseFile {
         &self.log_path
     }
 
-    /// Records the identity of the write-ahead log, unless it is recorded already. The connection must have committed
-    /// or read before.
-    pub(super) fn record_log(&mut self) {
-        if matches!(self.log, LogState::Unknown) {
-            self.log = LogState::Examined(identity(&self.log_path).ok());
-        }
-    }
-
     /// Checks that the paths still name the files. The check reads only the file system's cache, which is cheap
     /// compared with a commit.
     pub(super) fn check(&self) -> Result<(), CommitError> {
@@ -115,9 +96,8 @@ impl DatabaseFile {
             return Err(CommitError::Moved(self.path.clone()));
         }
         match self.log {
-            LogState::Unknown => Ok(()),
-            LogState::Examined(Some(log)) if identity(&self.log_path).ok() == Some(log) => Ok(()),
-            LogState::Examined(_) => Err(CommitError::LogMoved(self.log_path.clone())),
+            Some(log) if identity(&self.log_path).ok() == Some(log) => Ok(()),
+            _ => Err(CommitError::LogMoved(self.log_path.clone())),
         }
     }
 }
@@ -136,9 +116,8 @@ impl FormerFiles {
     pub fn leftover_log(&self) -> Option<PathBuf> {
         let Self(file) = self;
         let is_replaced = identity(&file.path).ok() != Some(file.identity);
-        let LogState::Examined(Some(log)) = file.log else { return None };
         let current_log = std::fs::metadata(&file.log_path).ok()?;
-        let is_same_log = (current_log.dev(), current_log.ino()) == log && current_log.len() > 0;
+        let is_same_log = Some((current_log.dev(), current_log.ino())) == file.log && current_log.len() > 0;
         (is_replaced && is_same_log).then(|| file.log_path.clone())
     }
 }

@@ -169,7 +169,6 @@ impl Writer {
             };
             self.unreturned_result.merge(committed);
         }
-        self.file.record_log();
         // The file may have been moved while the transactions ran. Their data then counts as not stored.
         self.check_file()?;
         Ok(std::mem::take(&mut self.unreturned_result))
@@ -216,7 +215,6 @@ impl Writer {
         self.storage_clock.record_commit(now.mono);
         // The incidents are cleared only after the commit: if a transaction fails, the next one stores its incidents.
         incidents.clear();
-        self.file.record_log();
         Ok(())
     }
 
@@ -243,9 +241,7 @@ impl Writer {
             raw_transaction::commit(&mut self.connection).await
         };
         let result = storing.await;
-        self.roll_back_on_error(result).await.map_err(DatabaseError::new)?;
-        self.file.record_log();
-        Ok(())
+        self.roll_back_on_error(result).await.map_err(DatabaseError::new)
     }
 
     /// Checkpoints the write-ahead log and truncates it if its file has more bytes than `max_bytes`, unless a reader is
@@ -274,9 +270,7 @@ impl Writer {
     /// Makes a write transaction that changes no data, to check that the database can be written.
     pub async fn write_nothing(&mut self) -> Result<(), DatabaseError> {
         // `assign_id` writes page 1 even if the file has an id. So it fails if the database cannot be written.
-        assign_id(&mut self.connection).await.map_err(DatabaseError::new)?;
-        self.file.record_log();
-        Ok(())
+        assign_id(&mut self.connection).await.map_err(DatabaseError::new)
     }
 
     /// Checks that the paths of the database and of its log still name the open files.
