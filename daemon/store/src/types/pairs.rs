@@ -5,9 +5,10 @@
 pub struct ValuePairs {
     /// Both quantities of each iteration that has them, in SI units, in the order of the iterations.
     pub points: Vec<(f64, f64)>,
-    /// Number of iterations of any kind that were read.
+    /// Number of iteration numbers that were read. Not every number has a stored iteration, because iterations may be
+    /// lost.
     pub read_iterations: u64,
-    /// Number of stored iterations; deleted iterations are not counted.
+    /// Number of iteration numbers from the first to the last stored iteration.
     pub stored_iterations: u64,
 }
 
