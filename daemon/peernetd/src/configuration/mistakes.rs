@@ -16,6 +16,8 @@ const MAX_MISTAKES: usize = 100;
 /// Beginning of serde's message about a missing key.
 // serde reports a missing key as text only.
 const MISSING_KEY_PREFIX: &str = "missing field";
+/// Beginning of serde's message about an unknown key.
+const UNKNOWN_KEY_PREFIX: &str = "unknown field";
 
 /// A key that cannot be deserialised, with the error.
 #[derive(Debug)]
@@ -42,7 +44,8 @@ pub(super) struct Remainder<T> {
 /// The first key that could not be read.
 pub(super) fn read<'a, T: Deserialize<'a>>(text: &'a str, arrays: &[&str]) -> Result<T, Mistake> {
     let document = DeTable::parse(text).map_err(|error| Mistake { key: String::new(), error })?;
-    if let Some(mistake) = document.get_ref().iter().find_map(|entry| find_needless_array(entry, arrays)) {
+    if let Some(mistake) = document.get_ref().iter().find_map(|entry| find_needless_array::<T>(entry, arrays))
+    {
         return Err(mistake);
     }
     serde_path_to_error::deserialize(Deserializer::from(document)).map_err(|error| {
@@ -53,14 +56,22 @@ pub(super) fn read<'a, T: Deserialize<'a>>(text: &'a str, arrays: &[&str]) -> Re
 
 /// Returns the mistake of an entry that is an array and should be a table. serde would read an array as a struct,
 /// whose fields may all have defaults.
-fn find_needless_array(
-    (name, value): (&Spanned<Cow<'_, str>>, &Spanned<DeValue<'_>>),
+fn find_needless_array<'a, T: Deserialize<'a>>(
+    (spanned_name, value): (&Spanned<Cow<'a, str>>, &Spanned<DeValue<'a>>),
     arrays: &[&str],
 ) -> Option<Mistake> {
-    let name = name.get_ref();
-    let is_needless_array = value.get_ref().is_array() && !arrays.contains(&&**name);
-    let error = || Error::custom(format!("invalid type: sequence, expected a table: write [{name}] once"));
-    is_needless_array.then(|| Mistake { key: name.to_string(), error: error() })
+    let name = spanned_name.get_ref();
+    if !value.get_ref().is_array() || arrays.contains(&&**name) {
+        return None;
+    }
+    // An unknown key must not become a table, either. It is unknown if not even an empty table can have its name.
+    let empty_table = Spanned::new(value.span(), DeValue::Table(DeTable::new()));
+    let document = DeTable::from_iter([(spanned_name.clone(), empty_table)]);
+    let result = T::deserialize(Deserializer::from(Spanned::new(spanned_name.span(), document)));
+    let unknown_key = result.err().filter(|error| error.message().starts_with(UNKNOWN_KEY_PREFIX));
+    let needless_array =
+        || Error::custom(format!("invalid type: sequence, expected a table: write [{name}] once"));
+    Some(Mistake { key: name.to_string(), error: unknown_key.unwrap_or_else(needless_array) })
 }
 
 /// Returns all mistakes of a file in which [`read`] found `first_mistake`, and the remainder of the file.
@@ -72,7 +83,7 @@ pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
 ) -> (Vec<Mistake>, Option<Remainder<T>>) {
     let Ok(root) = DeTable::parse(text) else { return (vec![first_mistake], None) };
     let mut mistakes: Vec<Mistake> =
-        root.get_ref().iter().filter_map(|entry| find_needless_array(entry, arrays)).collect();
+        root.get_ref().iter().filter_map(|entry| find_needless_array::<T>(entry, arrays)).collect();
     let mut tables_with_mistakes: BTreeSet<String> =
         mistakes.iter().map(|mistake| mistake.key.clone()).collect();
     let (mut valid_tables, mut removed_keys, mut indices_in_file) =
@@ -378,6 +389,13 @@ mod tests {
             (remainder.file.second.len(), remainder.file.first.number, remainder.file.element.len()),
             (1, 0, 1)
         );
+    }
+
+    #[test]
+    fn unknown_array_of_tables_is_unknown_key() {
+        let (reported, _) = mistakes_and_remainder("[[elements]]\nname = 'a'\n[[elements]]\nname = 'b'\n");
+        let [mistake] = &reported[..] else { panic!("one mistake: {reported:#?}") };
+        assert!(mistake.starts_with("elements: unknown field `elements`"), "{mistake}");
     }
 
     #[test]
