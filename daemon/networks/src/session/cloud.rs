@@ -59,7 +59,7 @@ impl Listener {
     /// the process has for connections of edges.
     ///
     /// # Errors
-    /// As for [`bind`](Self::bind), for the first address that cannot be bound. The ports bound before it are closed.
+    /// As for [`bind`](Self::bind), for the first address that cannot be bound. The ports bound before it are free again.
     pub async fn bind_all(
         addresses: &[Address],
         settings: &SessionSettings,
@@ -70,7 +70,16 @@ impl Listener {
         let mut listeners = Vec::with_capacity(addresses.len());
         for address in addresses {
             let (settings, clock) = (settings.clone(), SharedClock::clone(clock));
-            listeners.push(Self::bind_one_of(port_count, address, settings, host, clock).await?);
+            match Self::bind_one_of(port_count, address, settings, host, clock).await {
+                Ok(listener) => listeners.push(listener),
+                Err(error) => {
+                    // A port is free again only when its tasks have ended.
+                    for listener in listeners {
+                        listener.close().await;
+                    }
+                    return Err(error);
+                }
+            }
         }
         Ok(listeners)
     }
