@@ -78,14 +78,16 @@ pub enum LoadError {
         /// Defect of the value, and what to write.
         reason: String,
     },
-    /// The model is configured for another device.
-    #[error("model {model} is not offered on {requested}, only on {offered}; request that device or none")]
+    /// The model is not offered on the requested device.
+    #[error(
+        "model {model} is not offered on {requested}, only on {offered}; request an offered device or none"
+    )]
     OtherDevice {
         /// The model.
         model: String,
         /// The requested device.
         requested: String,
-        /// The configured device.
+        /// The device on which the model is offered, or a list of these devices.
         offered: String,
     },
     /// No device is offered for the models of the folders.
@@ -207,10 +209,10 @@ impl LoadError {
     /// neither paths of this host nor addresses of servers behind this host. `host` is the name of this host.
     pub fn to_peer(&self, model: &str, host: &str) -> String {
         match self {
-            // The peer tries again until loading succeeds, and shows this reason to its user meanwhile. This
-            // program's part of the reason contains neither the server's address nor the name of the environment
-            // variable that holds the API key. A text quoted from the server may contain the address; a reason with
-            // the address is not shown.
+            // The peer tries again until loading succeeds, and shows this reason to its user meanwhile. PEERNet's own
+            // words in the reason contain neither the server's address nor the name of the environment variable that
+            // holds the API key. A text quoted from the server may contain the address; the next arm then hides the
+            // whole reason.
             Self::Server { url, is_transient: true, reason, .. } if !contains_host(reason, url) => {
                 format!("model {model} cannot be loaded on host {host}: {reason}")
             }

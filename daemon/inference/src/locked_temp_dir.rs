@@ -84,18 +84,19 @@ mod tests {
         let LockedTempDir { folder, _lock: lock } = new();
         let kept_folder = folder.keep();
         fs::write(kept_folder.join("weights.bin"), b"x").expect("written");
-        let results = parent.path().join("peernet-results-x");
-        fs::create_dir(&results).expect("made");
-        let other = parent.path().join("other");
-        fs::create_dir(&other).expect("made");
-        fs::write(other.join(LOCK_FILE), "").expect("written");
+        let without_lock_file = parent.path().join("peernet-results-x");
+        fs::create_dir(&without_lock_file).expect("made");
+        let without_prefix = parent.path().join("other");
+        fs::create_dir(&without_prefix).expect("made");
+        fs::write(without_prefix.join(LOCK_FILE), "").expect("written");
 
         let later = new();
         assert!(kept_folder.exists(), "its lock is still held, as by a running process");
         drop(lock);
         drop(new());
         assert!(!kept_folder.exists());
-        assert!([in_use.path(), later.path(), &results, &other].into_iter().all(Path::exists));
+        let expected = [in_use.path(), later.path(), &without_lock_file, &without_prefix];
+        assert!(expected.into_iter().all(Path::exists));
         let paths = [in_use.path().to_owned(), later.path().to_owned()];
         drop((in_use, later));
         assert!(paths.iter().all(|path| !path.exists()));

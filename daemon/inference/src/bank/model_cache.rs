@@ -62,7 +62,7 @@ impl ModelCache {
         let stamp = FilesStamp::read(&found.folder);
         let mut entries = self.lock();
         let to_unload = entries_to_unload(&mut entries, name, device, &stamp, self.config.max_loaded.get())?;
-        let existing = entries.iter().position(|entry| is_entry(entry, name, device));
+        let existing = entries.iter().position(|entry| is_entry_of(entry, name, device));
         let entry = match existing {
             Some(index) => entries.remove(index),
             None => CacheEntry::new(self.config.model(name, &found.folder, device), Some(stamp)),
@@ -87,6 +87,7 @@ impl ModelCache {
     /// Checks the folders and limits; returns each error with its key.
     pub(super) fn check(&self) -> Vec<(&'static str, LoadError)> {
         let mut errors: Vec<_> = self.folders.check().into_iter().map(|error| ("folders", error)).collect();
+        // The configuration has `max_loaded` under the key `most_loaded`.
         let (value, max) = (self.config.max_loaded.get(), BankConfig::MAX_LOADED);
         if value > max {
             let (value, max) = (value as u64, max as u64);
@@ -113,7 +114,7 @@ impl ModelCache {
     }
 }
 
-fn is_entry(entry: &CacheEntry, name: &Slug, device: &str) -> bool {
+fn is_entry_of(entry: &CacheEntry, name: &Slug, device: &str) -> bool {
     entry.config.name() == name && entry.config.device() == device
 }
 
@@ -130,7 +131,7 @@ fn entries_to_unload(
 ) -> Result<ToUnload, LoadError> {
     // The caller holds the lock of the list, so no other thread can get an entry that only the list references.
     let is_idle = |entry: &Arc<CacheEntry>| Arc::strong_count(entry) == 1 && entry.is_idle();
-    if let Some(index) = entries.iter().position(|entry| is_entry(entry, name, device)) {
+    if let Some(index) = entries.iter().position(|entry| is_entry_of(entry, name, device)) {
         if entries[index].stamp.as_ref() == Some(stamp) {
             return Ok(Vec::new());
         }

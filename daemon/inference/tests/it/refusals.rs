@@ -20,7 +20,7 @@ fn unknown_model_is_refused_with_offered_models() {
 #[test]
 fn refusal_of_device_names_offered_device() {
     let error = load_refusal(&bank(&[&quality_control()]), "qc", Some("cuda:0")).to_string();
-    assert_eq!(error, "model qc is not offered on cuda:0, only on cpu; request that device or none");
+    assert_eq!(error, "model qc is not offered on cuda:0, only on cpu; request an offered device or none");
     let error = load_refusal(&bank(&[&quality_control_with("device = \"gpu\"")]), "qc", None).to_string();
     assert!(error.contains("\"gpu\" is not a device") && error.contains("cuda:N"), "{error}");
 }

@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_of_a_row_are_added() {
+    fn latency_is_sum_of_columns() {
         let text = "preprocessing,inference,postprocessing,warm-up,outcome\n\
                     0.25,0.5,0.125,0,ok\n9.0,9.0,9.0,1,ok\n,0.5,0.125,0,ok\n0.5,1.0,0.25,0,ok\n";
         let whole = recorded(text, &["preprocessing", "inference", "postprocessing"]).expect("three columns");
@@ -229,15 +229,15 @@ mod tests {
     }
 
     #[test]
-    fn endless_rows_are_refused() {
+    fn too_long_rows_are_refused() {
         let long = "x".repeat(100_000);
-        for (text, line) in [
+        for (text, reason) in [
             (format!("inference,{long}\n0.1,0\n"), "it is longer than 64 KiB"),
             (format!("inference\n0.1\n{long}\n"), "line 3: it is longer than 64 KiB"),
             (format!("inference\n\"{}", "0.1\n".repeat(30_000)), "line 2: it is longer than 64 KiB"),
         ] {
             let error = read(&text, "inference").expect_err("too long");
-            assert!(error.contains(line), "{error}");
+            assert!(error.contains(reason), "{error}");
         }
         assert_eq!(read(&format!("inference,a\n0.1,{}\n", "x".repeat(60_000)), "inference"), Ok(vec![0.1]));
     }

@@ -36,8 +36,8 @@ pub(super) fn answer(
     Ok(Sample { parts, source: String::new(), label: None })
 }
 
-/// Checks the names, types and shapes of the outputs for the zeros with which a session is warmed up. The numbers in
-/// these outputs mean nothing and are not checked.
+/// Checks the names, types and shapes of the outputs that a session computes from zeros while it is warmed up. The
+/// numbers in these outputs mean nothing and are not checked.
 pub(super) fn check(card: &Card, outputs: &Outputs<'_, '_>) -> Result<(), OutputError> {
     let size = || card.picture().map(|picture| picture.size).ok_or(OutputError::NoPicture);
     match &card.task {

@@ -125,8 +125,9 @@ pub fn check_library(config: &OnnxRuntimeConfig, clock: &SharedClock) -> Result<
 #[serde(deny_unknown_fields)]
 pub struct OnnxRuntimeConfig {
     /// The library file, or the folder that holds `libonnxruntime.so`. Without this key, the library is the one that
-    /// `ORT_DYLIB_PATH` names. If this variable is not set, folders `onnxruntime/lib` and then the system's library
-    /// path are searched.
+    /// `ORT_DYLIB_PATH` names. If this variable is not set, these places are searched in this order: the folder
+    /// `onnxruntime/lib` below the current folder, below the program's folder and below each folder above that folder;
+    /// `/usr/lib/peernet`; the system's library path.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub library: Option<PathBuf>,
 }

@@ -27,7 +27,7 @@ pub(crate) fn example_sample(folder: &Path) -> Result<Sample, LoadError> {
 fn example_part(input: &Input) -> Option<Part> {
     match &input.source {
         Source::Picture(picture) => {
-            // Without resizing, only a picture of the input's size is accepted.
+            // Without resizing, a picture of the input's size is always accepted, and a larger one only with a crop.
             let (width, height) =
                 if picture.preprocessing.resize.is_some() { PICTURE_SIZE } else { picture.size };
             Some(pixels(width, height))
@@ -65,6 +65,7 @@ mod tests {
         let sample = example_sample(folder.path()).expect("the card is right");
         assert_eq!(sample.parts.len(), 3);
         let card = Card::parse(POLICY).expect("the card is valid");
-        ModelInputs::new(&card.inputs, 1, |_| false).fill(&[&sample]).remove(0).expect("fits");
+        let is_batched = |_: &Input| false;
+        ModelInputs::new(&card.inputs, 1, is_batched).fill(&[&sample]).remove(0).expect("fits");
     }
 }

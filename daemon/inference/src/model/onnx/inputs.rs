@@ -60,8 +60,8 @@ impl ModelInputs {
         for (index, (result, sample)) in results.iter_mut().zip(samples).enumerate() {
             if result.is_ok() {
                 *result = self.fill_row(row, sample, index);
-                // The next sample overwrites the row of a sample that cannot be used, so that a run needs no unused
-                // rows.
+                // The next sample overwrites the row of a sample that cannot be used, so that a run of the session
+                // needs no unused rows.
                 row += usize::from(result.is_ok());
             }
         }
@@ -250,8 +250,8 @@ mod tests {
     use peernet_imaging::{Encoding, Picture, encode};
     use peernet_sample::PixelFormat;
 
-    use super::super::card::Card;
     use super::super::card::tests::{POLICY, small_card_with};
+    use super::super::card::{Card, ModelCardError};
     use super::*;
 
     fn pixels(format: PixelFormat, width: u32, bytes: &'static [u8]) -> Part {
@@ -272,6 +272,12 @@ mod tests {
         array(ElementType::F64, &[2], [0.5_f64, -1.0].into_iter().flat_map(f64::to_le_bytes).collect())
     }
 
+    /// Returns the inputs of a card for one sample, without rows for a batch.
+    fn inputs_for_one_sample(card: Result<Card, ModelCardError>) -> ModelInputs {
+        let is_batched = |_: &Input| false;
+        ModelInputs::new(&card.expect("the card is valid").inputs, 1, is_batched)
+    }
+
     fn parts() -> Vec<Part> {
         let front = pixels(PixelFormat::Rgb8, 2, &[1, 2, 3, 4, 5, 6]);
         vec![front, state(), pixels(PixelFormat::Grey8, 2, &[7, 8])]
@@ -279,8 +285,7 @@ mod tests {
 
     #[test]
     fn parts_fill_inputs_in_order_of_card() {
-        let mut inputs =
-            ModelInputs::new(&Card::parse(POLICY).expect("the card is valid").inputs, 1, |_| false);
+        let mut inputs = inputs_for_one_sample(Card::parse(POLICY));
         inputs.fill(&[&sample(parts())]).remove(0).expect("fits");
         let numbers: Vec<&Numbers> = inputs.inputs.iter().map(|buffer| &buffer.numbers).collect();
         assert_eq!(
@@ -297,8 +302,7 @@ mod tests {
 
     #[test]
     fn part_that_does_not_fit_is_named() {
-        let mut inputs =
-            ModelInputs::new(&Card::parse(POLICY).expect("the card is valid").inputs, 1, |_| false);
+        let mut inputs = inputs_for_one_sample(Card::parse(POLICY));
         let mut refusal = |change: &dyn Fn(&mut Vec<Part>)| {
             let mut changed = parts();
             change(&mut changed);
@@ -337,8 +341,7 @@ mod tests {
     fn python_object_is_refused_with_expected_values() {
         let tree = || Description::unshaped(MediaType::Other(TREE.to_owned()));
         let part = Part { description: tree(), bytes: b"{}".to_vec().into() };
-        let mut inputs =
-            ModelInputs::new(&Card::parse(POLICY).expect("the card is valid").inputs, 1, |_| false);
+        let mut inputs = inputs_for_one_sample(Card::parse(POLICY));
         let mut refusal = |parts: Vec<Part>| {
             inputs.fill(&[&sample(parts)]).remove(0).expect_err("does not fit").to_string()
         };
@@ -348,8 +351,7 @@ mod tests {
             "it is an object of Python with lists, numbers or dictionaries in it; return a tuple of: for \"front\" a PIL image, or a \
              JPEG or PNG as bytes, for \"state\" a numpy array of float64 [2], for \"wrist\" a PIL image, or a JPEG or PNG as bytes"
         );
-        let mut single_input =
-            ModelInputs::new(&small_card_with("", "").expect("the card is valid").inputs, 1, |_| false);
+        let mut single_input = inputs_for_one_sample(small_card_with("", ""));
         let error = single_input.fill(&[&sample(vec![part])]).remove(0).expect_err("wrong").to_string();
         assert!(
             error.contains("in it; return for \"")
@@ -365,8 +367,7 @@ mod tests {
 
     #[test]
     fn payload_without_picture_is_refused() {
-        let mut inputs =
-            ModelInputs::new(&small_card_with("", "").expect("the card is valid").inputs, 1, |_| false);
+        let mut inputs = inputs_for_one_sample(small_card_with("", ""));
         let mut fill = |sample: &Sample| inputs.fill(&[sample]).remove(0).expect_err("wrong").to_string();
         assert_eq!(fill(&sample(Vec::new())), "it has no payload");
         let plain = Sample::from_part(Description::bytes(), vec![0; 4].into());

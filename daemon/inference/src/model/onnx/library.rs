@@ -25,9 +25,9 @@ pub(super) struct Runtime {
 static USES: AtomicUsize = AtomicUsize::new(0);
 
 /// Use of the library by a thread: starts before the thread opens a session, and ends after the session is released.
-// Unlike a run, the opening of a session cannot be terminated. If the process ends while a session is opened, the
-// destructors of the library's static objects would run while the call still uses these objects: with a graph of
-// 100,000 nodes, 2 of 40 stops ended with a segmentation fault.
+// A run of a session can be terminated, but the opening of a session cannot. If the process ends while a session is
+// opened, the destructors of the library's static objects would run while the call still uses these objects: with a
+// graph of 100,000 nodes, 2 of 40 stops ended with a segmentation fault.
 #[derive(Debug)]
 pub(super) struct LibraryUse(());
 

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use ort::logging::LogLevel;
 use peernet_clock::{LogThrottle, MonoTime, SharedClock};
 
-/// Part of the message about a run that this program has terminated. Such a message is not an error.
+/// Part of the message about a run of a session that this program has terminated. Such a message is not an error.
 const TERMINATED: &str = "Exiting due to terminate flag";
 
 /// Writes the library's messages into this program's log. Each kind of message has at most one line per minute, because
@@ -21,7 +21,7 @@ impl LibraryLog {
     }
 
     /// Logs a message. The level is `debug` if the message is neither a warning nor an error, if it is about a
-    /// terminated run, or if a line of the same kind was logged within the last minute.
+    /// terminated run of a session, or if a line of the same kind was logged within the last minute.
     pub(super) fn log(&self, level: LogLevel, place: &str, message: &str) {
         let messages = self.messages_since_last_line(level, (place, message), self.clock.mono());
         let repeated = match messages {
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn terminated_run_is_no_error() {
+    fn terminated_run_of_session_is_no_error() {
         let message = "Non-zero status code returned while running Loop node. Name:'' Status Message: Exiting due to terminate flag \
                        being set to true.";
         assert_eq!(log().messages_since_last_line(LogLevel::Error, (PLACE, message), at(0)), None);

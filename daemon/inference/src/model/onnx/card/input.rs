@@ -57,7 +57,7 @@ pub(super) struct InputTable {
     colour: Option<Colour>,
     /// Preprocessing of the pictures for this input. Default: the card's table `[preprocessing]`.
     preprocessing: Option<Preprocessing>,
-    /// A number, or a list of numbers or further lists.
+    /// Value of a constant: a number, or a list of numbers or further lists.
     #[serde(default, deserialize_with = "numbers")]
     value: Option<Vec<f64>>,
 }

@@ -216,9 +216,8 @@ impl Preprocessing {
     /// Checks that the steps make a picture of the `expected` width and height, pixels.
     pub(super) fn check_size(&self, expected: (usize, usize)) -> Result<(), ModelCardError> {
         if let (Some(resize), Some(CentreCrop { width, height, .. })) = (self.resize, self.crop) {
-            // The picture may be wide or high, so one side of a crop may be longer than the shorter side of the
-            // picture.
             let (fits, resized) = match resize {
+                // The longer side depends on the picture, so only the crop's shorter side can be compared here.
                 Resize::Shortest { size, .. } => {
                     (width.min(height) <= size, format!("a shorter side of {size}"))
                 }

@@ -168,7 +168,8 @@ impl<'a> CandidateReader<'a> {
         if classes.unbatched(&expected)? != [rows] {
             return Err(classes.wrong_shape(&expected));
         }
-        let count = count.map(|output| {
+        let counted_rows = count.map(|output| {
+            // The count is an array of one element or a scalar, whose shape is `[]`.
             let [length] = output.unbatched("[1]").or_else(|error| match output.shape[..] {
                 [] => Ok([1]),
                 _ => Err(error),
@@ -181,8 +182,8 @@ impl<'a> CandidateReader<'a> {
             let error = || OutputError::RowCount { name: output.name.to_owned(), count, rows };
             if valid_rows as f32 == count { Ok(valid_rows) } else { Err(error()) }
         });
-        // Rows after the last valid row may have any numbers.
-        let valid_rows = count.transpose()?.unwrap_or(rows);
+        // Rows after the last valid row are padding. Their classes need not be valid.
+        let valid_rows = counted_rows.transpose()?.unwrap_or(rows);
         let (box_numbers, score_numbers, class_numbers) =
             (boxes.numbers()?, scores.numbers()?, classes.numbers()?);
         for ((numbers, score), class) in

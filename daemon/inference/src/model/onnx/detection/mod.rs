@@ -58,8 +58,8 @@ pub(super) fn detect(
     Ok(serde_json::to_vec(&Answer { detections: objects.collect(), width, height })?)
 }
 
-/// Checks the types and shapes of the outputs for the zeros with which a session is warmed up. The numbers in these
-/// outputs mean nothing and are not checked.
+/// Checks the types and shapes of the outputs that a session computes from zeros while it is warmed up. The numbers in
+/// these outputs mean nothing and are not checked.
 pub(super) fn check(
     detection: &Detection,
     outputs: &Outputs<'_, '_>,
