@@ -160,6 +160,7 @@ async fn serve(settings: SessionSettings) -> BenchResult<Address> {
         while let Some(incoming) = listener.next().await {
             match incoming {
                 Incoming::Open(open) => {
+                    // The names do not matter to the benchmark, so the names of the hello serve.
                     let accepted = SessionAccepted {
                         host,
                         name: open.hello.name.clone(),

@@ -201,6 +201,7 @@ async fn serve_session(
             }
             Incoming::Request(request) => {
                 let payload = &request.sample.parts[0].bytes;
+                // The answer is the beginning of the payload, and therefore not longer than the payload.
                 let answer = payload.slice(..arguments.answer_bytes(payload.len()).min(payload.len()));
                 request.reply.send(request.recorder, Ok(Sample::from_part(Description::bytes(), answer)));
             }

@@ -127,7 +127,7 @@ async fn run(relay: &str, datagram_bytes: u64) -> Result<(), Box<dyn Error>> {
     for (size, count) in REQUESTS {
         let (answered, lost) = exchange(&session, size, count).await?;
         println!("{size:>12} {count:>9} {answered:>9} {lost:>6}");
-        // The relay may lose a part of each longer message.
+        // The relay may lose a part of every message above 1 MB.
         if answered == 0 && size <= 1_000_000 {
             return Err(format!("no request of {size} bytes was answered").into());
         }

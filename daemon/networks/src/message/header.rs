@@ -138,8 +138,9 @@ pub(crate) struct Departure {
     /// departure of the reply.
     #[serde(rename = "start")]
     pub(crate) sent_since_anchor: Span,
-    /// Sender's epoch. In a reply, it is read after `sent` was stamped. The epochs of other messages are not compared.
-    /// It is [`peernet_clock::Clock::epoch`]; in versions before [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE) it is
+    /// Sender's epoch. The edge compares the epoch of a reply with [`Reply::arrival_epoch`]; the epoch of a reply is
+    /// therefore read after `sent` was stamped. The epochs of other messages are not compared with any epoch. The value
+    /// is [`peernet_clock::Clock::epoch`]; in versions before [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE) it is
     /// [`peernet_clock::Clock::wall_epoch`].
     pub(crate) epoch: u32,
     /// Sender's free-running clock at `sent`. Exists since [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE).

@@ -15,9 +15,9 @@ use super::{deserialize_text, to_printable};
 
 /// Versions of the session protocol that this release speaks, as an edge and as a cloud.
 ///
-/// A release that changes messages raises the newest version and keeps writing the older forms to peers that chose an
-/// older version. When a release drops the oldest version, the `Release` below becomes the
-/// first release that speaks the new oldest version.
+/// A release that changes messages raises the newest version, and keeps writing the older forms in sessions of an older
+/// version. When a release drops the oldest version, the `Release` below becomes the first release that speaks the new
+/// oldest version.
 ///
 /// | release | versions |
 /// | --- | --- |

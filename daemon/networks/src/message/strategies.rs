@@ -199,6 +199,7 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                 let (versions, arrival_epoch) = (hello.versions, clock.epoch);
                 let (number, partial_answer) = (arrival_epoch, sample.clone());
                 let protocol = versions.oldest();
+                // An empty reason is rare, so `lost` is `None` in most headers.
                 let lost = planned_iterations.filter(|_| reason.is_empty());
                 let sent = DirectionStatistics { bytes: max_message_bytes, lost, ..DirectionStatistics::default() };
                 let statistics = ConnectionStatistics { sent, ..ConnectionStatistics::default() };

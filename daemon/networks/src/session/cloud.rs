@@ -136,8 +136,9 @@ impl Listener {
             }
             match self.receiver.receive().await? {
                 ListenerEvent::Message(peer, frames) => {
-                    // This epoch is read before the arrival is stamped, and the epoch of the answer after its departure
-                    // is stamped. If the two epochs are equal, no step of the clock lies between the two stamps.
+                    // The epochs are read before the arrival is stamped. The epoch in the answer is read after the
+                    // departure of the answer is stamped. If the epoch has not changed, no step of the clock lies
+                    // between the two stamps.
                     let (epoch, wall_epoch) = (self.shared.clock.epoch(), self.shared.clock.wall_epoch());
                     let received = self.shared.clock.stamp();
                     let arrival = ArrivalStamp { raw: received.raw, epoch, wall_epoch };

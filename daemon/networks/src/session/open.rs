@@ -158,8 +158,9 @@ pub(crate) async fn handshake(
                 counters.count_malformed();
                 continue;
             }
-            // The other end may be something else than a cloud: an aggregator, too, closes the connection without an
-            // answer. A cloud closes connections in the same way while too many connections wait for a session.
+            // The other end has not identified itself as a cloud, so it may be another program, such as an aggregator.
+            // A closed connection does not show which program it is: an aggregator closes a connection without an
+            // answer, and so does a cloud while too many connections wait for a session.
             _ if !connection.peer_is_cloud => OpenError::TimedOut { address: address.clone(), waited_ms },
             Ok(Err(disconnected)) => {
                 OpenError::Ended { address: address.clone(), reason: disconnected.to_string() }

@@ -102,8 +102,8 @@ impl RequestControl {
         NonZeroU32::new(self.state().sent_count)
     }
 
-    /// Returns the number of the next partial answer, which has `bytes` bytes of payload. Waits while
-    /// [`MAX_UNREAD_PARTIAL_ANSWERS`] partial answers or [`MAX_UNREAD_BYTES`] are unread.
+    /// Returns the number of the next partial answer, which has `bytes` bytes of payload, and counts it as sent. Waits
+    /// while [`MAX_UNREAD_PARTIAL_ANSWERS`] partial answers or [`MAX_UNREAD_BYTES`] are unread.
     ///
     /// # Errors
     /// If the request is cancelled.

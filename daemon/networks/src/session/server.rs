@@ -59,7 +59,7 @@ impl Drop for UnansweredRequests {
 
 /// Effect of a message from an edge.
 #[derive(Debug, PartialEq)]
-pub(crate) enum EdgeMessage {
+pub(crate) enum EdgeMessageEffect {
     /// The edge asks for a session, which has this id from now on.
     Open(SessionId, Box<SessionHello>),
     /// A request of an open session. It is in flight until [`Server::finish_request`].
@@ -132,7 +132,7 @@ impl Server {
     }
 
     /// Handles a message from `peer`. A session that belongs to another connection is treated as unknown.
-    pub(crate) fn receive(&mut self, peer: &Peer, header: Header) -> EdgeMessage {
+    pub(crate) fn receive(&mut self, peer: &Peer, header: Header) -> EdgeMessageEffect {
         match header {
             Header::Open(open) => self.handle_open(peer, *open),
             Header::Request(request) => self.handle_request(peer, request),
@@ -146,10 +146,10 @@ impl Server {
                 if self.find_own_session(peer, goodbye.session).is_none() {
                     // Another connection must not end the session. The goodbye is not answered, because its sender
                     // expects no answer.
-                    return EdgeMessage::Malformed("a goodbye of an unknown session");
+                    return EdgeMessageEffect::Malformed("a goodbye of an unknown session");
                 }
                 self.remove_session(goodbye.session);
-                EdgeMessage::Closed(goodbye.session, goodbye.planned_iterations)
+                EdgeMessageEffect::Closed(goodbye.session, goodbye.planned_iterations)
             }
             Header::Accepted(_)
             | Header::Refused(_)
@@ -157,7 +157,7 @@ impl Server {
             | Header::PartialReply(_)
             | Header::Clock(_)
             | Header::Statistics(_)
-            | Header::UnknownSession(_) => EdgeMessage::Malformed("a message that only a cloud sends"),
+            | Header::UnknownSession(_) => EdgeMessageEffect::Malformed("a message that only a cloud sends"),
         }
     }
 
@@ -172,10 +172,10 @@ impl Server {
         Header::Refused(Refused { versions: SESSION_VERSIONS, kind: RefusalKind::Refused, reason })
     }
 
-    fn handle_open(&mut self, peer: &Peer, open: Open) -> EdgeMessage {
+    fn handle_open(&mut self, peer: &Peer, open: Open) -> EdgeMessageEffect {
         let version = match SESSION_VERSIONS.highest_common(&open.hello.versions) {
             Ok(version) => version,
-            Err(mismatch) => return EdgeMessage::AnswerWith(Self::version_refusal(&mismatch)),
+            Err(mismatch) => return EdgeMessageEffect::AnswerWith(Self::version_refusal(&mismatch)),
         };
         let connection_sessions = self.connections.get(&peer.connection).map_or(0, Vec::len);
         // Without this limit, one edge could open any number of sessions over one connection, and the limits of
@@ -184,10 +184,10 @@ impl Server {
             let reason = format!(
                 "this connection has {SESSIONS_PER_CONNECTION} sessions already; close some of them, or open another connection"
             );
-            return EdgeMessage::AnswerWith(Self::refusal(reason));
+            return EdgeMessageEffect::AnswerWith(Self::refusal(reason));
         }
         if let Some(reason) = self.check_session_limits(peer, open.hello.host) {
-            return EdgeMessage::AnswerWith(Self::refusal(reason));
+            return EdgeMessageEffect::AnswerWith(Self::refusal(reason));
         }
         // The id is random, so that nobody can guess the session of another edge.
         let session = SessionId::random();
@@ -202,7 +202,7 @@ impl Server {
         };
         self.sessions.insert(session, entry);
         self.connections.entry(peer.connection).or_default().push(session);
-        EdgeMessage::Open(session, Box::new(open.hello))
+        EdgeMessageEffect::Open(session, Box::new(open.hello))
     }
 
     /// Returns the limit that one more session of this peer would exceed, as a text for the refusal. `None` if the
@@ -221,9 +221,9 @@ impl Server {
         // Sessions that are not accepted yet count, too; otherwise a host could ask for any number of sessions at the
         // same time.
         let host_sessions = self.sessions.values().filter(|entry| entry.host == host).count();
-        let free = max - (open_sessions - host_sessions);
+        let unused_by_other_hosts = max - (open_sessions - host_sessions);
         // Rounded up, so that the last free session can be opened.
-        let allowed = free.div_ceil(2);
+        let allowed = unused_by_other_hosts.div_ceil(2);
         if host_sessions >= allowed {
             return Some(format!(
                 "this host has {host_sessions} sessions, and {allowed} are allowed: half of the sessions that other \
@@ -262,23 +262,23 @@ impl Server {
         }
     }
 
-    fn handle_request(&mut self, peer: &Peer, request: Request) -> EdgeMessage {
+    fn handle_request(&mut self, peer: &Peer, request: Request) -> EdgeMessageEffect {
         let max_in_flight = self.max_in_flight;
         let (session, number) = (request.session, request.request);
         let Some(entry) = self.find_own_session(peer, session) else {
-            // The answer tells an edge with its next request that its session is gone.
-            return EdgeMessage::AnswerWith(Header::UnknownSession(UnknownSession {
+            // An edge whose session is gone learns this from the answer to its next request.
+            return EdgeMessageEffect::AnswerWith(Header::UnknownSession(UnknownSession {
                 session,
                 request: number,
             }));
         };
         if !entry.is_accepted {
-            return EdgeMessage::Malformed("a request before the session was accepted");
+            return EdgeMessageEffect::Malformed("a request before the session was accepted");
         }
         if entry.in_flight.0.len() >= max_in_flight {
             let outcome =
                 Outcome::Overloaded(format!("{max_in_flight} requests of this session are in flight"));
-            return EdgeMessage::AnswerWith(Header::Reply(Reply {
+            return EdgeMessageEffect::AnswerWith(Header::Reply(Reply {
                 session,
                 request: number,
                 departure: None,
@@ -290,10 +290,10 @@ impl Server {
         }
         match entry.in_flight.0.entry(number) {
             // The edge could not tell the answers to two requests with the same number apart.
-            Entry::Occupied(_) => EdgeMessage::Malformed("a request whose number is in flight already"),
+            Entry::Occupied(_) => EdgeMessageEffect::Malformed("a request whose number is in flight already"),
             Entry::Vacant(free) => {
                 free.insert(Arc::default());
-                EdgeMessage::Request(request)
+                EdgeMessageEffect::Request(request)
             }
         }
     }
@@ -305,14 +305,17 @@ impl Server {
         session: SessionId,
         request: u64,
         apply: impl FnOnce(&RequestControl),
-    ) -> EdgeMessage {
+    ) -> EdgeMessageEffect {
         let Some(entry) = self.find_own_session(peer, session) else {
-            return EdgeMessage::AnswerWith(Header::UnknownSession(UnknownSession { session, request }));
+            return EdgeMessageEffect::AnswerWith(Header::UnknownSession(UnknownSession {
+                session,
+                request,
+            }));
         };
         if let Some(control) = entry.in_flight.0.get(&request) {
             apply(control);
         }
-        EdgeMessage::Handled
+        EdgeMessageEffect::Handled
     }
 
     /// Returns the state of a request in flight.

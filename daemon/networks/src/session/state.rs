@@ -152,8 +152,8 @@ impl SessionState {
         };
         let (request, outcome) = self.requests.start_request(handler)?;
 
-        // This epoch is read before the departure is stamped, and the epoch of the answer after its arrival is stamped.
-        // If the two epochs are equal, no step of the clock lies between the two stamps.
+        // This epoch is read before the departure is stamped. A second epoch is read after the arrival of the answer is
+        // stamped. If the two epochs are equal, no step of the clock lies between the two stamps.
         let epoch = self.clock.epoch();
         let stamp = self.clock.stamp();
         recorder.stop_at(encoding, stamp.mono);

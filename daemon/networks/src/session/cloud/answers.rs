@@ -16,7 +16,7 @@ use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::Route;
 use crate::transport::Frames;
 
-/// Counts the answers that are being sent and whose requests are no longer in flight.
+/// Counts the answers that are being sent. The request of such an answer may no longer be in flight.
 #[derive(Debug, Default)]
 pub(super) struct AnswersBeingSent {
     count: AtomicUsize,

@@ -35,7 +35,8 @@ impl ListenerOutput {
         session_counters.statistics(&self.sender.statistics(connection))
     }
 
-    /// Sends a message and counts it for the port and for its session.
+    /// Sends a message and counts it for the port and for its session. `tag` is the number of the request that ends at
+    /// the edge if the message is lost on the way.
     ///
     /// # Errors
     /// If the transport did not accept the message.

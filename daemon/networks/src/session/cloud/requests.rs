@@ -15,7 +15,7 @@ use crate::session::incoming::{
     ArrivalStamp, Failure, Incoming, IncomingRequest, OpenRequest, RequestKey, Responder,
 };
 use crate::session::partial_answer_sender::PartialAnswerSender;
-use crate::session::server::{EdgeMessage, Server};
+use crate::session::server::{EdgeMessageEffect, Server};
 use crate::transport::{Frames, Peer};
 
 /// Handles a message that arrived. `received` is the time of the arrival, and the part of it that a reply repeats.
@@ -45,35 +45,37 @@ pub(super) fn handle_message(
         }
     };
     // This is a separate statement, so that the lock is released before the branches below take it.
-    let message = shared.lock_server().receive(peer, header);
-    // A message that belongs to no open session counts for the port only.
-    let counters = match &message {
-        EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) => {
+    let effect = shared.lock_server().receive(peer, header);
+    // A message that is refused or that ends its session counts for the port only.
+    let counters = match &effect {
+        EdgeMessageEffect::Open(session, _) | EdgeMessageEffect::Request(Request { session, .. }) => {
             shared.lock_server().session_counters(*session)
         }
-        EdgeMessage::Handled => shared.lock_server().connection_counters(peer.connection),
-        EdgeMessage::AnswerWith(_) | EdgeMessage::Closed(..) | EdgeMessage::Malformed(_) => None,
+        EdgeMessageEffect::Handled => shared.lock_server().connection_counters(peer.connection),
+        EdgeMessageEffect::AnswerWith(_)
+        | EdgeMessageEffect::Closed(..)
+        | EdgeMessageEffect::Malformed(_) => None,
     };
     if let Some(counters) = counters {
         counters.count_received(bytes);
     }
-    match message {
-        EdgeMessage::Open(session, hello) => {
+    match effect {
+        EdgeMessageEffect::Open(session, hello) => {
             shared.update_admission(peer.connection);
             let open = OpenRequest::new(*hello, session, peer.address, Arc::downgrade(shared));
             Some(Incoming::Open(open))
         }
-        EdgeMessage::Request(request) => incoming_request(shared, peer, request, frames, received),
-        EdgeMessage::AnswerWith(header) => {
+        EdgeMessageEffect::Request(request) => incoming_request(shared, peer, request, frames, received),
+        EdgeMessageEffect::AnswerWith(header) => {
             shared.send_message(peer, &header);
             None
         }
-        EdgeMessage::Handled => None,
-        EdgeMessage::Closed(session, planned_iterations) => {
+        EdgeMessageEffect::Handled => None,
+        EdgeMessageEffect::Closed(session, planned_iterations) => {
             shared.update_admission(peer.connection);
             Some(Incoming::Closed { session, said_goodbye: true, planned_iterations })
         }
-        EdgeMessage::Malformed(problem) => {
+        EdgeMessageEffect::Malformed(problem) => {
             shared.report_malformed(peer, problem);
             None
         }

@@ -63,7 +63,7 @@ fn server() -> Server {
 
 fn open_session(server: &mut Server, connection: u64) -> SessionId {
     match server.receive(&peer(connection), hello()) {
-        EdgeMessage::Open(session, _) => session,
+        EdgeMessageEffect::Open(session, _) => session,
         other => panic!("{other:?}"),
     }
 }
@@ -73,15 +73,15 @@ fn answer_is_routed_once_to_the_requesting_connection() {
     let mut server = server();
     let session = open_session(&mut server, 5);
     assert!(
-        matches!(server.receive(&peer(5), request(session, 0)), EdgeMessage::Malformed(_)),
+        matches!(server.receive(&peer(5), request(session, 0)), EdgeMessageEffect::Malformed(_)),
         "the session is not accepted yet"
     );
     let (to, header) = server.accept(session, accepted()).expect("the edge is there");
     assert_eq!(to.connection, ConnectionId(5));
     assert!(matches!(header, Header::Accepted(accepted) if accepted.session == session));
-    assert!(matches!(server.receive(&peer(5), request(session, 7)), EdgeMessage::Request(_)));
+    assert!(matches!(server.receive(&peer(5), request(session, 7)), EdgeMessageEffect::Request(_)));
     assert!(
-        matches!(server.receive(&peer(5), request(session, 7)), EdgeMessage::Malformed(_)),
+        matches!(server.receive(&peer(5), request(session, 7)), EdgeMessageEffect::Malformed(_)),
         "the request is in flight already"
     );
     let route = server.finish_request(session, 7);
@@ -95,18 +95,25 @@ fn cancelled_request_needs_no_answer() {
     let mut server = server();
     let session = open_session(&mut server, 5);
     server.accept(session, accepted()).expect("the edge is there");
-    assert!(matches!(server.receive(&peer(5), request(session, 7)), EdgeMessage::Request(_)));
+    assert!(matches!(server.receive(&peer(5), request(session, 7)), EdgeMessageEffect::Request(_)));
     let control = server.request_control(session, 7).expect("in flight");
     let cancel = |request| Header::Cancel(Cancel { session, request });
     assert!(
-        matches!(server.receive(&peer(6), cancel(7)), EdgeMessage::AnswerWith(Header::UnknownSession(_))),
+        matches!(
+            server.receive(&peer(6), cancel(7)),
+            EdgeMessageEffect::AnswerWith(Header::UnknownSession(_))
+        ),
         "only the connection of the session may cancel the request"
     );
     assert!(!control.is_cancelled());
-    assert_eq!(server.receive(&peer(5), cancel(7)), EdgeMessage::Handled);
+    assert_eq!(server.receive(&peer(5), cancel(7)), EdgeMessageEffect::Handled);
     assert!(control.is_cancelled());
     assert!(matches!(server.finish_request(session, 7), FinishedRequest::Cancelled));
-    assert_eq!(server.receive(&peer(5), cancel(7)), EdgeMessage::Handled, "the request has ended already");
+    assert_eq!(
+        server.receive(&peer(5), cancel(7)),
+        EdgeMessageEffect::Handled,
+        "the request has ended already"
+    );
 }
 
 #[test]
@@ -129,7 +136,7 @@ fn refused_session_is_unknown() {
     assert!(server.accept(session, accepted()).is_none() && server.refuse(session, "no".into()).is_none());
     assert!(matches!(
         server.receive(&peer(1), request(session, 0)),
-        EdgeMessage::AnswerWith(Header::UnknownSession(_))
+        EdgeMessageEffect::AnswerWith(Header::UnknownSession(_))
     ));
 }
 
@@ -137,14 +144,14 @@ fn refused_session_is_unknown() {
 fn goodbye_from_own_connection_frees_session() {
     let mut server = server();
     let sessions: Vec<_> = (0..3).map(|connection| open_session(&mut server, connection)).collect();
-    assert!(matches!(server.receive(&peer(9), hello()), EdgeMessage::AnswerWith(Header::Refused(_))));
+    assert!(matches!(server.receive(&peer(9), hello()), EdgeMessageEffect::AnswerWith(Header::Refused(_))));
     let bye =
         |session| Header::Goodbye(Goodbye { session, reason: String::new(), planned_iterations: Some(9) });
     assert!(
-        matches!(server.receive(&peer(1), bye(sessions[0])), EdgeMessage::Malformed(_)),
+        matches!(server.receive(&peer(1), bye(sessions[0])), EdgeMessageEffect::Malformed(_)),
         "a goodbye from another connection"
     );
-    assert_eq!(server.receive(&peer(0), bye(sessions[0])), EdgeMessage::Closed(sessions[0], Some(9)));
+    assert_eq!(server.receive(&peer(0), bye(sessions[0])), EdgeMessageEffect::Closed(sessions[0], Some(9)));
     open_session(&mut server, 9);
 }
 
@@ -154,7 +161,7 @@ fn session_limit_per_connection_is_named_in_refusal() {
     for _ in 0..SESSIONS_PER_CONNECTION {
         open_session(&mut server, 1);
     }
-    let EdgeMessage::AnswerWith(Header::Refused(refused)) = server.receive(&peer(1), hello()) else {
+    let EdgeMessageEffect::AnswerWith(Header::Refused(refused)) = server.receive(&peer(1), hello()) else {
         panic!("the session exceeds the limit")
     };
     assert!(
@@ -172,7 +179,7 @@ fn session_limit_per_host_leaves_room_for_other_hosts() {
         let mut accepts = |connection| {
             let mut open = open.clone();
             open.hello.host = HostId::from_bytes([host; 16]);
-            matches!(server.receive(&peer(connection), Header::Open(open)), EdgeMessage::Open(..))
+            matches!(server.receive(&peer(connection), Header::Open(open)), EdgeMessageEffect::Open(..))
         };
         connections.filter(|connection| accepts(*connection)).count()
     };
@@ -192,14 +199,14 @@ fn session_limit_per_address_counts_all_hosts_of_address() {
         server.receive(&peer, Header::Open(open))
     };
     let opened_count =
-        (0..300).filter(|host| matches!(open("192.0.2.1:5", *host), EdgeMessage::Open(..))).count();
+        (0..300).filter(|host| matches!(open("192.0.2.1:5", *host), EdgeMessageEffect::Open(..))).count();
     // An address may have three quarters of the 256 sessions.
     assert_eq!(opened_count, 192);
-    let EdgeMessage::AnswerWith(Header::Refused(refused)) = open("192.0.2.1:5", 301) else {
+    let EdgeMessageEffect::AnswerWith(Header::Refused(refused)) = open("192.0.2.1:5", 301) else {
         panic!("the session exceeds the limit")
     };
     assert!(refused.reason.contains("max_sessions is 256"), "{refused:?}");
-    assert!(matches!(open("192.0.2.2:5", 302), EdgeMessage::Open(..)));
+    assert!(matches!(open("192.0.2.2:5", 302), EdgeMessageEffect::Open(..)));
 }
 
 #[test]
@@ -286,7 +293,7 @@ proptest! {
         for step in steps {
             match step {
                 Step::Open(connection) => {
-                    if let EdgeMessage::Open(session, _) = server.receive(&peer(connection), hello()) {
+                    if let EdgeMessageEffect::Open(session, _) = server.receive(&peer(connection), hello()) {
                         prop_assert!(!sessions.contains(&session));
                         sessions.push(session);
                     }
@@ -298,18 +305,23 @@ proptest! {
                         _ => None,
                     };
                     match server.receive(&peer(connection), header) {
-                        EdgeMessage::Open(session, _) => sessions.push(session),
-                        EdgeMessage::Request(request) => {
+                        EdgeMessageEffect::Open(session, _) => sessions.push(session),
+                        EdgeMessageEffect::Request(request) => {
                             prop_assert!(in_flight.insert((request.session, request.request)));
                         }
-                        EdgeMessage::Closed(session, _) => in_flight.retain(|(request_session, _)| *request_session != session),
-                        EdgeMessage::Handled => cancelled.extend(cancelled_request.filter(|key| in_flight.contains(key))),
-                        EdgeMessage::AnswerWith(_) | EdgeMessage::Malformed(_) => {}
+                        EdgeMessageEffect::Closed(session, _) => {
+                            in_flight.retain(|(request_session, _)| *request_session != session);
+                        }
+                        EdgeMessageEffect::Handled => {
+                            cancelled.extend(cancelled_request.filter(|key| in_flight.contains(key)));
+                        }
+                        EdgeMessageEffect::AnswerWith(_) | EdgeMessageEffect::Malformed(_) => {}
                     }
                 }
                 Step::Request(connection, session, number) => {
                     let session = *session.get(&sessions);
-                    if let EdgeMessage::Request(_) = server.receive(&peer(connection), request(session, number)) {
+                    let effect = server.receive(&peer(connection), request(session, number));
+                    if let EdgeMessageEffect::Request(_) = effect {
                         prop_assert!(in_flight.insert((session, number)));
                     }
                 }
