@@ -21,7 +21,7 @@ use crate::loaded::Loaded;
 use crate::order::{SortedValues, mean};
 use crate::rows::RowRef;
 use crate::total_column::TotalColumn;
-use crate::trust::ReplayedLatencies;
+use crate::trust::{ReplayedLatencies, StartsSoFar, start_time};
 
 /// Returns Jain's index of fairness, (Σx)² / (n Σx²) (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and
 /// Discrimination for Resource Allocation in Shared Computer Systems*, DEC-TR-301). The index is 1/n if one of n users
@@ -126,18 +126,15 @@ impl EdgeTotals for Summary {
     }
 }
 
-/// Returns the beginning and the end of the time in which all edges were measuring. An edge is given by the first and
-/// the last start of its answered iterations after the warm-up. The common time lasts from the latest of the first
-/// starts to the earliest of the last starts. `None` if there is no such time.
+/// Returns the beginning and the end of the time in which all edges were measuring. An edge is given by the starts of
+/// its first and its last answered iteration after the warm-up, by number. The common time lasts from the latest of the
+/// first starts to the earliest of the last starts. `None` if there is no such time.
 ///
 /// For a rate, the number of starts must equal the number of periods within the time. A start at the end of the time is
 /// therefore not counted.
-pub fn common_time<T: PartialOrd + Copy>(edges: impl IntoIterator<Item = Option<(T, T)>>) -> Option<(T, T)> {
+pub fn common_time<T: Ord + Copy>(edges: impl IntoIterator<Item = Option<(T, T)>>) -> Option<(T, T)> {
     let edges: Vec<(T, T)> = edges.into_iter().collect::<Option<_>>()?;
-    // `T` may be a floating-point number, which has no `Ord::max`.
-    let later = |a: T, b: T| if b > a { b } else { a };
-    let earlier = |a: T, b: T| if b < a { b } else { a };
-    let common = edges.into_iter().reduce(|a, b| (later(a.0, b.0), earlier(a.1, b.1)))?;
+    let common = edges.into_iter().reduce(|a, b| (a.0.max(b.0), a.1.min(b.1)))?;
     (common.1 > common.0).then_some(common)
 }
 
@@ -146,21 +143,21 @@ fn repeat_from_edges(edges: &[&Loaded]) -> Repeat<SortedValues> {
     let rows: Vec<Vec<RowRef<'_>>> =
         edges.iter().map(|edge| edge.rows.iter().filter(RowRef::is_in_statistics).collect()).collect();
     let measured_time = |rows: &Vec<RowRef<'_>>| {
-        let starts = || rows.iter().map(RowRef::at);
-        Some((starts().reduce(f64::min)?, starts().reduce(f64::max)?))
+        let mut starts = StartsSoFar::default();
+        rows.iter().for_each(|row| starts.add(row.iteration(), row.at()));
+        starts.times().first.zip(starts.times().last)
     };
-    let times: Vec<Option<(f64, f64)>> = rows.iter().map(measured_time).collect();
-    let Some((from, to)) = common_time(times) else {
+    let Some((from, to)) = common_time(rows.iter().map(measured_time)) else {
         return Repeat { common_seconds: None, edges: Vec::new() };
     };
     let edge = |rows: &Vec<RowRef<'_>>| {
-        let within = rows.iter().filter(|row| (from..to).contains(&row.at()));
+        let within = rows.iter().filter(|row| (from..to).contains(&start_time(row.at())));
         EdgeMeasurements {
             starts: within.clone().count() as u64,
             totals: within.filter_map(|row| row.value(TotalColumn::Measured.name())).collect(),
         }
     };
-    Repeat { common_seconds: Some(to - from), edges: rows.iter().map(edge).collect() }
+    Repeat { common_seconds: Some((to - from).seconds()), edges: rows.iter().map(edge).collect() }
 }
 
 /// Rate and latency of one edge while all edges were measuring.

@@ -1,10 +1,14 @@
 //! The time from the first to the last iteration of a run in the statistics. The time is exact while the iterations are
 //! stored. After retention has deleted iterations, the time has the resolution of the buckets.
 
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::record::{HostRecord, RunRecord};
+use peernet_analysis::rows::{Row, Rows};
+use peernet_analysis::users::{Users, common_time};
 use peernet_clock::{Span, WallTime};
 use peernet_logger::RunId;
 use peernet_statistics::Summary;
-use peernet_stream::{Event, Outcome};
+use peernet_stream::{Event, ExperimentPosition, Iteration, Outcome};
 
 use super::retention::{day, run_until_done, short_retention, store_two_runs};
 use super::{TestStore, generate};
@@ -113,4 +117,50 @@ async fn resolution_is_that_of_remaining_buckets() {
         in_buckets.count,
         of_iterations.count
     );
+}
+
+/// Returns the answers per second of two edges together, first according to the store, then according to the rows of
+/// files. Each edge starts 1,000 iterations, ten per second, and its clock is set back after 500 of them.
+async fn rates_if_clock_is_set_back(by: Span) -> [Option<f64>; 2] {
+    let mut test_store = TestStore::new().await;
+    let (run, mut numbers) = (RunId::random(), generate::Numbers::new(3));
+    let iterations: Vec<Iteration> = (1..=1_000)
+        .map(|number| {
+            let at = generate::at(number as f64 * 0.1) - if number > 500 { by } else { Span::ZERO };
+            generate::iteration_at(run, number, test_store.hosts(), at, &mut numbers)
+        })
+        .collect();
+    let rows: Rows = iterations.iter().map(Row::from_iteration).collect();
+    let started = std::iter::once(generate::run_started(run, "line", generate::at(0.0)));
+    let work = test_store.batch(started.chain(iterations.into_iter().map(Event::Iteration)).collect());
+    test_store.commit(&[work]).await;
+    let time = measured_time(&test_store, 1).await.expect("measured");
+    let stored_rate = match common_time([Some((time.first, time.last)); 2]) {
+        Some((from, to)) => {
+            let within = test_store.store.measured_within(1, from, to).await.expect("answers");
+            Some(2.0 * within.count as f64 / (to - from).seconds())
+        }
+        None => None,
+    };
+    let edge = |name: &str| Loaded {
+        folder: name.into(),
+        record: RunRecord {
+            experiment: Some(ExperimentPosition::default()),
+            edge: HostRecord { name: name.to_owned(), ..HostRecord::default() },
+            ..RunRecord::default()
+        },
+        rows: rows.clone(),
+    };
+    let users = Users::from_runs(&[edge("a"), edge("b")]).expect("several edges");
+    [stored_rate, users.lines[0].rate]
+}
+
+#[tokio::test]
+async fn rate_of_users_is_same_in_files() {
+    let [stored, of_files] = rates_if_clock_is_set_back(Span::ZERO).await;
+    assert!(stored.zip(of_files).is_some_and(|(a, b)| (a - b).abs() < 1e-3), "{stored:?} {of_files:?}");
+    // The store finds the starts in an incomplete second by bisection, and so misses some of those that occur twice.
+    let [stored, of_files] = rates_if_clock_is_set_back(Span::from_seconds(60)).await;
+    assert!(stored.zip(of_files).is_some_and(|(a, b)| (a / b - 1.0).abs() < 0.02), "{stored:?} {of_files:?}");
+    assert_eq!(rates_if_clock_is_set_back(Span::from_seconds(3_600)).await, [None, None]);
 }
