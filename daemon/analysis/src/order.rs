@@ -96,6 +96,18 @@ pub(crate) fn ranks_around_median(n: u64) -> Option<[u64; 2]> {
     Some([lower, n + 1 - lower])
 }
 
+/// Returns the variance of Kendall's statistic if there is no trend (Kendall 1975). `group_sizes` are the sizes of all
+/// groups of equal values; a value without an equal one is a group of one.
+pub(crate) fn kendall_variance(group_sizes: impl Iterator<Item = usize>) -> f64 {
+    let term = |size: usize| {
+        let n = size as f64;
+        n * (n - 1.0) * (2.0 * n + 5.0)
+    };
+    // Equal values are neither a rise nor a fall, so they reduce the variance.
+    let (count, ties) = group_sizes.fold((0, 0.0), |(count, ties), size| (count + size, ties + term(size)));
+    (term(count) - ties) / 18.0
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

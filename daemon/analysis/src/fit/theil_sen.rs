@@ -3,7 +3,7 @@
 use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, Normal};
 
 use super::{CONFIDENCE, Estimate, Fit, Point, can_be_fitted};
-use crate::order::SortedValues;
+use crate::order::{SortedValues, kendall_variance};
 
 /// Maximum number of steps of the bisection. It is only a safeguard: an `f64` has 64 bits, so the bisection ends after
 /// fewer steps.
@@ -124,11 +124,7 @@ impl Pairs {
     /// from the middle rank follows from Kendall's statistic. `None` if there are so few pairs that no pair has such a
     /// rank.
     fn interval(&self, confidence: f64) -> Option<(f64, f64)> {
-        // Term of the variance of Kendall's statistic for n points. Groups of equal x reduce the variance.
-        let variance_term = |n: f64| n * (n - 1.0) * (2.0 * n + 5.0);
-        let points: usize = self.groups.iter().map(|(_, group)| group.len()).sum();
-        let equal_x: f64 = self.groups.iter().map(|(_, group)| variance_term(group.len() as f64)).sum();
-        let deviation = ((variance_term(points as f64) - equal_x) / 18.0).sqrt();
+        let deviation = kendall_variance(self.groups.iter().map(|(_, group)| group.len())).sqrt();
         let width = deviation * Normal::standard().inverse_cdf(f64::midpoint(1.0, confidence));
         // Sen's ranks M1 and M2 + 1, counted from 1.
         let (low, high) = ((self.count as f64 - width) / 2.0, (self.count as f64 + width) / 2.0);

@@ -3,7 +3,7 @@
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::fit::{Point, theil_sen};
-use crate::order::SortedValues;
+use crate::order::{SortedValues, kendall_variance};
 
 /// Maximum autocorrelation that is used. Above this value, the number of equivalent independent values is too small to
 /// be meaningful.
@@ -19,11 +19,12 @@ pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
     if n < 10 {
         return None;
     }
-    let count = n as f64;
     let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
     let score: f64 = pairs.map(|(i, j)| sign(series[j] - series[i])).sum();
-    let ties: f64 = tie_sizes(series).into_iter().map(|t| t * (t - 1.0) * (2.0 * t + 5.0)).sum();
-    let variance = (count * (count - 1.0) * (2.0 * count + 5.0) - ties) / 18.0 * variance_inflation(series);
+    let mut sorted = series.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let group_sizes = sorted.chunk_by(|a, b| a == b).map(<[f64]>::len);
+    let variance = kendall_variance(group_sizes) * variance_inflation(series);
     if variance <= 0.0 {
         return Some(1.0);
     }
@@ -87,13 +88,6 @@ fn sign(difference: f64) -> f64 {
     } else {
         0.0
     }
-}
-
-/// Returns the number of values in each group of equal values.
-fn tie_sizes(series: &[f64]) -> Vec<f64> {
-    let mut sorted = series.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    sorted.chunk_by(|a, b| a == b).filter(|group| group.len() > 1).map(|group| group.len() as f64).collect()
 }
 
 /// Returns the rank of each value, from 1. Equal values have the mean of their ranks.
