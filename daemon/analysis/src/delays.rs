@@ -10,7 +10,7 @@ pub use self::median_interval::{
     ClockInterval, ClockedSummaries, CountedAverage, DelayAverages, IntervalMethod, median_bounds,
 };
 pub use self::verdict_counts::VerdictCounts;
-use crate::order::SortedValues;
+use crate::order::{SortedValues, weighted_median};
 
 /// Returns whether an interval of this width, or half width, is that of an exact delay: one clock stamped both ends of
 /// the message.
@@ -57,18 +57,9 @@ impl DelaySummary {
         Some(DelayPoint { bounds: Interval { lo, hi }, ..self.weighted_median(|point| point.value)? })
     }
 
-    /// Sorts the medians of the seconds by `key` and returns the one in the middle, where each median counts as often
-    /// as its weight says.
+    /// Returns the [`weighted_median`] of the seconds' medians, which are compared by `key`.
     fn weighted_median(&self, key: fn(&DelayPoint) -> Span) -> Option<DelayPoint> {
-        let mut medians = self.medians.clone();
-        medians.sort_unstable_by_key(|(point, _)| key(point));
-        let half = medians.iter().map(|(_, weight)| weight).sum::<u64>().div_ceil(2);
-        let mut cumulative_weight = 0;
-        let median = medians.into_iter().find(|(_, weight)| {
-            cumulative_weight += weight;
-            cumulative_weight >= half
-        });
-        median.map(|(point, _)| point)
+        weighted_median(self.medians.clone(), |a, b| key(a).cmp(&key(b)))
     }
 
     /// Returns the [summary verdict](Verdict::summarise) of all delays; `None` if no delay was judged. A delay counts
@@ -101,13 +92,12 @@ pub(crate) fn median_width(bounds: impl Iterator<Item = (f64, f64)>) -> Option<f
 /// Returns the round trips of several seconds as one: the smallest minimum and the median of the medians. Of two
 /// medians in the middle, the smaller is returned. `None` without seconds.
 pub fn merged_round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option<RoundTrip> {
-    let (mut smallest, mut medians): (Option<Span>, Vec<Span>) = (None, Vec::new());
+    let (mut smallest, mut medians): (Option<Span>, Vec<(Span, u64)>) = (None, Vec::new());
     for RoundTrip { min, median } in seconds {
         smallest = Some(smallest.map_or(min, |smallest| smallest.min(min)));
-        medians.push(median);
+        medians.push((median, 1));
     }
-    medians.sort_unstable();
-    Some(RoundTrip { min: smallest?, median: *medians.get(medians.len().saturating_sub(1) / 2)? })
+    Some(RoundTrip { min: smallest?, median: weighted_median(medians, Span::cmp)? })
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! Order statistics: the median and other quantiles. They describe delays better than means do, because the
 //! distribution of delays has a long tail.
 
+use std::cmp::Ordering;
+
 use peernet_statistics::histogram::OrderedValues;
 use peernet_statistics::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99};
 
@@ -84,6 +86,21 @@ impl SortedValues {
 pub(crate) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.fold((0.0, 0_u64), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / count as f64)
+}
+
+/// Returns the lower median of items that each count as often as their weight says. `None` without items.
+pub(crate) fn weighted_median<T>(
+    mut items: Vec<(T, u64)>,
+    compare: impl Fn(&T, &T) -> Ordering,
+) -> Option<T> {
+    items.sort_unstable_by(|(a, _), (b, _)| compare(a, b));
+    let half = items.iter().map(|(_, weight)| weight).sum::<u64>().div_ceil(2);
+    let mut cumulative_weight = 0;
+    let median = items.into_iter().find(|(_, weight)| {
+        cumulative_weight += weight;
+        cumulative_weight >= half
+    });
+    median.map(|(item, _)| item)
 }
 
 /// Returns two ranks, counted from 1: of `n` sorted values, the values with these ranks bound the median with 95 %

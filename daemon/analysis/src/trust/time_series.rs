@@ -5,7 +5,7 @@ use std::ops::Range;
 use peernet_statistics::Summary;
 
 use crate::batches::{MAX_BATCHES, MIN_BATCH_VALUES, Series};
-use crate::order::SortedValues;
+use crate::order::{SortedValues, weighted_median};
 
 /// Minimum number of iterations in the first block of a run, which is its beginning.
 const MIN_BEGINNING_VALUES: u64 = 20;
@@ -123,16 +123,8 @@ impl TimeSeries {
         let whole_run = merged(buckets);
         let (median, max) = (whole_run.quantile(0.5)?, whole_run.moments.max);
         // The median absolute deviation is the median of the distances of the sketch's bins from the median.
-        let mut distances: Vec<(f64, u64)> =
-            whole_run.sketch.bins().map(|(value, count)| ((value - median).abs(), count)).collect();
-        distances.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-        let half = whole_run.count().div_ceil(2);
-        let mut cumulative_count = 0;
-        let deviation = distances.iter().find_map(|(distance, count)| {
-            cumulative_count += count;
-            (cumulative_count >= half).then_some(*distance)
-        });
-        let limit = outlier_limit(median, deviation?);
+        let distances = whole_run.sketch.bins().map(|(value, count)| ((value - median).abs(), count));
+        let limit = outlier_limit(median, weighted_median(distances.collect(), f64::total_cmp)?);
         let outlier_bins = whole_run.sketch.bins().filter(|(value, _)| *value > limit);
         let (count, sum) = outlier_bins
             .fold((0, 0.0), |(n, sum), (value, count)| (n + count, sum + (value - median) * count as f64));
