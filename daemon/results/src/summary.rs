@@ -2,14 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use peernet_analysis::accuracy::{ACCURACIES, ACCURACY_TITLES, UNKNOWN_LABEL};
-use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_SUCCESS, SUPERSEDED};
+use peernet_analysis::accuracy::{ACCURACIES, ACCURACY_TITLES};
 use peernet_analysis::compare::replayed_configurations;
-use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::outcomes::failed_texts;
 use peernet_analysis::record::DelayQuality;
-use peernet_analysis::rows::{SKIPPED_STARTS, Units};
-use peernet_analysis::summary::{Quantity, Scale, Summary};
+use peernet_analysis::rows::Units;
+use peernet_analysis::summary::{Quantity, Scale, Summary, is_reported_as_count};
 use peernet_analysis::table::{Table, csv_text, decimals_of};
 use peernet_analysis::trust::Starts;
 use peernet_statistics::number::{self, NONE as UNKNOWN, bound_ms, column_decimals, count, fixed, join_ends};
@@ -76,13 +74,7 @@ fn table(summary: &Summary) -> Table {
         .iter()
         .filter(|quantity| PAPER_METRICS.iter().all(|(name, _)| *name != quantity.column))
         // The sentences below the table report these columns.
-        .filter(|quantity| {
-            let mut reported = [UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, EPISODE_SUCCESS]
-                .iter()
-                .chain(&ACTION_REPORTS)
-                .chain(&ACCURACIES);
-            reported.all(|name| *name != quantity.column.as_ref())
-        });
+        .filter(|quantity| !is_reported_as_count(&quantity.column));
     let rest = rest.map(|quantity| {
         let column = quantity.column.as_ref();
         (

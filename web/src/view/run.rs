@@ -1,10 +1,7 @@
 //! View of a stored run.
 
-use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
-use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_VALUES, SUPERSEDED};
-use peernet_analysis::deadline::DEADLINE_MISSED;
-use peernet_analysis::rows::{Outcome, SKIPPED_STARTS};
-use peernet_analysis::summary::Scale;
+use peernet_analysis::rows::Outcome;
+use peernet_analysis::summary::{Scale, is_reported_as_count};
 use peernet_analysis::trust::Starts;
 use peernet_clock::WallTime;
 use peernet_figures::drawing::StageBar;
@@ -162,18 +159,14 @@ impl StoredRun<'_> {
 
     /// Returns the statistics of quantities that are not durations.
     pub(crate) fn other_statistics(&self) -> Vec<OtherStatistics> {
-        // The page shows counts above this table, as a share or a sum: quantiles of counts have little meaning.
-        let counts =
-            [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED, SUPERSEDED].into_iter().chain(ACCURACIES);
-        let counts = counts.chain(ACTION_REPORTS).chain(EPISODE_VALUES);
-        let is_count = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
         // A mean of the throughputs of single iterations is not a speed, because small messages count as much as large
         // ones. `transfer_rows` returns the speed.
         let is_throughput = |stage: &StageStatistics| {
             [stage::UPLOAD_THROUGHPUT, stage::DOWNLOAD_THROUGHPUT].contains(&stage.stage)
         };
-        let is_other =
-            |stage: &&StageStatistics| stage.unit != "s" && !is_count(stage) && !is_throughput(stage);
+        let is_other = |stage: &&StageStatistics| {
+            stage.unit != "s" && !is_reported_as_count(&stage.stage) && !is_throughput(stage)
+        };
         let other_stages = self.statistics.stages.iter().filter(is_other);
         let rows = other_stages.map(|stage| {
             let (statistics, scale) = (&stage.statistics, Scale::for_unit(&stage.unit));

@@ -8,14 +8,14 @@ use std::collections::BTreeMap;
 
 use peernet_statistics::{self as statistics, Moments};
 
-use crate::accuracy::{Accuracy, UnknownLabels};
-use crate::actuator_results::{ActuatorResults, EPISODE_VALUES};
+use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
+use crate::actuator_results::{ACTION_REPORTS, ActuatorResults, EPISODE_SUCCESS, EPISODE_VALUES, SUPERSEDED};
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::delays::median_bounds;
 use crate::order::SortedValues;
 use crate::outcomes::failed_in_warm_up;
 use crate::record::{Clocks, Counts, RunRecord};
-use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
+use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, SKIPPED_STARTS, Units};
 use crate::trust::{ReplayedLatencies, Starts};
 
 /// Summary of the columns of a run. Warm-up and failed iterations are left out.
@@ -138,6 +138,13 @@ impl Summary {
     pub fn quantity(&self, column: &str) -> Option<&Quantity> {
         self.quantities.iter().find(|quantity| quantity.column == column)
     }
+}
+
+/// Returns whether the values with this name are reported as a count or a share. Tables of quantities leave them out,
+/// because quantiles of such values have little meaning.
+pub fn is_reported_as_count(name: &str) -> bool {
+    let names = [UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, EPISODE_SUCCESS];
+    names.iter().chain(&ACTION_REPORTS).chain(&ACCURACIES).any(|count| *count == name)
 }
 
 /// Returns whether a column contains the lower or the upper bounds of the throughputs in another column.

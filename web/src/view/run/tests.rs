@@ -54,7 +54,12 @@ fn page_and_summary_show_equal_numbers() {
         warm_up: false,
         outcome: Outcome::Ok,
         reason: None,
-        values: vec![("download-bytes".into(), 44.0), ("grip-force".into(), 0.00123)],
+        values: vec![
+            ("download-bytes".into(), 44.0),
+            ("episode-success".into(), 1.0),
+            ("episode-return".into(), 2.5),
+            ("grip-force".into(), 0.00123),
+        ],
         upload: None,
         download: None,
     };
@@ -80,7 +85,9 @@ fn page_and_summary_show_equal_numbers() {
         bound: None,
         share: None,
     };
-    let stages = vec![stage("download-bytes", "B"), stage("grip-force", "")];
+    let names = ["episode-success", "episode-return", "grip-force"];
+    let stages = [stage("download-bytes", "B")].into_iter().chain(names.map(|name| stage(name, "")));
+    let stages = stages.collect();
     let statistics = RunStatistics { stages, ..RunStatistics::default() };
     let (run, series) = run_of_an_hour();
     let stored = StoredRun {
@@ -93,11 +100,11 @@ fn page_and_summary_show_equal_numbers() {
         starts: Starts::default(),
     };
     let table = peernet_results::summary::markdown(&summary);
-    for (other, (name, expected)) in stored
-        .other_statistics()
-        .iter()
-        .zip([("Download Size", ["44", "B"]), ("grip-force", ["0.00123", ""])])
-    {
+    for (other, (name, expected)) in stored.other_statistics().iter().zip([
+        ("Download Size", ["44", "B"]),
+        ("episode-return", ["2.50", ""]),
+        ("grip-force", ["0.00123", ""]),
+    ]) {
         assert_eq!([other.p50.as_str(), other.unit.as_str()], expected);
         let line = table.lines().find(|line| line.contains(name)).expect("a row of the summary");
         let cells: Vec<&str> = line.split('|').map(str::trim).collect();
