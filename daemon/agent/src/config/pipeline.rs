@@ -222,6 +222,14 @@ impl Limit {
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
+
+    /// Returns the number of iterations after which a run ends, including the warm-up iterations at its start; `None`
+    /// without a limit on iterations.
+    pub fn total_iterations(&self, warm_up: u64) -> Option<u64> {
+        // `iterations` counts from the end of the warm-up, `total` from the first iteration.
+        let with_warm_up = self.iterations.map(|iterations| iterations.saturating_add(warm_up));
+        with_warm_up.into_iter().chain(self.total).min().map(NonZeroU64::get)
+    }
 }
 
 /// Whether a pipeline starts with the agent.

@@ -89,15 +89,6 @@ impl RunProgress {
         self.counts.measured() + self.counts.warm_up
     }
 
-    /// Returns the number of iterations after which the run ends, with the warm-up; `None` if only a time limits the
-    /// run.
-    fn iterations(&self) -> Option<u64> {
-        let limit_with_warm_up = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
-        let total = self.limit.total.map(std::num::NonZero::get);
-        // `limit.iterations` counts from the end of the warm-up, `limit.total` from the first iteration.
-        limit_with_warm_up.into_iter().chain(total).min()
-    }
-
     /// Returns whether all iterations are finished. Only `limit.total` is compared, because the number of warm-up
     /// iterations may be unknown here.
     fn is_complete(&self) -> bool {
@@ -106,7 +97,7 @@ impl RunProgress {
 
     /// Returns the progress to be shown in this phase.
     fn report(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> ProgressReport {
-        let (done, iterations) = (self.done(), self.iterations());
+        let (done, iterations) = (self.done(), self.limit.total_iterations(self.warm_up));
         let elapsed = self.started_at.map_or(0.0, |started_at| (now - started_at).seconds());
         // The run ends at the limit that it reaches first.
         let left_by_count_s = iterations.and_then(|all| remaining_seconds(done as f64 / all as f64, elapsed));

@@ -1,7 +1,5 @@
 //! Expected duration of a run, from its configuration.
 
-use std::num::NonZeroU64;
-
 use peernet_agent::config::{AgentConfig, PipelineConfig, PlacementConfig};
 use peernet_analysis::pace::Pace;
 
@@ -45,8 +43,6 @@ fn pipeline_duration(
 ) -> Option<f64> {
     let limit = pipeline.limit;
     let warm_up = pipeline.warm_up.iterations;
-    let with_warm_up = limit.iterations.map(|count| count.saturating_add(warm_up));
-    let count = [with_warm_up, limit.total].into_iter().flatten().map(NonZeroU64::get).min();
     let configured_period_s = pipeline.load.hz().map(f64::recip);
     // No schedule makes the sensor or the model's workers faster: starts beyond their rate are skipped and do not
     // count.
@@ -62,7 +58,10 @@ fn pipeline_duration(
         (Some(period_s), None) => Some(period_s),
         (None, pace) => pace.map(|pace| pace.iteration_s.max(shortest_period_s(pace))),
     };
-    let by_count = count.zip(iteration_s).map(|(count, iteration_s)| count as f64 * iteration_s);
+    let by_count = limit
+        .total_iterations(warm_up)
+        .zip(iteration_s)
+        .map(|(count, iteration_s)| count as f64 * iteration_s);
     let by_time = limit.duration_s.map(|seconds| seconds + warm_up as f64 * iteration_s.unwrap_or_default());
     let measuring = [by_count, by_time].into_iter().flatten().reduce(f64::min)?;
     Some(measuring + pace.map_or(0.0, |pace| pace.overhead_s))
