@@ -75,6 +75,18 @@ pub enum DelaySource {
     None,
 }
 
+impl DelaySource {
+    /// Returns whether the source is a claim of time daemons or kernels.
+    pub const fn is_claim(self) -> bool {
+        matches!(self, Self::Kernel | Self::Chrony)
+    }
+
+    /// Returns whether such claims determine an end of the interval.
+    pub const fn uses_claims(self) -> bool {
+        self.is_claim() || matches!(self, Self::Intersection)
+    }
+}
+
 /// At least one delay in this many must have the summary verdict or a worse verdict.
 const MIN_SHARE_RECIPROCAL: u64 = 20;
 

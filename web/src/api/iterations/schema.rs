@@ -1,7 +1,6 @@
 //! Schema of iterations.
 
 use peernet_analysis::slowness::{Cause, REST_OF_UNATTRIBUTED};
-use peernet_clock::DelaySource;
 use peernet_logger::{Name, stage};
 use peernet_store as store;
 use serde::Serialize;
@@ -91,10 +90,7 @@ impl StageDelay {
             hi_s: delay.bounds.map(|(_, hi)| hi),
             source: delay.source.name(),
             verdict: delay.verdict.name(),
-            claims_used: matches!(
-                delay.source,
-                DelaySource::Kernel | DelaySource::Chrony | DelaySource::Intersection
-            ),
+            claims_used: delay.source.uses_claims(),
             assumptions: delay.assumptions.as_ref().map(Assumptions::from),
         })
     }

@@ -1,6 +1,6 @@
 //! Texts about the assumptions on which the bounds of one-way delays depend.
 
-use peernet_clock::{DelaySource, Offset, RelatedClocks, Span};
+use peernet_clock::{DelaySource, RelatedClocks, Span};
 use peernet_statistics::number::{SPACE, figure, fixed, long_duration};
 use peernet_store::DelayAssumptions;
 
@@ -60,10 +60,7 @@ pub(crate) const fn source_words(source: DelaySource) -> &'static str {
 /// authentication.
 pub(crate) fn trust_remarks(subject: &Subject<'_>) -> Vec<String> {
     let mut remarks = Vec::new();
-    let uses_claims = |offset: &Offset| {
-        matches!(offset.source, DelaySource::Kernel | DelaySource::Chrony | DelaySource::Intersection)
-    };
-    if let Some(offset) = subject.offset().filter(|offset| uses_claims(offset)) {
+    if let Some(offset) = subject.offset().filter(|offset| offset.source.uses_claims()) {
         let has_chrony = offset.sources.iter().any(|(source, _)| *source == DelaySource::Chrony);
         remarks.push(format!("bounds as claimed by {}", if has_chrony { "chrony" } else { "the kernels" }));
     }

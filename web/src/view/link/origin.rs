@@ -229,7 +229,7 @@ fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
         entry.map(|(_, interval)| interval.width())
     };
     let in_band_width = width(|source| source == DelaySource::InBand);
-    let claim_width = width(|source| matches!(source, DelaySource::Kernel | DelaySource::Chrony));
+    let claim_width = width(DelaySource::is_claim);
     let is_wide = offset.is_none_or(|offset| offset.bounds.width() > BEST_CLAIM + BEST_CLAIM);
     let claimed_interval = claimed_offset(subject).map(|(_, interval)| interval);
     if !is_wide {

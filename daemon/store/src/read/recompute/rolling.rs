@@ -199,16 +199,14 @@ impl Row {
     }
 
     fn claim(&self) -> Result<Claim, StoreError> {
-        let is_time_daemon =
-            |source: &DelaySource| matches!(source, DelaySource::Kernel | DelaySource::Chrony);
         if let Some(json) = &self.offset_sources {
-            return Ok(sources(json)?.into_iter().find(|(source, _)| is_time_daemon(source)));
+            return Ok(sources(json)?.into_iter().find(|(source, _)| source.is_claim()));
         }
         let source =
             self.offset_source.map(|number| value_of_number(WHAT, DelaySource::ALL, number)).transpose()?;
         let bounds = self.offset_lo_ns.zip(self.offset_hi_ns);
         let interval = |(lo, hi)| Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) };
-        Ok(source.filter(is_time_daemon).zip(bounds.map(interval)))
+        Ok(source.filter(|source| source.is_claim()).zip(bounds.map(interval)))
     }
 }
 
