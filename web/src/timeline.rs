@@ -231,9 +231,7 @@ impl Timeline {
             Measure::Container => Some(placed).filter(|_| depth == 0),
             Measure::Transit(transit) => {
                 let delay = transit.delay.map(|delay| Delay {
-                    // The page shows the difference of the wall-clock stamps as the raw value, even if the delay was computed by free-running
-                    // clocks.
-                    raw: transit.received.map_or(delay.raw, |received| received - transit.sent).seconds(),
+                    raw: delay.raw.seconds(),
                     value: delay.value.map(Span::seconds),
                     bounds: delay.bounds.map(|bounds| (bounds.lo.seconds(), bounds.hi.seconds())),
                     source: delay.source,

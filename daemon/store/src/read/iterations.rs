@@ -58,9 +58,8 @@ struct Delay {
     value: Option<f64>,
     lo: Option<f64>,
     hi: Option<f64>,
-    /// The receiver's stamp minus the sender's stamp, as the agent reported it together with the judgement.
-    #[sqlx(rename = "raw_ns")]
-    reported_difference_ns: i64,
+    /// The receiver's stamp minus the sender's stamp, each by the wall clock of its host.
+    raw_ns: i64,
     source: u8,
     verdict: u8,
     sent_ns: i64,
@@ -289,12 +288,7 @@ impl Delay {
             stage: Name::from(self.stage.as_str()),
             value: self.value,
             bounds: self.lo.zip(self.hi),
-            // This is the difference of wall clocks, even if the delay was judged by free-running clocks. If the
-            // receiver's stamp is not stored, the difference that the agent reported is used.
-            raw: Span::from_nanos(
-                self.received_ns.map_or(self.reported_difference_ns, |at| at.saturating_sub(self.sent_ns)),
-            )
-            .seconds(),
+            raw: Span::from_nanos(self.raw_ns).seconds(),
             source,
             verdict: value_of_number(WHAT, Verdict::ALL, self.verdict)?,
             assumptions,
