@@ -37,9 +37,7 @@ impl DelaySummary {
         // A second with a verdict has at least one judged delay, even if its stored count is 0.
         let weight = u64::from(second.count.max(1));
         self.count += u64::from(second.count);
-        // A negative median is impossible, so it is left out.
-        self.medians
-            .extend(second.median.filter(|point| !point.value.is_negative()).map(|point| (point, weight)));
+        self.medians.extend(second.median.map(|point| (point, weight)));
         self.verdicts.add(second.verdict, weight);
     }
 
@@ -124,9 +122,8 @@ mod tests {
             (summary.count(), summary.median().map(|point| point.value)),
             (16, Some(Span::from_millis(3)))
         );
-        let negative: DelaySummary =
-            [second(9, Some(-2), Verdict::Ok), second(1, None, Verdict::Ok)].iter().collect();
-        assert_eq!(negative.to_delay_second().expect("judged").median, None);
+        let unknown: DelaySummary = [second(1, None, Verdict::Ok)].iter().collect();
+        assert_eq!(unknown.to_delay_second().expect("judged").median, None);
         assert_eq!(DelaySummary::default().to_delay_second(), None);
     }
 

@@ -120,9 +120,8 @@ impl From<DelayPoint> for MedianDelay {
 
 impl From<&DelaySecond> for Delay {
     fn from(second: &DelaySecond) -> Self {
-        // A message arrives after it was sent, so a negative median is left out.
-        let median = second.median.filter(|point| !point.value.is_negative());
-        Self { count: second.count, verdict: second.verdict.name(), median: median.map(MedianDelay::from) }
+        let median = second.median.map(MedianDelay::from);
+        Self { count: second.count, verdict: second.verdict.name(), median }
     }
 }
 

@@ -254,9 +254,7 @@ fn delays(input: &ChartInput<'_>) -> Track {
         let marks: Vec<(f64, f64, f64, f64)> = points
             .iter()
             .filter_map(|point| {
-                // A negative median is impossible, so it is not drawn.
-                let median =
-                    delays_of_point(point, direction)?.median.filter(|median| !median.value.is_negative())?;
+                let median = delays_of_point(point, direction)?.median?;
                 let (lo, hi) = non_negative_bounds(&median);
                 let at = |seconds: f64| distance_from_top(&scale, seconds * 1e3);
                 Some(((input.x(point.at) - half_bucket).max(0.0), at(hi), at(lo), at(median.value.seconds())))
