@@ -7,7 +7,7 @@ use peernet_statistics::Summary;
 use peernet_statistics::number::counted;
 
 use super::render::with_name;
-use super::{LATENCIES, Line, MIN_KNOWN_SHARE};
+use super::{LATENCIES, Line};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
 use crate::trust::{Starts, publication_caveats};
@@ -88,15 +88,14 @@ pub fn replayed_configurations<'a>(
 /// Returns a description of the missing numbers of each latency of a line.
 fn describe_missing_numbers(runs: &[Loaded], line: &Line) -> Vec<String> {
     let rows = || line.runs.iter().flat_map(|run| &runs[*run].rows).filter(|row| row.is_in_statistics());
-    let describe = |(name, latency): (&str, &Option<super::Latency>)| {
-        let known_share = (*latency)?.count as f64 / line.count as f64;
-        // If many delays are unknown, another note says which share of them is known: see MIN_KNOWN_SHARE.
-        (known_share >= MIN_KNOWN_SHARE || !["upload", "download"].contains(&name)).then_some(())?;
+    let describe = |name: &str| {
+        // If many delays are unknown, another note says which share of them is known.
+        (line.latency(name).is_some() && line.small_known_share(name).is_none()).then_some(())?;
         let missing_count = rows().filter(|row| is_missing_or_too_large(*row, name)).count();
         let iterations = format!("{missing_count} of {}", counted(line.count, "iteration"));
         (missing_count > 0).then(|| format!("{name} of {}: {iterations}", line.name))
     };
-    LATENCIES.into_iter().zip(&line.latencies).filter_map(describe).collect()
+    LATENCIES.into_iter().filter_map(describe).collect()
 }
 
 /// Returns whether the number of a column is missing without a recorded reason, or too large for the statistics. A

@@ -294,6 +294,13 @@ impl Line {
     pub fn latency(&self, name: &str) -> Option<Latency> {
         LATENCIES.iter().position(|other| *other == name).and_then(|index| self.latencies[index])
     }
+
+    /// Returns the share of the iterations in the statistics for which a one-way delay is known, if it is so small that
+    /// a note reports it. `None` for other latencies.
+    fn small_known_share(&self, name: &str) -> Option<f64> {
+        let share = self.latency(name)?.count as f64 / self.count as f64;
+        (["upload", "download"].contains(&name) && share < MIN_KNOWN_SHARE).then_some(share)
+    }
 }
 
 /// Returns the numbers of a column, in order, from the rows in the statistics. Numbers that [`Summary::accepts`]

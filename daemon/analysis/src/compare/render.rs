@@ -6,7 +6,7 @@ use peernet_statistics::number::{
 };
 
 use super::difference_table::{MAX_MS_DECIMALS, in_milliseconds};
-use super::{Comparison, EMPTY_CELL, LATENCIES, Latency, Line, MIN_KNOWN_SHARE, MIN_VALUES, SCORES};
+use super::{Comparison, EMPTY_CELL, LATENCIES, Latency, Line, MIN_VALUES, SCORES};
 use crate::accuracy::{ACCURACIES, ACCURACY_TITLES, Accuracy, UnknownLabels};
 use crate::actuator_results::EPISODES_SEPARATOR;
 use crate::deadline::Misses;
@@ -302,10 +302,10 @@ impl Line {
     /// Returns the texts on delays that are known for only a part of the iterations, one for each direction.
     fn known_share_texts(&self) -> Vec<String> {
         let known_share = |name: &str| {
-            let share = self.latency(name)?.count as f64 / self.count as f64;
-            (share < MIN_KNOWN_SHARE).then(|| format!("{name} of {}: {} %", self.name, percent(share)))
+            let share = percent(self.small_known_share(name)?);
+            Some(format!("{name} of {}: {share} %", self.name))
         };
-        ["upload", "download"].into_iter().filter_map(known_share).collect()
+        LATENCIES.into_iter().filter_map(known_share).collect()
     }
 }
 
