@@ -116,7 +116,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     } else {
         let header = [
             "pipeline",
-            "where",
+            "placement",
             "state",
             "rate /s",
             "failed %",

@@ -60,7 +60,7 @@ impl SweepLimits {
         let remaining_s = remaining_seconds(fraction_done, elapsed).unwrap_or(self.max_seconds);
         let (smallest, largest) = self.size_range;
         let text = format!(
-            "{} of {}, {} /s, upload {} at {}, {} at {}, {} left",
+            "{} of {}, {} iterations/s, upload {} at {}, {} at {}, {} left",
             count(done_count),
             count(self.max_iterations),
             number::rate(mean_rate(done_count, elapsed).unwrap_or_default()),

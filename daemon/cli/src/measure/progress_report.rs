@@ -43,7 +43,8 @@ impl ProgressReport {
 }
 
 impl fmt::Display for ProgressReport {
-    /// Writes the progress in words: `120 of 10,005, 3 failed, 9.81 /s, total p50 101 ms, p99 104 ms, 17 min left`.
+    /// Writes the progress in words: `120 of 10,005, 3 failed, 9.81 iterations/s, total p50 101 ms, p99 104 ms, 17 min
+    /// left`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.phase == Phase::Starting {
             return f.write_str("starting");
@@ -60,7 +61,7 @@ impl fmt::Display for ProgressReport {
         }
         // There is no rate and no median during the warm-up.
         if let Some(rate) = self.rate {
-            write!(f, ", {} /s", number::rate(rate))?;
+            write!(f, ", {} iterations/s", number::rate(rate))?;
         }
         if let Some(p50) = self.totals.quantile(0.5) {
             write!(f, ", total {}", describe_quantiles(p50, self.totals.p99()))?;
@@ -118,9 +119,9 @@ mod tests {
             left_s: Some(1007.6),
             trouble: None,
         };
-        assert_eq!(report.to_string(), "120 of 10,005, 9.81 /s, total p50 101 ms, 17 min left");
+        assert_eq!(report.to_string(), "120 of 10,005, 9.81 iterations/s, total p50 101 ms, 17 min left");
         let failing = ProgressReport { failed: 120, totals: Summary::default(), ..report.clone() };
-        assert_eq!(failing.to_string(), "120 of 10,005, 120 failed, 9.81 /s, 17 min left");
+        assert_eq!(failing.to_string(), "120 of 10,005, 120 failed, 9.81 iterations/s, 17 min left");
         let warming_up = ProgressReport {
             done: 3,
             failed_in_warm_up: 2,

@@ -94,7 +94,7 @@ impl AnswerCounts {
         let hz = times.and_then(|((first_at, first_count), last_at)| {
             mean_rate(self.answered - first_count, (last_at - first_at).seconds())
         });
-        hz.map_or_else(String::new, |hz| format!(", {} /s", rate(hz)))
+        hz.map_or_else(String::new, |hz| format!(", {} answers/s", rate(hz)))
     }
 }
 

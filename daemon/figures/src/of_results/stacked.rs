@@ -85,5 +85,6 @@ fn unknown_delays_note<'a, I: Iterator<Item = RowRef<'a>>>(all_rows: impl Fn() -
             (count > 0).then(|| format!("{} of {direction}", number::count(count as u64)))
         })
         .collect();
-    (!counts.is_empty()).then(|| format!("left out of the means: unknown delays, {}", counts.join(", ")))
+    (!counts.is_empty())
+        .then(|| format!("unknown delays count as the mean of the known ones: {}", counts.join(", ")))
 }

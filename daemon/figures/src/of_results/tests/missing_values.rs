@@ -33,7 +33,7 @@ fn accuracy_figure_notes_unknown_labels() {
 }
 
 #[test]
-fn unknown_delays_are_left_out_of_means() {
+fn unknown_delays_count_as_mean_of_known_ones() {
     let unknown = OneWayDelay::unsynchronised(Span::from_millis(3));
     let mut run = run(105, |_| vec![("sensing", 1.0), ("upload", 10.0), ("total", 11.0)]);
     run.rows.change(|row| {
@@ -54,7 +54,7 @@ fn unknown_delays_are_left_out_of_means() {
     );
     let expected_notes = [
         "n = 99 · left out: 10 warm-up, 16 failed",
-        "left out of the means: unknown delays, 50 of upload",
+        "unknown delays count as the mean of the known ones: 50 of upload",
         "left out: 1 configuration without a successful iteration after the warm-up",
     ];
     assert_eq!(figure.notes[1..], expected_notes);
