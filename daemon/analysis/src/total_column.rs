@@ -45,8 +45,8 @@ impl TotalColumn {
         }
     }
 
-    /// Returns the nodes with the latency of a run's iterations, the preferred node first: a pipeline that only senses
-    /// has `sensing` instead of a total.
+    /// Returns the nodes with the latency of a run's iterations, the preferred node first: results of other programs
+    /// may have `sensing` and no total.
     pub const fn latency_names(self) -> [Name; 2] {
         [Name::from_static(self.name()), stage::SENSING]
     }

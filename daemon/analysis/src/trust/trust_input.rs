@@ -41,7 +41,7 @@ pub struct TrustInput {
     pub ended_early: Option<EndedEarly>,
     /// True if the clock of a host was made wrong on purpose.
     pub has_clock_fault: bool,
-    /// Total of each iteration, or `sensing` if the pipeline only senses. `None` without such values.
+    /// Total of each iteration, or `sensing` if no iteration has a total. `None` without such values.
     pub total: Option<TimeSeries>,
     /// Duration of each stage, by name.
     pub stages: Vec<(String, TimeSeries)>,
@@ -146,7 +146,7 @@ impl TrustInput {
     }
 }
 
-/// Returns the names of the distributions that may have two modes: the total, or `sensing` if the pipeline only senses,
+/// Returns the names of the distributions that may have two modes: the total, or `sensing` if there is no total,
 /// and the length of answers in tokens. `names` are the names of all quantities.
 pub fn names_of_distributions<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Vec<&'a str> {
     let mut latency = TotalColumn::Measured.latency_names().into_iter();

@@ -77,8 +77,7 @@ impl RunProgress {
             self.first_failure
                 .get_or_insert_with(|| describe_failure(row.iteration, row.outcome, row.reason.as_deref()));
         }
-        // A pipeline that only senses has the latency `sensing` instead of a total.
-        let total = TotalColumn::Measured.latency_names().iter().find_map(|name| row.value(name));
+        let total = row.value(TotalColumn::Measured.name());
         if let Some(total) = total.filter(|_| row.is_in_statistics()) {
             self.totals.record(total);
         }

@@ -89,7 +89,7 @@ async fn two_modes(
 /// Reads the time series of the total latency and, if the total changed notably during the run, the time series of all
 /// stages. The stages are read only in this case, because for a run of a day they have tens of thousands of rows.
 ///
-/// A run that only reads a sensor has no total. For such a run, the function reads the time series of sensing.
+/// If the run has no total, the function reads the time series of sensing.
 async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBuckets>, StoreError> {
     let [total, sensing] = TotalColumn::Measured.latency_names();
     let mut stages = stage_buckets(readers, run, &[total], MAX_BUCKETS).await?;
