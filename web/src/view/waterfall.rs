@@ -2,6 +2,7 @@
 
 mod bars;
 
+use peernet_analysis::delays::is_exact;
 use peernet_analysis::slowness::REST_OF_UNATTRIBUTED;
 use peernet_analysis::unaccounted_time::{NETWORK_AND_REST, UnaccountedTime};
 use peernet_figures::scale::Scale;
@@ -219,7 +220,7 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
     let rows = nodes_with_delay.map(|(node, delay)| {
         let bounds = delay.bounds;
         // The ends of an exact delay are shown as exact, and not as two equal numbers.
-        let interval_ends = bounds.filter(|(lo, hi)| hi > lo).map(|(lo, hi)| ends_ms(lo, hi));
+        let interval_ends = bounds.filter(|(lo, hi)| !is_exact(hi - lo)).map(|(lo, hi)| ends_ms(lo, hi));
         let interval_end = |index: usize| {
             interval_ends.as_ref().map(|ends| ends[index].clone()).or(bounds.map(|_| EXACT.to_owned()))
         };

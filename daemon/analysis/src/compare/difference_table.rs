@@ -4,6 +4,7 @@ use peernet_sample::printable_line;
 use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, fixed_or_less_than};
 
 use super::{Difference, Differences, EMPTY_CELL, StageDifference};
+use crate::delays::is_exact;
 use crate::table::{CaptionedTable, Table, csv_text};
 
 /// Maximum number of decimals of a number of ms: the last decimal is a microsecond. The clock of another host is never
@@ -100,10 +101,11 @@ impl Differences {
             let interval = interval.unwrap_or_else(|| EMPTY_CELL.to_owned());
             [ms(values.0), ms(values.1), difference, interval]
         };
-        let clock_cell = |error: f64| match error {
-            // Only delays between stamps of one clock have bounds of width 0.
-            0.0 => EXACT.to_owned(),
-            error => format!("±{}", fixed_or_less_than(error * 1e3, clock_decimals)),
+        let clock_cell = |error: f64| {
+            if is_exact(error) {
+                return EXACT.to_owned();
+            }
+            format!("±{}", fixed_or_less_than(error * 1e3, clock_decimals))
         };
         let row = |stage: &StageDifference| {
             let name = std::iter::once(stage.stage.clone());
