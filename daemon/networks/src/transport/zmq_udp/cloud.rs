@@ -14,7 +14,7 @@ use tokio::time::Instant;
 use super::driver::{Machine, Port};
 use super::radio::PREFIX;
 use super::socket::UdpPort;
-use super::{connection_limits, local_terms, reassembly_limits, socket_bytes};
+use super::{connection_limits, local_terms, reassembly_limits, socket_buffer_bytes};
 use crate::descriptors::DescriptorShare;
 use crate::statistics::TransportStatistics;
 use crate::transport::datagram::endpoint::Delivery;
@@ -42,7 +42,7 @@ pub(crate) async fn bind(
     let resolved = resolved.map_err(|error| BindFailure::Other(error.to_string()))?.next();
     let local_address = resolved.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
     let socket =
-        UdpPort::bind(local_address, socket_bytes(settings)).map_err(|error| bind_failure(&error))?;
+        UdpPort::bind(local_address, socket_buffer_bytes(settings)).map_err(|error| bind_failure(&error))?;
     let bound = socket.address();
     let caveat = socket.caveat().map(str::to_owned);
     let limits = EndpointLimits {

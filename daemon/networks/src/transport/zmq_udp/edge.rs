@@ -15,7 +15,7 @@ use tokio::time::{Instant, sleep_until};
 use super::driver::{Machine, Port, time_since};
 use super::radio::{self, PREFIX};
 use super::socket::{ReceiveBuffers, UdpPort, source_address, unspecified_address};
-use super::{connection_limits, local_terms, reassembly_limits, socket_bytes};
+use super::{connection_limits, local_terms, reassembly_limits, socket_buffer_bytes};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::datagram::connection::{Connection, Event};
 use crate::transport::datagram::endpoint::Route;
@@ -44,7 +44,7 @@ pub(crate) async fn dial(
     let peer = resolved.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
     // The socket is not connected to the cloud, because the cloud may send from another port (as a RADIO does) and may
     // get another address.
-    let socket = UdpPort::bind(SocketAddr::new(unspecified_address(peer), 0), socket_bytes(settings));
+    let socket = UdpPort::bind(SocketAddr::new(unspecified_address(peer), 0), socket_buffer_bytes(settings));
     let socket = socket.map_err(|error| unreachable_failure(&error))?;
     // If the system reports that the cloud's port is closed, the connection ends at once and not by silence.
     socket.report_errors().map_err(|error| unreachable_failure(&error))?;

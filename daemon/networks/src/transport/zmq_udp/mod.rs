@@ -47,6 +47,7 @@ fn max_wire_message_bytes(settings: &SessionSettings) -> u32 {
 fn reassembly_limits(settings: &SessionSettings) -> ReassemblyLimits {
     ReassemblyLimits {
         max_message_bytes: max_wire_message_bytes(settings),
+        // Every request in flight, and the few messages that open and close a session.
         max_unfinished_messages: settings.max_in_flight as usize + 16,
         timeout: Span::from(settings.reassembly_timeout()),
         idle_timeout: Span::from(settings.heartbeat_timeout()),
@@ -57,9 +58,10 @@ fn connection_limits(settings: &SessionSettings) -> ConnectionLimits {
     ConnectionLimits {
         heartbeat_interval: Span::from(settings.heartbeat_interval()),
         heartbeat_timeout: Span::from(settings.heartbeat_timeout()),
-        // Room for every request in flight, and for the few messages that open and close a session.
         queue: QueueLimits {
+            // Every request in flight, and the few messages that open and close a session.
             max_messages: settings.max_in_flight as usize + 16,
+            // All queued messages together have at most the bytes of one longest message.
             max_bytes: u64::from(max_wire_message_bytes(settings)),
         },
         bits_per_second: (settings.max_send_bits_per_second > 0).then_some(settings.max_send_bits_per_second),
@@ -74,6 +76,7 @@ fn local_terms(settings: &SessionSettings, socket: &UdpPort) -> Terms {
     }
 }
 
-fn socket_bytes(settings: &SessionSettings) -> usize {
+/// Returns the size of the kernel's receive buffer and of its send buffer. Bytes.
+fn socket_buffer_bytes(settings: &SessionSettings) -> usize {
     usize::try_from(settings.socket_buffer_bytes).unwrap_or(usize::MAX)
 }

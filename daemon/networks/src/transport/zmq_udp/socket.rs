@@ -60,8 +60,8 @@ pub(super) const fn unspecified_address(peer: SocketAddr) -> IpAddr {
     }
 }
 
-/// Returns the warning about a receive buffer and a send buffer of which the system granted fewer bytes than requested.
-/// `None` if both have the requested size.
+/// Returns a warning about each buffer (receive, send) for which the system granted fewer bytes than requested. `None`
+/// if both buffers have the requested size.
 fn describe_capped_buffers(granted_bytes: [usize; 2], requested_bytes: usize) -> Option<String> {
     let buffers = ["net.core.rmem_max", "net.core.wmem_max"].into_iter().zip(granted_bytes);
     let (keys, sizes): (Vec<&str>, Vec<usize>) =

@@ -58,7 +58,7 @@ pub(super) struct ZmtpConnection {
     _permit: OwnedSemaphorePermit,
 }
 
-/// The library's state machine, and its queue.
+/// The state machine of the library ([`omq_proto`]), which also queues the bytes to send, and counts of these bytes.
 #[derive(Debug)]
 pub(super) struct Codec {
     pub(super) zmtp: Connection,
@@ -187,7 +187,7 @@ impl ZmtpConnection {
     /// Writes queued bytes until the kernel accepts no more. Returns whether the queue is empty.
     ///
     /// # Errors
-    /// If the connection is broken.
+    /// If the connection is broken, or the memory for messages that peers have not read is used up.
     pub(super) fn write(&self, codec: &mut Codec) -> io::Result<bool> {
         while codec.zmtp.has_pending_transmit() {
             let result = self.writer.try_write_vectored(&codec.zmtp.transmit_chunks_capped(MAX_SLICES));

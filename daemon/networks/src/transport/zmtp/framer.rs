@@ -1,8 +1,8 @@
 //! Splits the bytes of one connection into ZMTP frames, within limits and without I/O.
 //!
-//! The library's codec gets the body of a frame when the whole body has arrived. Bytes of unfinished frames are stored
-//! and counted here. A frame begins with a buffer of limited size, which grows as bytes arrive, so an announced length
-//! alone reserves no more memory.
+//! The codec of the library ([`omq_proto`]) gets the body of a frame when the whole body has arrived. Bytes of
+//! unfinished frames are stored and counted here. The buffer of a frame has a limited size at first and grows as bytes
+//! arrive, so an announced length alone reserves no more memory than this first size.
 
 use std::sync::Arc;
 
@@ -218,6 +218,7 @@ impl Framer {
     /// If the connection must not send such a frame at present.
     fn check_frame(&self, frame: &[u8], allowance: &Allowance) -> Result<(u8, usize), Violation> {
         let (flags, length) = (frame[0], frame_length(frame));
+        // The frame counts together with the complete frames of the same message.
         let size = self.finished_bytes.saturating_add(length).saturating_add(FRAME_OVERHEAD_BYTES);
         match allowance.stage {
             Stage::Handshake if flags & COMMAND != 0 && length > MAX_HANDSHAKE_BYTES => {
@@ -228,7 +229,7 @@ impl Framer {
             }
             Stage::Handshake | Stage::Unadmitted if size > MAX_UNADMITTED_BYTES => {
                 let text = format!(
-                    "the peer announced a frame of {length} bytes before its hello was accepted; {MAX_UNADMITTED_BYTES} are allowed"
+                    "the peer announced a message that needs at least {size} bytes of memory before its hello was accepted; {MAX_UNADMITTED_BYTES} are allowed"
                 );
                 return Err((Rejection::LargeBeforeHello, text));
             }

@@ -92,6 +92,7 @@ impl ZmtpListener {
         let budgets = Budgets {
             unadmitted: MemoryBudget::new(MAX_ALL_UNADMITTED_BYTES),
             admitted: MemoryBudget::new(limits.unfinished_budget()),
+            // At least four messages of the largest length can wait to be sent, on different connections.
             output: MemoryBudget::new(limits.unfinished_budget().saturating_mul(4)),
         };
         let state = Arc::new(ListenerState {

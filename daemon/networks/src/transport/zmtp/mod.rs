@@ -3,7 +3,7 @@
 //! The codec is the library's ([`omq_proto`], ZMTP 3.1). Sockets, deadlines and memory are handled here, because the
 //! library's own listening socket buffers whatever an unknown peer announces, has no deadline for a hello and no limit
 //! per address. A connection is in one of the states below. The layer above is the session logic of a cloud or
-//! the ingest of the aggregator. This layer admits a connection when it accepts a session (cloud) or a host
+//! the ingest of the aggregator. The layer above admits a connection when it accepts a session (cloud) or a host
 //! (aggregator) on this connection, and demotes the connection when that session or host ends.
 //!
 //! | state | until | unfinished input | ended by |

@@ -1,4 +1,5 @@
-//! Connections that were refused or closed because of a limit: counted by reason, and logged at a limited rate.
+//! Connections that were refused or closed because of a limit or a violation of the protocol: counted by reason, and
+//! logged at a limited rate.
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
