@@ -2,7 +2,7 @@
 //! (`tests/interop/ros1`). Takes the master and its own address from the environment variables of ROS.
 //!
 //! ```text
-//! ros1_peer publish NAME TOPIC COUNT BYTES      waits for a subscriber, publishes, prints the counts
+//! ros1_peer publish NAME TOPIC COUNT BYTES      waits for a subscriber, publishes; prints counts at the input's end
 //! ros1_peer latch NAME TOPIC TEXT               publishes a latched std_msgs/String, until standard input ends
 //! ros1_peer subscribe NAME TOPIC COUNT          prints a line for each message: its number and bytes
 //! ros1_peer rate NAME TOPIC COUNT               prints the messages per second between the first and the last
@@ -62,7 +62,8 @@ async fn publish(node: &Node, topic: &str, count: usize, length: usize) -> anyho
             publisher.publish_waiting(picture(number, length).encode(WireForm::Ros1)?).await?;
         anyhow::ensure!(dropped == 0, "message {number} was dropped");
     }
-    // A message counts as sent when the kernel has accepted it; the subscriber reports its arrival.
+    // A message counts as sent when the kernel has accepted it, so the node must not end yet. The test ends the input
+    // when the subscriber has printed all messages.
     wait_for_end_of_input().await;
     let counts = publisher.counts();
     print_line(&format!(

@@ -44,6 +44,7 @@ impl Kind {
                 cdr.put_u8(0);
             }
             Self::Image => {
+                // The seconds of `stamp` are the number of the message. The nanoseconds have no meaning.
                 cdr.put_u32_le(u32::try_from(number).unwrap_or(u32::MAX));
                 cdr.put_u32_le(7);
                 // `frame_id` and `format`, both with the terminating zero and padded to four bytes.
@@ -95,20 +96,20 @@ fn clock() -> Result<SystemClock, Box<dyn Error + Send + Sync>> {
 
 /// Returns a profile that keeps more messages than are sent. With the usual depth of ten, a lost message may be
 /// replaced before it is sent again.
-fn keep_all_qos() -> QosProfile {
+fn deep_queue_qos() -> QosProfile {
     QosProfile { depth: 100, ..QosProfile::default() }
 }
 
 async fn publish(node: &Ros2Node, plan: &Plan) -> PeerResult {
     let clock = clock()?;
-    let publisher = node.create_publisher(&plan.topic, plan.kind.type_name(), &keep_all_qos())?;
+    let publisher = node.create_publisher(&plan.topic, plan.kind.type_name(), &deep_queue_qos())?;
     publisher.wait_for_peer(TIME_LIMIT).await?;
     // The subscription may not have discovered this publisher yet, and would then miss messages. DDS does not report
     // when the subscription has discovered the publisher.
     tokio::time::sleep(Duration::from_secs(1)).await;
     for number in 0..plan.count {
         publisher.publish(plan.kind.message(plan.size, number), clock.wall()).await?;
-        // Cyclone DDS skips the messages that the first heartbeat it gets announces, and it may get this heartbeat only
+        // Cyclone DDS skips the messages that its first received heartbeat announces. This heartbeat may arrive only
         // after the first message. The wait after the first message keeps later messages out of this heartbeat.
         // Large messages are acknowledged one by one: if all were sent at once, 40 MB would overflow the sockets'
         // buffers, and Fast DDS might never get a message repaired.
@@ -122,7 +123,7 @@ async fn publish(node: &Ros2Node, plan: &Plan) -> PeerResult {
 }
 
 async fn receive(node: &Ros2Node, plan: &Plan) -> PeerResult {
-    let mut subscription = node.create_subscription(&plan.topic, plan.kind.type_name(), &keep_all_qos())?;
+    let mut subscription = node.create_subscription(&plan.topic, plan.kind.type_name(), &deep_queue_qos())?;
     let mut payloads = Vec::with_capacity(plan.count);
     while payloads.len() < plan.count {
         let received = tokio::time::timeout(TIME_LIMIT, subscription.receive()).await;

@@ -34,7 +34,7 @@ pub enum EncodeError {
         "the time {seconds} s cannot be sent: ROS 1 allows 0 to 2^32 − 1, ROS 2 allows −2^31 to 2^31 − 1"
     )]
     TimeOutOfRange {
-        /// Seconds since the Unix epoch.
+        /// Seconds since the epoch of the publisher's clock.
         seconds: i64,
     },
 }
@@ -92,7 +92,7 @@ pub struct Writer {
     /// Bytes that do not belong to a finished segment yet.
     current_segment: BytesMut,
     segments: Vec<Bytes>,
-    /// Number of bytes written without the encapsulation header, from which alignment is counted.
+    /// Number of bytes written after the encapsulation header. Alignment is counted from the end of this header.
     position: usize,
 }
 

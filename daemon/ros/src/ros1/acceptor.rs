@@ -83,7 +83,7 @@ impl Acceptor {
         }
     }
 
-    /// Logs that a connection was closed, at most once a minute for each address.
+    /// Logs that a connection was not established, at most once a minute for each address.
     fn warn_not_established(&self, peer: SocketAddr, reason: &str) {
         let now = self.node.clock.mono();
         let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);

@@ -120,8 +120,8 @@ impl Environment {
     }
 }
 
-/// Returns the address to listen on for peers that connect to `advertised`. For a loopback address it is this address,
-/// as in the clients of ROS.
+/// Returns the address to listen on for peers that connect to `advertised`: the loopback address if `advertised` is a
+/// loopback address or `localhost`, as in the clients of ROS, else the unspecified address.
 pub(super) fn listen_address(advertised: &str) -> IpAddr {
     match advertised.parse::<IpAddr>() {
         Ok(address) if address.is_loopback() => address,

@@ -87,7 +87,7 @@ impl NodeName {
     }
 }
 
-/// Appends a checked name to a namespace, with one `/` between any two parts.
+/// Checks a name and appends it to a namespace, with one `/` between any two parts.
 fn join(namespace: &str, name: &str) -> Result<String, NameError> {
     if name.trim_matches('/').is_empty() {
         return Err(NameError::Empty);

@@ -91,6 +91,7 @@ struct Queue {
 
 #[derive(Debug)]
 struct QueuedMessage {
+    /// Length of the message, which is written before the message.
     prefix: [u8; 4],
     message: EncodedMessage,
     /// Number of written bytes, including the prefix.

@@ -147,7 +147,8 @@ impl Registrar {
             MasterCall::LookUpNode => match self.master.look_up_node(self.lifetime.node()).await {
                 Ok(None) => return CallOutcome::NodeUnknown,
                 Ok(Some(uri)) if uri != self.uri => {
-                    // A node that has ended has not replaced this node: its registration reached the master late.
+                    // If the node at `uri` has ended, it has not replaced this node: the registration of the ended node
+                    // reached the master late.
                     let is_running = self.is_running(&uri).await;
                     return if is_running {
                         CallOutcome::NodeReplaced { uri }

@@ -193,9 +193,11 @@ impl Registrations {
         self.entries.values().any(|status| *status == RegistrationStatus::Registered)
     }
 
-    /// Marks all registrations as missing. Returns whether any was registered.
+    /// Drops the registrations that are to be removed, and marks all others as missing. Returns whether any was
+    /// registered.
     fn mark_all_missing(&mut self) -> bool {
         let had_registered = self.has_registered();
+        // The master has no registration of the node, so no call is needed to remove one.
         self.entries.retain(|_, status| *status != RegistrationStatus::Unregistering);
         self.entries.values_mut().for_each(|status| *status = RegistrationStatus::Missing);
         had_registered
