@@ -73,7 +73,7 @@ fn options(settings: &SessionSettings) -> Options {
         .recv_hwm(queue)
         .heartbeat_interval(settings.heartbeat_interval())
         .heartbeat_timeout(settings.heartbeat_timeout())
-        // The connection ends if the peer does not acknowledge bytes for this time, as it does if no heartbeat arrives.
+        // The time limit for the acknowledgment of sent bytes is the same as for a heartbeat.
         .tcp_user_timeout(settings.heartbeat_timeout())
         .reconnect(ReconnectPolicy::Fixed(RECONNECT_INTERVAL))
         // Only a socket that is dropped without `close` uses this value.

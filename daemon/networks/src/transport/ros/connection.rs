@@ -245,7 +245,7 @@ impl Connection {
         }
     }
 
-    /// Adds a remark: a warning about a condition that slows the connection down or hides it from other programs.
+    /// Adds an [`Event::Remark`] with this text.
     pub(super) fn remark(&mut self, text: String) {
         self.events.push(Event::Remark(text));
     }

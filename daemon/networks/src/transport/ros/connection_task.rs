@@ -83,7 +83,7 @@ impl<S: Sink> ConnectionTask<S> {
         let mut left_topic = None;
         loop {
             self.send_due();
-            self.remark_named_publishers(&mut second_publishers);
+            self.remark_newly_named_publishers(&mut second_publishers);
             self.collect_events(&mut queued_deliveries);
             while !queued_deliveries.is_empty()
                 && let Ok(permit) = self.deliveries.try_reserve()
@@ -92,7 +92,8 @@ impl<S: Sink> ConnectionTask<S> {
                 permit.send(delivery);
             }
             if self.channel.lock().is_closed() && queued_deliveries.is_empty() {
-                if self.peer_awaits_answer() && !is_closing {
+                if self.peer_awaits_goodbye() && !is_closing {
+                    // The other end has ended the connection itself, so it needs no reason.
                     self.channel.send_goodbye("");
                 }
                 return;
@@ -103,8 +104,8 @@ impl<S: Sink> ConnectionTask<S> {
             let payload_publishers = self.payload_subscriber.as_ref().map(|payload| payload.watch());
             let publisher_change =
                 wait_for_publisher_change(&*companion_publishers, payload_publishers.as_deref());
-            // The deadline is not reset if the peer returns to the topic, because messages may have been lost in
-            // between.
+            // After the peer has left a topic, the connection ends at the deadline at the latest, even if the peer
+            // returns to the topic: messages may have been lost in between.
             left_topic = left_topic.or_else(|| {
                 self.disconnected_topic(&mut connected_topics)
                     .map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
@@ -192,7 +193,7 @@ impl<S: Sink> ConnectionTask<S> {
                 }
             }
             Step::Payload(Ok(message)) => {
-                // A payload arrives only through the payload subscriber, so the other topic is never used.
+                // A payload arrives only through the payload subscriber, so the companion topic is never used.
                 let topic = self
                     .payload_subscriber
                     .as_ref()
@@ -223,8 +224,8 @@ impl<S: Sink> ConnectionTask<S> {
         }
     }
 
-    /// Returns whether the other end waits for an answer to its goodbye.
-    fn peer_awaits_answer(&self) -> bool {
+    /// Returns whether the other end has said goodbye and waits for the goodbye of this end.
+    fn peer_awaits_goodbye(&self) -> bool {
         self.channel.node.is_connectionless() && self.channel.lock().peer().has_left
     }
 
@@ -234,8 +235,8 @@ impl<S: Sink> ConnectionTask<S> {
         topics.into_iter().flatten().any(|subscriber| is_connected(&**subscriber, &self.channel))
     }
 
-    /// Returns a topic on which messages of the peer arrived until now and do not arrive any more. `connected_topics`
-    /// has the topics on which they arrived, and is updated.
+    /// Returns a topic that the peer published until now and does not publish any more. `connected_topics` has the
+    /// topics that the peer published, and is updated.
     fn disconnected_topic(&self, connected_topics: &mut BTreeSet<String>) -> Option<String> {
         // In ROS 2 the payload topic does not count, because its publisher may belong to an earlier connection that
         // ends.
@@ -294,7 +295,7 @@ impl<S: Sink> ConnectionTask<S> {
     }
 
     /// Adds the remarks on publishers whose names were unknown when they were found.
-    fn remark_named_publishers(&self, second_publishers: &mut SecondPublishers) {
+    fn remark_newly_named_publishers(&self, second_publishers: &mut SecondPublishers) {
         let Some(peer) = self.channel.peer() else { return };
         for remark in second_publishers.check_unnamed((&peer.node, &*self.channel.node), Instant::now()) {
             self.channel.lock().remark(remark);
@@ -372,7 +373,7 @@ fn wait_for_publisher_change<'a>(
     }
 }
 
-/// Returns whether messages of the peer arrive through this subscriber.
+/// Returns whether the peer publishes the topic of this subscriber.
 fn is_connected(subscriber: &dyn SessionSubscriber, channel: &Channel) -> bool {
     channel.peer().is_some_and(|peer| subscriber.is_connected(&peer.node))
 }

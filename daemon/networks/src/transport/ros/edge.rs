@@ -107,6 +107,7 @@ pub(crate) async fn dial(
     Ok(EdgeConnection {
         sender: Box::new(RosEdgeSender(channel)),
         receiver: Box::new(receiver),
+        // Only a cloud answers a hello with a welcome.
         peer_is_cloud: true,
     })
 }

@@ -202,7 +202,7 @@ pub(super) trait SessionSubscriber: Debug + Send {
     /// Returns the next message if one has arrived.
     fn try_recv(&mut self) -> Option<TopicMessage>;
 
-    /// Returns whether messages of a node arrive.
+    /// Returns whether a node has a publisher whose messages this subscriber receives.
     fn is_connected(&self, node: &str) -> bool;
 
     /// Returns the nodes that publish the topic, but whose messages this subscriber rejects.

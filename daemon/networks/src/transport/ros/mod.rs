@@ -19,8 +19,9 @@
 //! - Before a session, a companion may have at most 64 KiB, and the cloud does not subscribe to the payload topic.
 //! - TCPROS and reliable topics of ROS 2 retransmit lost messages, so that nothing is retransmitted here.
 //! - The two topics of a direction have no common order, but each is in order. A later message on one topic therefore
-//!   proves that the partner of an earlier message is lost. If no later message arrives, a deadline ends the wait. A
-//!   goodbye, and a message about the session itself, waits for the payloads whose companions arrived before it.
+//!   proves that this topic has lost the partner of an earlier message on the other topic. If no later message arrives,
+//!   a deadline ends the wait. A goodbye, and a message about the session itself, waits for the payloads whose
+//!   companions arrived before it.
 //! - If a peer leaves one topic, the connection waits 500 ms for the peer's last messages on the other topic. Then the
 //!   connection ends even if the peer has returned, because messages may have been lost.
 

@@ -163,7 +163,8 @@ mod tests {
 
     impl PairingTest {
         fn new() -> Self {
-            let pairing = Pairing::new(3, Span::from_seconds(1));
+            let max_pending = 3;
+            let pairing = Pairing::new(max_pending, Span::from_seconds(1));
             Self { pairing, budget: MemoryBudget::new(100), lost: Vec::new() }
         }
 

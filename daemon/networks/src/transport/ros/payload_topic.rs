@@ -127,6 +127,7 @@ impl PayloadTopic {
         let Ok(message) = payload::encode(node.form(), header, part, data) else {
             return Ok(false);
         };
+        // The payload is one message. `publish` would not return the outcome for the peer.
         match publisher.publish_fragments(peer, &[message]) {
             Ok(Delivery::Accepted) => Ok(is_confirmed),
             Ok(Delivery::Full) if is_confirmed => Err(SendFailure::Full),

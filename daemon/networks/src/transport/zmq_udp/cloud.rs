@@ -87,7 +87,8 @@ impl Machine for CloudEnd {
         self.endpoint.receive(source, local, body, now);
     }
 
-    // Such reports are ignored, because anyone can forge them. A peer that is gone is noticed by its silence.
+    // Reports of an unreachable port are ignored, because anyone can forge them. A peer that is gone is noticed by its
+    // silence.
     fn handle_port_unreachable(&mut self) {}
 
     fn tick(&mut self, now: MonoTime) {

@@ -118,7 +118,7 @@ impl<M: Machine> Port<M> {
         let result = action(&mut state.machine, now);
         self.flush(&mut state);
         // The task is woken only if it must send the rest, run an earlier timer or report the end of the connection. A
-        // needless wake-up would take longer than sending the message.
+        // needless wake-up would take longer than sending the message. No timer runs if no connection is open.
         let next_timer = state.machine.next_timer(now);
         if state.blocked_batch.is_some() || next_timer.is_none_or(|time| time < state.asleep_until) {
             self.wake.notify_one();

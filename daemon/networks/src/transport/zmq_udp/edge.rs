@@ -68,6 +68,7 @@ pub(crate) async fn dial(
     Ok(EdgeConnection {
         sender,
         receiver: Box::new(UdpEdgeReceiver { port, deliveries }),
+        // Only a cloud answers the handshake.
         peer_is_cloud: true,
     })
 }

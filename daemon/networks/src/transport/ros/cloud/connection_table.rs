@@ -47,7 +47,7 @@ pub(super) enum OpenOutcome {
     Repeated,
     /// The connection must not be opened now, for this reason.
     Refused(&'static str),
-    /// The connection may be opened now.
+    /// The connection was added to the table. Its topics must be opened next.
     Started {
         connection: Arc<CloudConnection>,
         /// The pipeline's earlier connection, which was aborted.
@@ -73,12 +73,12 @@ impl ConnectionTable {
         abort: CancellationToken,
     ) -> OpenOutcome {
         let mut table = self.table();
-        let replaced = table.connections.get(&hello.pipeline).cloned();
+        let earlier = table.connections.get(&hello.pipeline).cloned();
         // Edges repeat their request until they have the answer.
-        if replaced.as_ref().is_some_and(|earlier| earlier.identifier == hello.header.frame_id) {
+        if earlier.as_ref().is_some_and(|connection| connection.identifier == hello.header.frame_id) {
             return OpenOutcome::Repeated;
         }
-        if let Some(reason) = self.check_limits(&table, replaced.as_deref(), &hello.host, group) {
+        if let Some(reason) = self.find_refusal_reason(&table, earlier.as_deref(), &hello.host, group) {
             return OpenOutcome::Refused(reason);
         }
         let connection = Arc::new(CloudConnection {
@@ -93,23 +93,23 @@ impl ConnectionTable {
         });
         table.next_id += 1;
         table.connections.insert(hello.pipeline.clone(), Arc::clone(&connection));
-        if let Some(replaced) = &replaced {
+        if let Some(earlier) = &earlier {
             // Both connections use the same topics, so the earlier connection must close its topics first.
-            replaced.abort.cancel();
+            earlier.abort.cancel();
         }
-        OpenOutcome::Started { connection, replaced }
+        OpenOutcome::Started { connection, replaced: earlier }
     }
 
-    /// Returns the limit that one more connection would exceed, as a text for the refusal. `None` if the connection may
-    /// be opened.
-    fn check_limits(
+    /// Returns the text of the refusal if another host uses the topics, or if one more connection would exceed a limit.
+    /// `None` if the connection may be opened. `earlier` is the pipeline's earlier connection.
+    fn find_refusal_reason(
         &self,
         table: &Table,
-        replaced: Option<&CloudConnection>,
+        earlier: Option<&CloudConnection>,
         host: &str,
         group: AddressGroup,
     ) -> Option<&'static str> {
-        if let Some(earlier) = replaced {
+        if let Some(earlier) = earlier {
             // A host may replace its connection only from the same address, because any node can claim the id of a
             // host.
             let is_same_host = earlier.host == host && earlier.group == group;
@@ -276,6 +276,7 @@ mod tests {
     #[test]
     fn connections_are_bounded_with_and_without_session() {
         let table = ConnectionTable::new(3, 2);
+        // The name of the pipeline also serves as the identifier of the connection.
         let open = |pipeline, address| open(&table, pipeline, ("a", address), pipeline);
         let refusal = |pipeline, address| match open(pipeline, address) {
             OpenOutcome::Refused(reason) => reason,

@@ -24,8 +24,8 @@ pub(super) enum PayloadSubscription {
         options: SubscriberOptions,
     },
     Opening(AbortOnDropHandle<Box<dyn SessionSubscriber>>),
-    /// The subscription was opened, or its task has failed.
-    Ended,
+    /// The subscription was opened and handed over, or the task that opens it has failed.
+    OpeningEnded,
 }
 
 impl PayloadSubscription {
@@ -44,7 +44,7 @@ impl PayloadSubscription {
     pub(super) async fn wait_until_open(&mut self) -> Result<Box<dyn SessionSubscriber>, JoinError> {
         let Self::Opening(task) = self else { return std::future::pending().await };
         let result = task.await;
-        *self = Self::Ended;
+        *self = Self::OpeningEnded;
         result
     }
 }

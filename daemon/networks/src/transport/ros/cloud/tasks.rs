@@ -76,8 +76,8 @@ mod tests {
     #[tokio::test]
     async fn tasks_that_stop_are_not_aborted() {
         let tasks = CloudTasks::default();
-        let tasks_of_task = tasks.clone();
-        tasks.spawn(async move { tasks_of_task.wait_for_stop().await });
+        let cloned_tasks = tasks.clone();
+        tasks.spawn(async move { cloned_tasks.wait_for_stop().await });
         tasks.close(Duration::from_secs(60)).await;
         assert!(!tasks.abort_token().is_cancelled());
     }

@@ -84,6 +84,7 @@ impl MessageAssembly {
             events.push(Event::InvalidData(problem.to_string()));
             return;
         }
+        // A loss counts the companion and the payload as two fragments, of which the companion has arrived.
         let loss = MessageLoss { tag: request_number(&companion), received: 1, total: 2 };
         // The peer chooses the length of the reason, which a companion with frames does not need.
         let length = companion.frames.len() + companion.reason.len();
@@ -105,7 +106,8 @@ impl MessageAssembly {
         events.push_incomplete(lost);
         // A message about the session may end the session. Answers whose payloads arrive later would then be lost.
         if companion.request == MessageInfo::NO_REQUEST && self.pairing.awaits_any_payload() {
-            // A message may have no bytes in its frames, and any number of messages may wait.
+            // A message may have no bytes in its frames, so `length` alone does not bound the number of messages that
+            // wait.
             let waiting_length = (length + WAITING_OVERHEAD_BYTES) as u64;
             match reserved.resize(&self.budget, waiting_length) {
                 Ok(()) => self.overtaking_messages.push((companion, reserved)),

@@ -9,7 +9,7 @@ use peernet_ros::ros2::{EndpointRole, ParticipantId, Ros2Node};
 use tokio::time::{sleep, timeout};
 
 use super::participant::{Participant, is_local_participant};
-use super::ros2_name;
+use super::ros2_type_name;
 use crate::transport::ros::interface::{EdgeTopics, NodeFailure};
 use crate::transport::ros::names::sessions_topic;
 
@@ -31,7 +31,7 @@ pub(super) async fn find_cloud_and_check_topics(
     let node = participant.node()?;
     let sessions = sessions_topic(&topics.cloud);
     let current_clouds = || visible_clouds(&node, &sessions);
-    // A cloud that has just ended may still be visible.
+    // The edge waits until exactly one cloud is visible, because a cloud that has just ended may still be visible.
     let discovery = wait_for_discovery(&node, time_limit, || current_clouds().len() == 1).await;
     if discovery.is_err() && current_clouds().is_empty() {
         return Err(NodeFailure(format!(
@@ -60,7 +60,7 @@ pub(super) async fn find_cloud_and_check_topics(
 /// Checks that no other program uses the topics of a pipeline.
 fn check_topics(node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure> {
     let remedy = "give the pipeline another name, or set ROS_NAMESPACE to a namespace of this robot";
-    let expected = ros2_name(MessageInfo::DEFINITION.name);
+    let expected = ros2_type_name(MessageInfo::DEFINITION.name);
     for topic in [&topics.request.info, &topics.response.info] {
         if let Some(endpoint_of_other_type) =
             node.endpoints_of(topic).iter().find(|endpoint| endpoint.type_name != expected)
@@ -78,6 +78,7 @@ fn check_topics(node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure>
     }
     for topic in [&topics.request.info, &topics.request.payload] {
         let publishers = node.publishers_of(topic);
+        // A local participant belongs to another connection of this process, not to another program.
         if let Some(other_publisher) =
             publishers.iter().find(|endpoint| !is_local_participant(endpoint.id.participant()))
         {
@@ -115,9 +116,9 @@ pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> 
     }
 }
 
-/// Returns the other participants that subscribe to the topic on which edges ask for connections.
+/// Returns the participants, without this node's, that subscribe to the topic on which edges ask for connections.
 fn visible_clouds(node: &Ros2Node, sessions: &str) -> BTreeSet<ParticipantId> {
-    let expected = ros2_name(SessionHello::DEFINITION.name);
+    let expected = ros2_type_name(SessionHello::DEFINITION.name);
     let is_cloud = |role, kind: &str| role == EndpointRole::Subscription && kind == expected;
     let endpoints = node.endpoints_of(sessions).into_iter();
     endpoints

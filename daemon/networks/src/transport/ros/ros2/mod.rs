@@ -113,7 +113,7 @@ impl Ros2SessionNode {
 }
 
 /// Returns the name of a type in ROS 2, such as `std_msgs/msg/String` for `std_msgs/String`.
-fn ros2_name(name: &str) -> String {
+fn ros2_type_name(name: &str) -> String {
     name.replacen('/', "/msg/", 1)
 }
 
@@ -179,7 +179,8 @@ impl SessionNode for Ros2SessionNode {
     ) -> BoxFuture<'a, Result<Box<dyn SessionPublisher>, NodeFailure>> {
         let open = || {
             let qos = self.qos.profile(EndpointRole::Publisher, purpose);
-            let publisher = self.participant.node()?.create_publisher(topic, &ros2_name(&kind.name), &qos)?;
+            let publisher =
+                self.participant.node()?.create_publisher(topic, &ros2_type_name(&kind.name), &qos)?;
             let clock = SharedClock::clone(&self.clock);
             let publisher = Ros2SessionPublisher::new(publisher, queue.bytes, clock, &self.publishing_tasks);
             Ok(Box::new(publisher) as Box<dyn SessionPublisher>)
@@ -199,7 +200,7 @@ impl SessionNode for Ros2SessionNode {
             let subscriber = match kind.is_any() {
                 true => Ros2SessionSubscriber::with_any_type(&node, topic, qos, &options),
                 false => {
-                    let subscription = node.create_subscription(topic, &ros2_name(&kind.name), &qos)?;
+                    let subscription = node.create_subscription(topic, &ros2_type_name(&kind.name), &qos)?;
                     Ros2SessionSubscriber::from_subscription(&node, subscription, kind.name, &options)
                 }
             };

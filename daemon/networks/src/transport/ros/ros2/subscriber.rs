@@ -18,7 +18,7 @@ use tokio::sync::{mpsc, watch};
 use tokio_util::task::AbortOnDropHandle;
 
 use super::remote::remote_node;
-use super::{PublisherNames, ros2_name};
+use super::{PublisherNames, ros2_type_name};
 use crate::transport::ros::interface::{
     NodeFailure, PublisherChanges, RemoteNode, SessionSubscriber, TopicMessage,
 };
@@ -100,7 +100,7 @@ impl Ros2SessionSubscriber {
             // The next connection of a pipeline may give its topic another type.
             loop {
                 let type_name = task.payload_type().await;
-                match task.node.create_subscription(&task.topic, &ros2_name(type_name), &qos) {
+                match task.node.create_subscription(&task.topic, &ros2_type_name(type_name), &qos) {
                     Ok(subscription) => {
                         if task.run(subscription, type_name.into()).await == SubscriptionEnd::Closed {
                             return;
@@ -161,7 +161,7 @@ impl SubscriberTask {
         let endpoints = self.node.endpoints_of(&self.topic);
         let endpoints = endpoints.iter().filter(is_from_publisher);
         endpoints
-            .filter_map(|endpoint| types.into_iter().find(|kind| ros2_name(kind) == endpoint.type_name))
+            .filter_map(|endpoint| types.into_iter().find(|kind| ros2_type_name(kind) == endpoint.type_name))
             .collect()
     }
 
