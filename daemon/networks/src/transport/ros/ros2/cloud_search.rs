@@ -116,7 +116,7 @@ pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> 
     }
 }
 
-/// Returns the participants, without this node's, that subscribe to the topic on which edges ask for connections.
+/// Returns the participants other than this node's that subscribe to the topic on which edges ask for connections.
 fn visible_clouds(node: &Ros2Node, sessions: &str) -> BTreeSet<ParticipantId> {
     let expected = ros2_type_name(SessionHello::DEFINITION.name);
     let is_cloud = |role, kind: &str| role == EndpointRole::Subscription && kind == expected;

@@ -170,8 +170,8 @@ impl PublisherState {
                 if subscription_count > 1 { SHARED_TOPIC_TIMEOUT } else { MAX_UNACKNOWLEDGED_TIME };
             match self.publisher.wait_for_acknowledgment(ack_timeout).await {
                 Ok(()) => self.queue().unacknowledged_bytes = 0,
-                // `rustdds` keeps the messages that another program has not acknowledged. They do not count in the limit
-                // of `publisher` any more, so that they do not stop the other subscriptions. The queue's
+                // `rustdds` keeps the messages that another program has not acknowledged. They do not count in the
+                // limit of `publisher` any more, so that they do not stop the other subscriptions. The queue's
                 // `unacknowledged_bytes` still counts them.
                 Err(Ros2Error::Unacknowledged { .. }) => self.publisher.forget_unacknowledged(),
                 Err(error) => return Err(error.into()),
