@@ -216,7 +216,7 @@ impl Bank {
         Unloader { clock: Arc::clone(&self.clock), observer: self.on_unload.clone() }
     }
 
-    /// Checks everything that can be checked without loading a model: names, files, cards, devices, the library.
+    /// Checks everything that can be checked without loading a model: names, files, cards, devices, ONNX Runtime.
     /// Returns each error with the position of its model in the configuration.
     pub fn check(&self) -> Vec<(usize, LoadError)> {
         let mut errors = Vec::new();

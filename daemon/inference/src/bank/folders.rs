@@ -37,7 +37,7 @@ pub struct ModelOnDisk {
 
 impl ModelFolders {
     /// Returns the folders that the command line searches: `extra`, then the folders of `PEERNET_MODELS`,
-    /// [`DEFAULT_MODEL_FOLDER`] and `models`.
+    /// [`DEFAULT_MODEL_FOLDER`] and `models` in the working directory.
     pub fn search(extra: &[PathBuf]) -> Self {
         let variable = std::env::var_os(FOLDERS_VARIABLE).unwrap_or_default();
         let of_variable = std::env::split_paths(&variable).filter(|path| !path.as_os_str().is_empty());

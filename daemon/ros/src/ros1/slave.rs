@@ -125,8 +125,9 @@ fn execute(node: &NodeState, call: SlaveCall) -> Value {
         }
         // The node caches no parameters, so there is nothing to update.
         SlaveCall::ParamUpdate => success(0),
-        // The call may be meant for a node that ended and whose port this node has now, or the registration of a node
-        // that ended may have reached the master late. Therefore the registrar asks the master which node has the name.
+        // The call is wrong if it is meant for an ended node whose port this node has now. It is also wrong if an ended
+        // node of the same name has replaced this node at the master, because the ended node's registration arrived
+        // late. Therefore the registrar asks the master which node has the name.
         SlaveCall::Shutdown { reason, .. } if reason.ends_with(NAME_TAKEN_REASON) => {
             node.registrar.request_check();
             success(0)

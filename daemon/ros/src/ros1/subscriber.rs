@@ -134,6 +134,7 @@ impl Subscriber {
             biased;
             message = self.topic.queue.pop() => Ok(message),
             () = self.topic.stop.cancelled() => {
+                // A message may have arrived after the queue was checked and before `stop` was checked.
                 self.topic.queue.try_pop().ok_or_else(|| self.guard.closed_error())
             }
         }
@@ -292,8 +293,8 @@ impl SubscribedTopic {
         self.add_links(&mut state, uris);
     }
 
-    /// Adds publishers to the known publishers. No publisher is removed, because the answer to a registration may be
-    /// older than a list that has arrived since.
+    /// Adds the publishers that the master's answer to a registration lists. No publisher is marked as unlisted,
+    /// because the answer may be older than a list that the master has sent since.
     pub(super) fn add_publishers(self: &Arc<Self>, uris: &[String]) {
         self.add_links(&mut self.state(), uris);
     }
@@ -324,7 +325,7 @@ impl SubscribedTopic {
     /// publisher was removed.
     pub(super) fn remove_if_ended(&self, link: &PublisherLink) -> bool {
         // The lock is taken before the check, so that a new list of the master cannot mark the publisher as listed
-        // before it is removed.
+        // between the check and the removal.
         let mut state = self.state();
         if link.is_listed() && !self.stop.is_cancelled() {
             return false;

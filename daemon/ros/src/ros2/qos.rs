@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Quality of service of one publisher or subscription. The defaults are the default profile of ROS 2.
 ///
 /// A subscription only gets messages of a publisher that offers at least what the subscription requests: `reliable` and
-/// `transient-local` if they are requested, and a deadline that is not longer.
+/// `transient-local` if they are requested, and a deadline that is not longer than the requested deadline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct QosProfile {

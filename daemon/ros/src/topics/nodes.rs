@@ -32,7 +32,8 @@ pub(super) fn runtime() -> Result<&'static Runtime, TopicError> {
 }
 
 /// A ROS 1 node. It unregisters when the last reader or writer that uses it is dropped. The end of the process does not
-/// wait for the unregistration, because a sensor that waits for a message keeps its reader, and thus the node.
+/// wait for the unregistration. The wait might not end, because a sensor that waits for a message keeps its reader, and
+/// thus the node.
 #[derive(Debug)]
 pub(super) struct SharedNode {
     environment: Environment,

@@ -192,6 +192,7 @@ async fn describe_missing_message(subscriber: &Subscriber, environment: &Environ
     }
     match &publishers[..] {
         [] => match ros1::topic_types(environment).await {
+            // The master also lists the topic of this subscriber, because the subscriber is registered.
             Ok(topics) => format!(
                 "no node publishes it; check its name; the ROS master at {}: {}",
                 environment.master,

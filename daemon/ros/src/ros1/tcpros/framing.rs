@@ -39,7 +39,8 @@ pub enum FrameError {
 
 /// Splits the bytes that arrive on a connection into frames.
 ///
-/// A frame refers to the bytes as they were read. A long frame is read into a separate buffer.
+/// A complete frame refers to the buffer into which it was read, and is not copied. A long frame is read into a
+/// separate buffer.
 #[derive(Debug)]
 pub struct FrameBuffer {
     bytes: BytesMut,
@@ -82,8 +83,8 @@ impl FrameBuffer {
         }
         let mut room = self.bytes.capacity() - arrived_bytes;
         if frame_bytes > READ_BYTES {
-            // At most twice the arrived bytes, or `READ_BYTES`, are reserved in the shared limit. A long announced
-            // length thus takes no memory from other connections.
+            // At most twice the arrived bytes, or `READ_BYTES` if that is more, are reserved in the shared limit. A
+            // long announced length thus takes no memory from other connections.
             let reserved_bytes = frame_bytes.min((2 * arrived_bytes).max(READ_BYTES));
             if !self.memory.grow(reserved_bytes, self.limits.memory.as_ref()) {
                 return Err(FrameError::NoMemory { length });
@@ -113,7 +114,8 @@ impl FrameBuffer {
         Ok(Some((self.bytes.split_to(length).freeze(), memory)))
     }
 
-    /// Returns whether a frame has begun and is not complete.
+    /// Returns whether a frame has begun and is not complete. The caller must have taken all complete frames with
+    /// [`next_frame`](Self::next_frame) before.
     pub fn has_partial_frame(&self) -> bool {
         !self.bytes.is_empty()
     }

@@ -6,8 +6,8 @@ use thiserror::Error;
 
 use super::{Call, Response, Value};
 
-/// Largest nesting depth of values. ROS needs five: the system state is an answer with lists of pairs of a name and a
-/// list of names.
+/// Largest nesting depth of values. ROS needs six, for the system state: answer, state, list of topics, topic, list of
+/// the topic's nodes, name of a node.
 const MAX_DEPTH: usize = 16;
 
 /// Maximum number of values in a document. The largest answer is the system state of a large robot, a few thousand
@@ -276,7 +276,7 @@ impl<'a> Parser<'a> {
                 _ => None,
             }),
             "double" => self.scalar("double", |text| text.parse().ok().map(Value::Double)),
-            // Dates and binary data are kept as texts: ROS has them only in the parameter server, which nodes here do
+            // Dates and binary data are kept as texts: ROS has them only in the parameter server, which PEERNet does
             // not read.
             "string" | "dateTime.iso8601" | "base64" => self.text_until_close().map(Value::Text),
             "array" => self.array(),

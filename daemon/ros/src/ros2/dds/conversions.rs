@@ -89,7 +89,7 @@ pub(super) fn incompatibility(offered: &QosPolicies, requested: &QosPolicies) ->
 /// 2106 becomes the nearest representable time.
 pub(super) fn timestamp(time: WallTime) -> Timestamp {
     let nanos = time.unix_nanos().max(0);
-    // The two highest values of the seconds are reserved.
+    // The two highest timestamps, which have `u32::MAX` seconds, are reserved.
     let seconds = u64::try_from(nanos / NANOS_PER_SECOND).unwrap_or(0).min(u64::from(u32::MAX - 1));
     let subsecond_nanos = u64::try_from(nanos % NANOS_PER_SECOND).unwrap_or(0);
     Timestamp::from_ticks((seconds << 32) | ((subsecond_nanos << 32) / NANOS_PER_SECOND.unsigned_abs()))

@@ -12,7 +12,7 @@
 //! - It does not report which messages were lost. Therefore gaps between the sequence numbers of each publisher are
 //!   counted.
 //! - It repairs 8 lost fragments of 256 bytes per round of 10 ms. Therefore at most 1 MiB, or half of the receive
-//!   buffer, is unacknowledged, and a warning appears if the kernel limits the socket buffers.
+//!   buffer if that is less, is unacknowledged, and a warning appears if the kernel limits the socket buffers.
 //! - It does not know whether the peer has discovered us as well, so on a volatile topic the first messages after a
 //!   match may be lost. Therefore sessions repeat their hello and confirm payloads.
 //! - It keeps the cache of a topic, with its last messages, until the participant ends. Therefore `depth` is small, and

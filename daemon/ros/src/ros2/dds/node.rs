@@ -183,7 +183,8 @@ impl Ros2Node {
         self.state.publish_node_list();
         let (topic, type_name) = (names.topic, type_name.to_owned());
         let endpoint = Endpoint { id, role, topic, type_name, peers, node: Arc::clone(&self.state) };
-        // The receive buffers of peers are unknown. They are assumed to be as large as the buffer of this host.
+        // The receive buffers of peers are unknown. They are assumed to be as large as the buffer of this host. Half of
+        // this size is a margin.
         let half_buffer = self.receive_buffer_bytes() / 2;
         let max_unacknowledged_bytes = half_buffer.min(Ros2Publisher::MAX_UNACKNOWLEDGED_BYTES);
         let (qos, unacknowledged_bytes) = (qos.clone(), AtomicUsize::new(0));
@@ -381,7 +382,8 @@ async fn follow_discovery(listener: DomainParticipantStatusListener, state: Arc<
             if ignored > ignored_before && ignored.is_power_of_two() {
                 tracing::warn!(
                     ignored,
-                    "the ROS 2 domain {} has more participants or topics than are stored; the nodes of the others remain unknown",
+                    "the ROS 2 domain {} has more participants or topics than are stored; those beyond the \
+                     limits, and their nodes, remain unknown",
                     state.domain_id
                 );
             }
