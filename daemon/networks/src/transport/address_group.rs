@@ -12,6 +12,7 @@ impl AddressGroup {
     pub fn from_address(address: SocketAddr) -> Self {
         // An IPv4 peer of an IPv6 socket has a mapped IPv6 address (RFC 4291, section 2.5.5.2).
         match address.ip().to_canonical() {
+            // The loopback address stays whole, so that `is_loopback` recognises it.
             IpAddr::V6(ip) if !ip.is_loopback() => {
                 Self(IpAddr::V6(Ipv6Addr::from_bits(ip.to_bits() & !u128::from(u64::MAX))))
             }

@@ -17,8 +17,8 @@ use crate::statistics::DatagramStatistics;
 /// number begins when the wait for earlier numbers ends.
 const LOSS_DELAY: Span = Span::from_seconds(1);
 
-/// Number of the latest datagram numbers that are remembered: for each, one bit says whether its datagram has arrived.
-/// A datagram with an older number is not counted, because it may be a duplicate.
+/// Number of remembered datagram numbers, which are the latest ones. For each, one bit says whether its datagram has
+/// arrived. A datagram with an older number counts neither as duplicated nor as reordered, because it may be either.
 const REMEMBERED_NUMBERS: u64 = 4_096;
 
 /// Totals that the receiving end of a direction reports to its sending end.
@@ -137,7 +137,8 @@ impl ArrivalCounter {
                 self.record_next(candidate);
             }
             Some(overtaking) => {
-                // Numbers are recorded in ascending order, and the candidate has the lower number.
+                // Numbers are recorded in ascending order. The candidate has the lower number, or reports the same
+                // number.
                 self.record_next(candidate);
                 self.record_next(overtaking);
                 self.totals.reordered += u64::from(candidate.has_arrived);

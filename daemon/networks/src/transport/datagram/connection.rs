@@ -240,8 +240,8 @@ impl Connection {
 
     fn receive_bye(&mut self, next: u64, now: MonoTime) {
         let count = self.shutdown.receive_bye();
-        // A goodbye has no number of its own, so the number of goodbyes so far identifies it. A duplicated goodbye
-        // therefore counts as a second packet.
+        // A goodbye has no number of its own, so the number of goodbyes so far identifies it. A goodbye that the
+        // network duplicates therefore confirms its own claim.
         let sent_claim = self.receiving.note_sent(next, count.into(), now);
         self.report_false_claim(sent_claim);
         // The other end closes the connection soon, so its unfinished messages will never be completed.
@@ -250,7 +250,7 @@ impl Connection {
         }
         self.report_losses(now);
         // The confirmation waits for messages that are still arriving; the other end repeats its goodbye meanwhile.
-        if self.receiving.is_settled() || self.shutdown.is_last_bye() {
+        if self.receiving.is_settled() || self.shutdown.must_confirm_bye() {
             self.control.push(Packet::ByeAck { connection: self.writer.connection() });
             self.end("the peer closed the connection");
         }

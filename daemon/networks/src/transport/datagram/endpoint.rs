@@ -224,7 +224,7 @@ impl Endpoint {
             entry.local = source_route.from;
         } else if let Packet::PathResponse { token, .. } = packet {
             let to = reply_address(source_route.to, entry.reply_port);
-            let is_token_of = |period: MonoTime| token == first_u64(&self.key.cookie(to, id, period));
+            let is_token_of = |made_at: MonoTime| token == first_u64(&self.key.cookie(to, id, made_at));
             // The token may have been made in the previous period.
             if is_token_of(now) || is_token_of(now - COOKIE_LIFETIME) {
                 self.table.relocate(id, source_route.to, source_route.from);
@@ -353,7 +353,8 @@ impl Endpoint {
         }
     }
 
-    /// Schedules the next timer call of a connection. Must be called after each change of the connection.
+    /// Schedules the next timer call of a connection. After a packet or a message, [`fill`](Self::fill) makes this call
+    /// as soon as the connection has nothing more to send.
     fn schedule(&mut self, id: u64, now: MonoTime) {
         if let Some(entry) = self.table.get(id) {
             let timer_time = entry.next_timer(self.limits.hello_timeout, now);

@@ -40,9 +40,9 @@ pub(crate) struct OutgoingMessage {
     /// CRC-32 of the wire form.
     pub(crate) checksum: u32,
     pub(crate) deadline: Option<MonoTime>,
-    /// Frames, or their remainders, that have not been taken yet.
-    remaining_frames: Vec<Bytes>,
-    /// Index of the first frame in `remaining_frames` that is not used up.
+    /// The header (number and lengths of the frames) and the frames: of each, the part that has not been taken yet.
+    pieces: Vec<Bytes>,
+    /// Index of the first piece that is not used up.
     first_unused: usize,
     /// Number of bytes of the wire form that were taken.
     pub(crate) offset: u32,
@@ -65,20 +65,20 @@ impl OutgoingMessage {
             let length = u32::try_from(frame.len()).map_err(|_| UnsendableMessage::TooLong)?;
             header.extend(length.to_be_bytes());
         }
-        let mut remaining_frames = Vec::with_capacity(frames.len() + 1);
-        remaining_frames.push(Bytes::from(header));
-        remaining_frames.extend(frames);
-        let bytes: u64 = remaining_frames.iter().map(|piece| piece.len() as u64).sum();
+        let mut pieces = Vec::with_capacity(frames.len() + 1);
+        pieces.push(Bytes::from(header));
+        pieces.extend(frames);
+        let bytes: u64 = pieces.iter().map(|piece| piece.len() as u64).sum();
         let total_bytes = u32::try_from(bytes).map_err(|_| UnsendableMessage::TooLong)?;
         let mut checksum = crc32fast::Hasher::new();
-        remaining_frames.iter().for_each(|piece| checksum.update(piece));
+        pieces.iter().for_each(|piece| checksum.update(piece));
         Ok(Self {
             sequence,
             tag,
             total_bytes,
             checksum: checksum.finalize(),
             deadline,
-            remaining_frames,
+            pieces,
             first_unused: 0,
             offset: 0,
         })
@@ -98,14 +98,14 @@ impl OutgoingMessage {
     pub(crate) fn take(&mut self, max_bytes: u16, out: &mut Vec<u8>) -> (u32, u16) {
         let (offset, mut bytes_to_take) = (self.offset, usize::from(max_bytes));
         while bytes_to_take > 0
-            && let Some(piece) = self.remaining_frames.get_mut(self.first_unused)
+            && let Some(piece) = self.pieces.get_mut(self.first_unused)
         {
             let count = piece.len().min(bytes_to_take);
             out.extend_from_slice(&piece[..count]);
             piece.advance(count);
             bytes_to_take -= count;
             if piece.is_empty() {
-                // The memory of a sent frame is freed before the whole message has been sent.
+                // The memory of a sent piece is freed before the whole message has been sent.
                 *piece = Bytes::new();
                 self.first_unused += 1;
             }

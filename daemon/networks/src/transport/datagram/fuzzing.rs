@@ -74,13 +74,14 @@ impl Port {
             peer_address,
             unverified_address: SocketAddr::from(([198, 51, 100, 1], 2)),
         };
-        let answer = port.send_packet(peer_address, &Packet::Hello { version: 1, nonce: 3, reply_port: 0 });
+        let answer =
+            port.deliver_packet(peer_address, &Packet::Hello { version: 1, nonce: 3, reply_port: 0 });
         let Ok(Packet::Cookie { nonce, cookie }) = Packet::read(Role::Edge, answer.get(PREFIX.len()..)?)
         else {
             return None;
         };
         let answer =
-            port.send_packet(peer_address, &Packet::Open { nonce, cookie, reply_port: 0, terms: TERMS });
+            port.deliver_packet(peer_address, &Packet::Open { nonce, cookie, reply_port: 0, terms: TERMS });
         let Ok(Packet::Opened { connection, .. }) = Packet::read(Role::Edge, answer.get(PREFIX.len()..)?)
         else {
             return None;
@@ -90,7 +91,8 @@ impl Port {
         Some(port)
     }
 
-    fn send_packet(&mut self, from: SocketAddr, packet: &Packet<'_>) -> Vec<u8> {
+    /// Delivers a packet. Returns all bytes that are sent back to its source.
+    fn deliver_packet(&mut self, from: SocketAddr, packet: &Packet<'_>) -> Vec<u8> {
         let mut body = Vec::new();
         packet.write(Role::Edge, &mut body);
         self.deliver(from, &body)

@@ -10,8 +10,9 @@
 //! connections of a port, and [`packet`] describes the wire form.
 //!
 //! Any packet may have been altered or forged on the way. A number far above the expected number is therefore believed
-//! only if a second packet agrees, and so is a total ([`receiving`], [`arrival_counter`], [`measurement`]). A packet
-//! that contradicts this end's own state makes a [`false_claim`]. A single false claim has no effect.
+//! only if a second packet agrees ([`receiving`], [`arrival_counter`]). A reported total is also believed only if a
+//! second packet agrees ([`measurement`]). A packet that contradicts this end's own state makes a [`false_claim`]. A
+//! single false claim has no effect.
 
 pub(crate) mod arrival_counter;
 pub(crate) mod connection;

@@ -164,6 +164,7 @@ impl Packet<'_> {
                 put(&nonce.to_be_bytes());
                 put(&cookie);
             }
+            // The caller appends the zeros to an open and to an opened packet.
             Self::Open { nonce, cookie, reply_port, terms } => {
                 put(&nonce.to_be_bytes());
                 put(&cookie);

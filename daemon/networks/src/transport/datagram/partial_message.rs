@@ -29,7 +29,8 @@ pub(super) struct PartialMessage {
 
 /// Largest memory of a message as a multiple of its length, in whatever order its fragments arrive. Does not
 /// include [`FRAGMENT_OVERHEAD`], which is small compared to a fragment of a usual length.
-// Up to twice the bytes before the gap are reserved, and the bytes beyond the gap are stored separately.
+// Up to twice the bytes before the gap are reserved. The bytes beyond the gap are stored separately, and once. The sum
+// is at most twice the bytes of the message.
 pub(super) const PEAK_MEMORY_FACTOR: u64 = 2;
 
 /// Effect of a fragment.

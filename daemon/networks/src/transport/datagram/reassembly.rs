@@ -50,7 +50,7 @@ pub(crate) enum ReassemblyOutcome {
     Stored,
     /// The fragment had arrived before, or its message is settled.
     Duplicate,
-    /// The fragment contradicts earlier fragments of its message.
+    /// The fragment contradicts earlier fragments of its message, or completes a message with a wrong checksum.
     Inconsistent,
     /// The message's number is too far above all numbers that are known to have been sent.
     TooFarAhead,

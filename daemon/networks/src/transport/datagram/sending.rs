@@ -249,8 +249,8 @@ impl SendingHalf {
             return Err(FalseClaim::TooManyFragments);
         }
         if sequence == current {
-            // The other end has no memory for the message. Sending its remaining fragments would be useless and would
-            // delay the report of the loss to the layer above.
+            // The other end has given up the message, for example because it has no memory for the message. Sending the
+            // remaining fragments would be useless and would delay the report of the loss to the layer above.
             self.queue.drop_front();
         }
         if std::mem::replace(&mut message.is_lost, true) {

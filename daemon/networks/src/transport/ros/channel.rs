@@ -241,8 +241,8 @@ impl Channel {
         Some(ConnectionAddresses { local: peer.local, remote: peer.remote })
     }
 
-    /// Returns the statistics of the transport. The round trip is measured on the connection with the peer's
-    /// companions.
+    /// Returns the statistics of the transport. The round trip is measured on the TCP connection on which the peer's
+    /// companions arrive.
     pub(super) fn statistics(&self) -> TransportStatistics {
         let round_trip = self.addresses().and_then(|addresses| tcp_statistics(&addresses).round_trip);
         let lost = Some(self.lock().missing_companions());

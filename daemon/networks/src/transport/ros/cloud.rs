@@ -57,6 +57,7 @@ pub(crate) async fn bind(
     let node = open_node(address, &cloud_node(name), settings, clock).await.map_err(bind_failure)?;
     let topic = sessions_topic(name);
     if let Err(failure) = node.check_cloud_name(name).await {
+        // In ROS 1, this waits until the node's tasks have ended. Dropping the node would not wait.
         node.end(settings.close_timeout()).await;
         return Err(bind_failure(failure));
     }
@@ -69,6 +70,7 @@ pub(crate) async fn bind(
     let sessions_kind = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
     let sessions = node.subscribe(&topic, sessions_kind, options).await.map_err(bind_failure)?;
     let refusals_kind = (TopicPurpose::Refusals, TopicType::from_message::<MessageInfo>());
+    // Each refusal answers a hello, so the queue of refusals has the limits of the queue of hellos.
     let queue = QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES };
     let refusals = node.publish(&refusals_topic(name), refusals_kind, queue).await.map_err(bind_failure)?;
     let caveat = node.caveat().map(str::to_owned);

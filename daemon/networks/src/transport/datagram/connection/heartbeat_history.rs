@@ -2,7 +2,7 @@
 
 use crate::transport::datagram::packet::Heartbeat;
 
-/// The connection ends after this number of successive heartbeats that contradict what was sent.
+/// The connection ends after this number of successive heartbeats that contradict what this end has sent.
 // The connection would not recover, because the other end treats messages as settled that this end has not sent yet.
 const MAX_CONTRADICTIONS: u32 = 3;
 
@@ -10,7 +10,7 @@ const MAX_CONTRADICTIONS: u32 = 3;
 #[derive(Debug, Default)]
 pub(super) struct HeartbeatHistory {
     last: Heartbeat,
-    /// Number of successive heartbeats that contradict what was sent.
+    /// Number of successive heartbeats that contradict what this end has sent.
     contradictions: u32,
 }
 
@@ -20,13 +20,13 @@ impl HeartbeatHistory {
         std::mem::replace(&mut self.last, *heartbeat) != *heartbeat
     }
 
-    /// Notes that the heartbeat agrees with what was sent.
+    /// Notes that the heartbeat agrees with what this end has sent.
     pub(super) fn record_agreement(&mut self) {
         self.contradictions = 0;
     }
 
-    /// Notes that the heartbeat contradicts what was sent. Returns whether too many successive heartbeats contradicted
-    /// what was sent.
+    /// Notes that the heartbeat contradicts what this end has sent. Returns whether too many successive heartbeats did
+    /// so.
     pub(super) fn record_contradiction(&mut self) -> bool {
         self.contradictions += 1;
         self.contradictions >= MAX_CONTRADICTIONS

@@ -7,8 +7,8 @@ const BYE_INTERVAL: Span = Span::from_millis(50);
 
 /// Number of received goodbyes after which unfinished messages are given up.
 const BYES_UNTIL_GIVING_UP: u32 = 2;
-/// Maximum number of goodbyes.
-const MAX_BYES: u32 = 8;
+/// Number of received goodbyes after which the goodbye is confirmed even if messages are not settled.
+const BYES_UNTIL_CONFIRMATION: u32 = 8;
 
 /// State of a connection's shutdown.
 #[derive(Debug)]
@@ -78,9 +78,10 @@ impl Shutdown {
         self.received_byes >= BYES_UNTIL_GIVING_UP
     }
 
-    /// Returns whether the other end has sent its last goodbye.
-    pub(super) const fn is_last_bye(&self) -> bool {
-        self.received_byes >= MAX_BYES
+    /// Returns whether the other end has said goodbye so often that the goodbye must be confirmed even if messages
+    /// are not settled.
+    pub(super) const fn must_confirm_bye(&self) -> bool {
+        self.received_byes >= BYES_UNTIL_CONFIRMATION
     }
 
     /// Ends the connection. Returns whether it was open or closing before.
@@ -112,12 +113,12 @@ mod tests {
     }
 
     #[test]
-    fn messages_are_given_up_before_last_goodbye() {
+    fn messages_are_given_up_before_forced_confirmation() {
         let mut shutdown = Shutdown::new();
         let mut states = Vec::new();
         for _ in 0..8 {
             shutdown.receive_bye();
-            states.push((shutdown.must_give_up_messages(), shutdown.is_last_bye()));
+            states.push((shutdown.must_give_up_messages(), shutdown.must_confirm_bye()));
         }
         assert_eq!(states[..2], [(false, false), (true, false)]);
         assert_eq!(states[6..], [(true, false), (true, true)]);

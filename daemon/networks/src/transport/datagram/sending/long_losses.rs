@@ -5,7 +5,7 @@ use peernet_clock::{MonoTime, Span};
 /// Number of successive messages that must lose all their long datagrams before the path counts as broken for long
 /// datagrams.
 // With 30 % random loss and messages of two datagrams, this happens by chance in about one of 47,000 sequences of 16
-// messages.
+// messages. Such a message counts if either datagram is lost, because the one that arrived may be the short one.
 const MIN_MESSAGES: u32 = 16;
 /// The first of these messages must have been lost at least this long ago.
 const MIN_DURATION: Span = Span::from_seconds(1);

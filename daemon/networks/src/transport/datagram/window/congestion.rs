@@ -53,8 +53,8 @@ impl CongestionWindow {
         let growth = if self.size < self.threshold {
             progress_bytes
         } else {
-            // While the sender pauses, nothing shows that the path could carry more. A longer pause therefore counts as
-            // `FLIGHT_TIMEOUT`.
+            // While the sender pauses, nothing shows that the path could carry more. A pause longer than
+            // `FLIGHT_TIMEOUT` therefore counts as `FLIGHT_TIMEOUT`.
             let elapsed = (now - self.progress_at).min(FLIGHT_TIMEOUT).seconds();
             (f64::from(self.size) * GROWTH_AFTER_LOSS * elapsed).round() as u64
         };
