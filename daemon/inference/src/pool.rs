@@ -120,8 +120,8 @@ impl Pool {
                 Ok(())
             }
             Execution::Threads { queue, blockage, .. } => {
-                // A blockage delays only submitted requests. Therefore a check at each submission is enough, and no
-                // timer is needed.
+                // In a blockage, all workers compute cancelled requests, and other requests wait. A blockage delays
+                // only submitted requests. Therefore a check at each submission is enough, and no timer is needed.
                 blockage.check(&self.name);
                 if queue.is_full() {
                     self.drop_cancelled(queue);

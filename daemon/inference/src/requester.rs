@@ -16,7 +16,7 @@ pub trait Requester: Send + Sync {
     /// If the request was cancelled, or the partial answer cannot be sent. The model then stops computing.
     fn send_partial_answer(&self, partial_answer: Sample) -> Result<(), PartialAnswerError>;
 
-    /// Returns the token that is cancelled when the time limit of the request passes or the other end is gone.
+    /// Returns the token that is cancelled when the time limit of the request passes or the requester is gone.
     fn cancellation(&self) -> CancellationToken;
 
     /// Waits for `duration`.
@@ -28,7 +28,7 @@ pub trait Requester: Send + Sync {
 
 /// Error: the request was cancelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("nobody waits for the answer any more: its time limit passed, or the other end is gone")]
+#[error("nobody waits for the answer any more: its time limit passed, or the requester is gone")]
 pub struct Cancelled;
 
 /// Reason why a partial answer was not sent.

@@ -19,7 +19,7 @@ from PIL import Image
 PICTURE = (120, 80)  # width, height
 INPUT = (64, 64)
 LABELS = ["bolt", "nut", "washer"]
-SCORE, IOU, MAX_DETECTIONS = 0.3, 0.5, 20
+SCORE, IOU, MAX_DETECTIONS = 0.3, 0.5, 20  # thresholds of score and overlap; limit of the number of detections
 TYPES = {
     "float16": TensorProto.FLOAT16, "float32": TensorProto.FLOAT, "float64": TensorProto.DOUBLE,
     "int8": TensorProto.INT8, "int16": TensorProto.INT16, "int32": TensorProto.INT32, "int64": TensorProto.INT64,
@@ -142,22 +142,25 @@ def detectors(out):
     logits = rng.normal(0, 2, (count, 3)).astype(np.float32)
     sigmoid = lambda x: 1 / (1 + np.exp(-x.astype(np.float64)))
     raw = np.concatenate([boxes, objects[:, None], logits], axis=1)[None]
-    found = [(l.argmax(), sigmoid(o) * sigmoid(l).max(), *e) for o, l, e in zip(objects, logits, edges(boxes))]
-    detector(out, "yolov5", {"output": raw}, 'layout = "yolov5"\nname = "output"\nactivation = "sigmoid"', found, IOU)
+    candidates = [(l.argmax(), sigmoid(o) * sigmoid(l).max(), *e) for o, l, e in zip(objects, logits, edges(boxes))]
+    lines = 'layout = "yolov5"\nname = "output"\nactivation = "sigmoid"'
+    detector(out, "yolov5", {"output": raw}, lines, candidates, IOU)
 
     top = np.concatenate([edges(boxes), scores.max(axis=1)[:, None], classes[:, None].astype(np.float32)], axis=1)
     top[-20:, 4:] = (0.0, -1.0)  # rows that pad the output and have no class
-    found = [(r[5], r[4], *r[:4]) for r in top[:-20]]
-    detector(out, "yolov10", {"output0": top[None].astype(np.float32)}, 'layout = "yolov10"\nname = "output0"', found, None)
+    candidates = [(r[5], r[4], *r[:4]) for r in top[:-20]]
+    lines = 'layout = "yolov10"\nname = "output0"'
+    detector(out, "yolov10", {"output0": top[None].astype(np.float32)}, lines, candidates, None)
 
+    # The fourth class of DETR stands for no object.
     queries = rng.normal(0, 2, (count, 4)).astype(np.float32)
     softmax = np.exp(queries.astype(np.float64))
     softmax /= softmax.sum(axis=1, keepdims=True)
-    found = [(s[:3].argmax(), s[:3].max(), *e) for s, e in zip(softmax, edges(boxes))]
+    candidates = [(s[:3].argmax(), s[:3].max(), *e) for s, e in zip(softmax, edges(boxes))]
     fractions = boxes / np.array([*INPUT, *INPUT], np.float32)
     lines = 'layout = "detr"\nscores = "logits"\nboxes = "pred_boxes"\n'
     outputs = {"logits": queries[None], "pred_boxes": fractions[None]}
-    detector(out, "detr", outputs, lines + 'activation = "softmax"', found, None)
+    detector(out, "detr", outputs, lines + 'activation = "softmax"', candidates, None)
 
     pairs = [(k, sigmoid(l[k]), *e) for l, e in zip(logits, edges(boxes)) for k in range(3)]
     outputs = {"logits": logits[None], "pred_boxes": fractions[None]}
@@ -336,16 +339,16 @@ def other_tasks(out):
     # Constant outputs that cannot be converted to an answer, or that fit no card of the task.
     classes = '[output]\nname = "y"\nlabels = ["red", "green", "blue"]\nactivation = "softmax"\n'
     vector = '[output]\nname = "y"\nnormalise = true\n'
-    one = np.ones((1, 3), np.float32)
+    ones = np.ones((1, 3), np.float32)
     for name, task, output, numbers in [
-        ("classes-nan", "classification", classes, one * np.nan),
-        ("classes-infinite", "classification", classes, one * np.inf),
-        ("classes-bool", "classification", classes, one > 0),
-        ("classes-rank-3", "classification", classes, one[..., None]),
+        ("classes-nan", "classification", classes, ones * np.nan),
+        ("classes-infinite", "classification", classes, ones * np.inf),
+        ("classes-bool", "classification", classes, ones > 0),
+        ("classes-rank-3", "classification", classes, ones[..., None]),
         ("classes-two-rows", "classification", classes, np.ones((2, 3), np.float32)),
         ("classes-four", "classification", classes, np.ones((1, 4), np.float32)),
-        ("embedding-infinite", "embedding", vector, one * np.inf),
-        ("embedding-zero", "embedding", vector, one * 0),
+        ("embedding-infinite", "embedding", vector, ones * np.inf),
+        ("embedding-zero", "embedding", vector, ones * 0),
     ]:
         card = f'task = "{task}"\n{picture_input()}{plain}{output}'
         node = helper.make_node("Identity", ["constant"], ["y"])

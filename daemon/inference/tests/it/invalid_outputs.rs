@@ -9,7 +9,7 @@ fn error_names_output_with_unusable_numbers() {
         ("classes-nan", "its output \"y\" contains NaN"),
         ("classes-infinite", "its output \"y\" contains inf"),
         ("embedding-infinite", "its output \"y\" contains inf"),
-        ("embedding-zero", "its output \"y\" has the length 0, so it cannot be normalised"),
+        ("embedding-zero", "its output \"y\" consists of zeros, so it cannot be normalised"),
         ("nms-infinite-score", "its output \"scores\" contains inf"),
     ] {
         let error = answer(name, vec![grey_picture()]).expect_err(name);

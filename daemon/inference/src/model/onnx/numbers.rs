@@ -189,7 +189,7 @@ impl Numbers {
         for_elements!(self, elements => elements.len())
     }
 
-    /// Replaces all numbers by `values`; repeats `values` if there are more numbers.
+    /// Replaces all numbers by `values`; repeats `values` if there are more numbers than values.
     pub(super) fn fill(&mut self, values: &[f64]) {
         for_elements!(self, elements => fill(elements, values));
     }

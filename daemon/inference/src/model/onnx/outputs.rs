@@ -42,7 +42,7 @@ pub(super) enum OutputError {
     #[error("it has no classes")]
     NoClasses,
     /// A vector of zeros has no direction.
-    #[error("its output {0:?} has the length 0, so it cannot be normalised")]
+    #[error("its output {0:?} consists of zeros, so it cannot be normalised")]
     NoDirection(String),
     /// The answer relates to a picture, but the sample had none.
     #[error("its sample has no picture")]
@@ -104,6 +104,7 @@ impl<'a, 'run> Outputs<'a, 'run> {
         match output.shape.first_mut() {
             // The output for a single sample need not have a dimension for the batch.
             _ if batch == 1 => {}
+            // The shape becomes that of the output for one sample.
             Some(rows) if *rows == batch => *rows = 1,
             _ => {
                 return Err(output.wrong_shape(&format!("[{batch}, …], a row for each sample of the batch,")));

@@ -209,7 +209,7 @@ mod tests {
 
     #[test]
     fn numbers_are_scaled_and_normalised() {
-        let card = small_card_with("", "").expect("the card is valid");
+        let card = Card::parse(SMALL).expect("the card is valid");
         let numbers = convert(&card, &pixels(PixelFormat::Grey8, 2, 1, &[10, 4])).expect("fits");
         assert_eq!(numbers, Numbers::Float32(vec![(10.0 * 0.5 - 1.0) / 2.0, (4.0 * 0.5 - 1.0) / 2.0]));
     }

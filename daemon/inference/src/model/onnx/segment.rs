@@ -16,8 +16,8 @@ use super::outputs::{Output, OutputError, Outputs};
 struct Answer<'a> {
     /// The classes that the picture shows, the most frequent one first.
     classes: Vec<SegmentedClass<'a>>,
-    /// Number of the model's classes. In the mask of a sample's label, a pixel with this value or a larger one has a
-    /// class that the model does not have. Pixels with the value 255 have no class and are not scored.
+    /// Number of the model's classes. In the mask of a sample's label, a pixel with the value 255 has no class and is
+    /// not scored; a pixel with any other value from `class_count` on has a class that the model does not have.
     class_count: usize,
     /// Width of the sample's picture, pixels.
     width: u32,

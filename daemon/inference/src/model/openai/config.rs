@@ -16,7 +16,8 @@ use crate::{LoadError, Model};
 /// Longest time limit, milliseconds: one day.
 const MAX_TIMEOUT_MS: usize = 24 * 3600 * 1000;
 
-/// Fields of a request that this program sets; they must not be in `parameters`.
+/// Fields of a request that must not be in `parameters`. This program sets these fields, except `n`: without `n`, the
+/// server sends one choice, as this program expects.
 const RESERVED_PARAMETERS: [&str; 5] = ["model", "messages", "stream", "stream_options", "n"];
 
 /// Keys of a model of `kind = "openai"`. Each worker waits for one answer at a time.
@@ -116,7 +117,10 @@ impl OpenaiConfig {
     fn server(&self, common: &CommonSettings) -> Result<Server, LoadError> {
         let invalid_key = |key, reason| LoadError::InvalidKey { model: common.name.to_string(), key, reason };
         if let Some(reserved) = RESERVED_PARAMETERS.iter().find(|name| self.parameters.contains_key(**name)) {
-            return Err(invalid_key("parameters", format!("{reserved} is set by this program; remove it")));
+            return Err(invalid_key(
+                "parameters",
+                format!("{reserved} is reserved for this program; remove it"),
+            ));
         }
         // NaN and infinity in TOML have become null, because JSON has no such numbers.
         if let Some((name, _)) = self.parameters.iter().find(|(_, value)| value.is_null()) {

@@ -142,7 +142,8 @@ impl RequestError {
     }
 }
 
-/// Returns the first line of a text, without control characters and with at most [`MAX_TEXT_CHARS`] characters.
+/// Returns a text in one line: line ends and control characters become spaces. A text of more than [`MAX_TEXT_CHARS`]
+/// characters is cut off.
 fn shorten(text: &str) -> String {
     let line = printable_line(text);
     match line.char_indices().nth(MAX_TEXT_CHARS) {

@@ -226,50 +226,50 @@ mod tests {
 
     #[test]
     fn invalid_numbers_of_tokens_are_left_out() {
-        let whole = Usage { prompt_tokens: Some(12), completion_tokens: Some(5), ..Usage::default() };
+        let both_counts = Usage { prompt_tokens: Some(12), completion_tokens: Some(5), ..Usage::default() };
         for (usage, expected, defect) in [
-            (r#"{"prompt_tokens":12,"completion_tokens":5,"prompt_tokens_details":7}"#, whole, None),
+            (r#"{"prompt_tokens":12,"completion_tokens":5,"prompt_tokens_details":7}"#, both_counts, None),
             (
                 r#"{"prompt_tokens":12,"completion_tokens":null}"#,
-                Usage { completion_tokens: None, ..whole },
+                Usage { completion_tokens: None, ..both_counts },
                 None,
             ),
             (
                 r#"{"prompt_tokens":12.0,"completion_tokens":5}"#,
-                Usage { prompt_tokens: None, ..whole },
+                Usage { prompt_tokens: None, ..both_counts },
                 Some("prompt_tokens = 12.0"),
             ),
             (
                 r#"{"prompt_tokens":12,"completion_tokens":-5}"#,
-                Usage { completion_tokens: None, ..whole },
+                Usage { completion_tokens: None, ..both_counts },
                 Some("completion_tokens = -5"),
             ),
             (
                 r#"{"prompt_tokens":12,"completion_tokens":9007199254740993}"#,
-                Usage { completion_tokens: None, ..whole },
+                Usage { completion_tokens: None, ..both_counts },
                 Some("completion_tokens = 9007199254740993"),
             ),
             (r#"{"prompt_tokens":"12"}"#, Usage::default(), Some("prompt_tokens = \"12\"")),
             (r#"{"completion_tokens":1e30}"#, Usage::default(), Some("completion_tokens = 1e30")),
             (
                 r#"{"prompt_tokens":12,"completion_tokens":1e999}"#,
-                Usage { completion_tokens: None, ..whole },
+                Usage { completion_tokens: None, ..both_counts },
                 Some("completion_tokens = 1e999"),
             ),
             (
                 r#"{"prompt_tokens":1.5,"completion_tokens":5}"#,
-                Usage { prompt_tokens: None, ..whole },
+                Usage { prompt_tokens: None, ..both_counts },
                 Some("prompt_tokens = 1.5"),
             ),
             ("[12]", Usage::default(), Some("usage = [12]")),
             (
                 r#"{"prompt_tokens":12,"completion_tokens":5,"completion_tokens_details":{"reasoning_tokens":99}}"#,
-                whole,
+                both_counts,
                 Some("reasoning_tokens = 99 of completion_tokens = 5"),
             ),
             (
                 r#"{"prompt_tokens":12,"completion_tokens":5,"prompt_tokens_details":{"cached_tokens":13}}"#,
-                whole,
+                both_counts,
                 Some("cached_tokens = 13 of prompt_tokens = 12"),
             ),
         ] {

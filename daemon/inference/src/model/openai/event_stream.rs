@@ -49,7 +49,7 @@ impl EventStream {
     /// Takes the next bytes of the stream. Passes each event that these bytes complete to `receive_event`.
     ///
     /// # Errors
-    /// If an event is too long, or `receive_event` fails. The parser cannot be used after an error.
+    /// If an event is too long, or `receive_event` fails. The bytes that are not parsed by then are lost.
     // UTF-8 is decoded when an event is complete, because a character may be divided between two pieces.
     pub(super) fn receive<E: From<EventTooLong>>(
         &mut self,
@@ -178,6 +178,7 @@ mod tests {
         assert_eq!(events(&endless_line), Err(EventTooLong));
         let line = [b"data: ", &piece[..], b"\n"].concat();
         assert_eq!(events(&vec![&line[..]; MAX_EVENT_BYTES / piece.len() + 1]), Err(EventTooLong));
+        // Comments do not count towards the length of an event.
         assert_eq!(events(&vec![&b": comment\n"[..]; 200_000]), Ok(vec![]));
     }
 

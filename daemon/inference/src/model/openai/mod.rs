@@ -5,8 +5,8 @@
 //! sample ── request ── server (HTTP over TCP or TLS) ── event_stream ── event_data ── answer ── nodes, sample
 //! ```
 //!
-//! `event_stream`, `event_data` and `answer` have no I/O. `server` takes the time at which bytes arrive before the
-//! bytes are parsed.
+//! `event_stream`, `event_data` and `answer` have no I/O. `server` reads the clock as soon as bytes arrive, and
+//! then parses the bytes.
 
 mod answer;
 mod config;

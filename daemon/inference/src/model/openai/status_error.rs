@@ -51,6 +51,7 @@ pub(super) async fn status_error(mut response: Response<Incoming>, limit: Durati
 /// Returns whether a text is a number of seconds or a date, as RFC 9110 (sections 10.2.3 and 5.6.7) defines
 /// `Retry-After`.
 fn is_retry_after(text: &str) -> bool {
+    // `parse` alone would accept a plus sign.
     let is_seconds = text.bytes().all(|byte| byte.is_ascii_digit()) && text.parse::<u32>().is_ok();
     // `A` and `a` stand for any letter, and `0` stands for any digit.
     let pattern = b"Aaa, 00 Aaa 0000 00:00:00 GMT";

@@ -242,7 +242,7 @@ fn invalid_keys_are_refused_with_reason() {
         (
             "url = 'http://gpu'\nparameters = { stream = false }",
             "parameters",
-            "stream is set by this program",
+            "stream is reserved for this program",
         ),
         (
             "url = 'http://gpu'\nparameters = { temperature = nan }",
