@@ -56,6 +56,7 @@ fn measure_calls(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", ClockIdentity::SYSTEM)));
     let mut program = Program::start(config, Role::Model, "bench", &clock).expect("it starts");
     let sample = Sample::from_part(Description::bytes(), vec![7; size].into());
+    // The first calls warm up and are not measured.
     let mut durations: Vec<f64> = (0..rounds + rounds / 10)
         .map(|_| {
             let program_call = program.call(Request::Sample(&sample)).expect("it answers");

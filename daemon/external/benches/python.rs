@@ -3,8 +3,9 @@
 //!
 //!     cargo bench -p peernet-external --bench python -- [--json] [ROUNDS]
 //!
-//! *bytes* and *array* are passed to an object that returns its argument. *cat* passes the bytes to the program `cat` in
-//! the same process harness. Its time is the least that two pipes and two process switches cost.
+//! *bytes* and *array* are passed to an object that returns its argument. *cat* passes the bytes to the program `cat`,
+//! which `Process` runs, as it runs the Python object. The time of *cat* is the least that two pipes and two process
+//! switches cost.
 
 use std::fs;
 use std::sync::Arc;
@@ -62,6 +63,7 @@ fn measure_echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let mut object = PythonObject::start(&config, Role::Model, "bench", device, clock).expect("it starts");
     let parts = std::slice::from_ref(part);
     let mut durations = Vec::with_capacity(rounds);
+    // The first rounds warm up and are not measured.
     for round in 0..rounds + rounds / 10 {
         let object_call = object.call(parts);
         assert_eq!(object_call.result.expect("it answers").as_deref(), Some(parts));
@@ -85,6 +87,7 @@ fn measure_cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] 
     };
     let mut process = Process::start(&launch, clock).expect("cat is there");
     let mut durations = Vec::with_capacity(rounds);
+    // The first rounds warm up and are not measured.
     for round in 0..rounds + rounds / 10 {
         let started_at = clock.mono();
         process.write(&[content], started_at + TIMEOUT).expect("it reads");

@@ -82,6 +82,7 @@ mod tests {
         let files = [file.clone(), large.clone(), missing.clone()];
         let (name, description) = files_fact("Sensor", &files).expect("three files are described");
         assert_eq!(name, "Sensor files");
+        // The large file gives two entries, because its description contains a comma.
         let entries: Vec<&str> = description.split(", ").collect();
         // Example in FIPS 180-4.
         let expected_hash = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";

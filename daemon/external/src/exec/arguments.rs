@@ -244,6 +244,7 @@ mod tests {
             fact("Notes", "the program ./light 5"),
         ];
         let expected = [("Sensor", "the program ./light"), ("Model", "the program sh"), ("Actuator", "log")];
+        // The second pass shows that a fact whose arguments have been removed stays as it is.
         for _ in 0..2 {
             hide_arguments_in_facts(&mut facts);
             assert_eq!(&facts[..3], expected.map(|(name, value)| fact(name, value)));
