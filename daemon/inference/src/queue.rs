@@ -197,6 +197,8 @@ mod tests {
         let mut items = vec!['a'];
         queue.pop_more(&mut items, 3, Duration::from_millis(1));
         assert_eq!(items, ['a', 'd']);
+        // Without unfinished items, the next consumer expects further items and waits for them.
+        queue.finish(3);
         let waiting = std::thread::spawn({
             let queue = Arc::clone(&queue);
             move || {
