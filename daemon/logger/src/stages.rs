@@ -158,7 +158,7 @@ impl Stages {
     }
 
     /// Returns the sum of `upload` and `download`, which needs no offset. `None` if the answer has not arrived, or if
-    /// the edge's clock was set back while the message and the answer were in transit.
+    /// the sum is negative, because the edge's wall clock was set back during the round trip.
     pub const fn transport(&self) -> Option<Span> {
         self.transport
     }
@@ -255,6 +255,7 @@ mod tests {
             offset in -1_i64 << 60..1 << 60, up in 0_i64..1 << 40, down in 0_i64..1 << 40, step in -1_i64 << 50..1 << 50,
         ) {
             let stages = tree_of_offloaded_iteration(offset, up, down, step).stages();
+            // The edge has not related the two clocks, so that both delays are unknown.
             prop_assert_eq!((stages.get("upload"), stages.get("download")), (None, None));
             prop_assert_eq!(stages.transport(), Some(Span::from_nanos(up + down)));
             prop_assert_eq!(stages.round_trip(), Some(Span::from_nanos(up + 20 + down)));

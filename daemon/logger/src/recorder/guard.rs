@@ -6,8 +6,8 @@ use peernet_clock::{MonoTime, Span};
 
 use crate::{Measure, Meter, NodeId, Recorder, Unit, stage};
 
-/// Guard of an open node. Nodes that are recorded through the guard become children of the node. The node closes when
-/// the guard is dropped.
+/// Guard of an open node: a timer, a container, or the node of a [`MeterGuard`] or [`TokenGuard`]. Nodes that are
+/// recorded through the guard become children of the node. The node closes when the guard is dropped.
 #[derive(Debug)]
 pub struct TimerGuard<'a> {
     pub(crate) recorder: &'a mut Recorder,

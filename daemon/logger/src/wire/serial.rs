@@ -5,6 +5,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use peernet_clock::WallTime;
 
+use super::writer::USUAL_NODE_BYTES;
 use super::{decode, decode_tree_delta, encode, encode_tree_delta};
 use crate::limits::MAX_NODES;
 use crate::{Anchor, Node, NodeId, Tree, TreeDelta, TreeError};
@@ -47,12 +48,17 @@ struct TreeDeltaView<'a> {
     nodes: &'a [Node],
 }
 
+/// Returns the approximate number of bytes of the wire form of a tree or tree delta with these nodes.
+const fn usual_wire_bytes(nodes: &[Node]) -> usize {
+    nodes.len() * USUAL_NODE_BYTES + 64
+}
+
 impl Serialize for Tree {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         if serializer.is_human_readable() {
             return TreeView { anchors: &self.anchors, nodes: &self.nodes }.serialize(serializer);
         }
-        let mut wire = Vec::with_capacity(self.nodes.len() * 24 + 64);
+        let mut wire = Vec::with_capacity(usual_wire_bytes(&self.nodes));
         encode(self, &mut wire);
         serializer.serialize_bytes(&wire)
     }
@@ -76,7 +82,7 @@ impl Serialize for TreeDelta {
             return TreeDeltaView { base: *base, anchor, others, closed: *closed, nodes }
                 .serialize(serializer);
         }
-        let mut wire = Vec::with_capacity(self.nodes.len() * 24 + 64);
+        let mut wire = Vec::with_capacity(usual_wire_bytes(&self.nodes));
         encode_tree_delta(self, &mut wire);
         serializer.serialize_bytes(&wire)
     }

@@ -13,6 +13,9 @@ macro_rules! write_to_memory {
     };
 }
 
+/// Length of a usual node, in bytes. Memory is reserved for nodes of this length; a longer node is written, too.
+pub(super) const USUAL_NODE_BYTES: usize = 24;
+
 /// Largest magnitude up to which every integer is an exact `f64`.
 const MAX_EXACT_INTEGER: f64 = 9_007_199_254_740_992.0;
 
@@ -77,7 +80,7 @@ pub(super) fn anchors(out: &mut Vec<u8>, anchors: &[Anchor]) {
 }
 
 pub(super) fn nodes(out: &mut Vec<u8>, nodes: &[Node]) {
-    out.reserve(nodes.len() * 24);
+    out.reserve(nodes.len() * USUAL_NODE_BYTES);
     array(out, nodes.len() as u32);
     nodes.iter().for_each(|item| node(out, item));
 }
