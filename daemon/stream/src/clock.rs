@@ -290,7 +290,8 @@ pub struct HostClock {
     pub claim: Option<ClockClaim>,
     /// Description for people, such as `chrony, stratum 2, to 10.0.0.1`, `kernel, synchronised`, `not synchronised`.
     pub text: String,
-    /// Number of the clock's current epoch: the number of steps, slews and sleeps of the clock since the agent started.
+    /// Number of the clock's current epoch: the number of steps and slews of the clock and sleeps of the host since the
+    /// agent started.
     pub epoch: u32,
     /// Faults that are injected into the clock.
     #[serde(rename = "rehearsal")]

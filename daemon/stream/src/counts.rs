@@ -114,7 +114,8 @@ impl SubmittedEvents {
         SettledEvents { events, batched: self.batched.total, last: self.last }
     }
 
-    /// Counts the batched events that are not in `retained` as dropped.
+    /// Counts batched events as dropped, except the events that `retained` counts: these events are in the spool, or the
+    /// aggregator has stored them.
     pub(super) fn give_up(&mut self, retained: &RunCounts) {
         let batched = std::mem::replace(&mut self.batched, retained.clone());
         self.dropped.total += batched.total.saturating_sub(retained.total);

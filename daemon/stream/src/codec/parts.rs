@@ -66,6 +66,7 @@ mod tests {
         let frame = Bytes::from(encode_part(&written));
         assert_eq!(frame.len(), PART_HEAD_BYTES + 3);
         assert_eq!(decode_part(&frame), Some(written.clone()));
+        // The zeros make the frame long enough for the head of a batch.
         assert_eq!(decode_batch_head(&[&frame[..], &[0; 200]].concat()), None);
         assert_eq!(decode_part(&frame.slice(..PART_HEAD_BYTES)), None, "a part without content is invalid");
         let beyond_end = Part { offset: 301, ..written.clone() };

@@ -85,11 +85,13 @@ fn drive_receiving(script: &mut Script<'_>) {
                 let (stream, owner) = (script.stream(), script.host());
                 let mark = script.mark(owner);
                 receiving.handle_stored(stream, mark);
+                // The mark may be ahead of the accepted batches. The next batch then follows the mark.
                 accepted.entry(stream).and_modify(|number| *number = mark.stored.max(*number));
             }
             7 => {
                 let stream = script.stream();
                 receiving.handle_failed_store(stream);
+                // The batches after the mark count as not received, so the order is checked anew.
                 accepted.remove(&stream);
             }
             8 => {
@@ -105,6 +107,7 @@ fn drive_receiving(script: &mut Script<'_>) {
                 if script.byte() & 1 == 0 {
                     receiving.handle_goodbye(script.host());
                 }
+                // The sessions of some hosts may have ended, so the order of all streams is checked anew.
                 accepted.clear();
             }
         }
@@ -123,6 +126,7 @@ struct Agent {
 }
 
 fn drive_sending(script: &mut Script<'_>) {
+    // The limits are so low that a short script reaches them.
     let config = SendingConfig {
         batch_nodes: 2,
         spool_bytes: 2_000,
@@ -208,6 +212,7 @@ impl Agent {
             }
             Some(Action::Load { .. }) if fails => drop(self.sending.on_load_failed(reason(), now)),
             Some(Action::Load { from, .. }) => {
+                // The loaded batches are batch `from` and the next batch, if the spool contains them.
                 let next_batches = self.spool.iter().skip_while(|batch| batch.number < from).take(2);
                 let loaded: Vec<_> = next_batches.filter(|batch| batch.number <= from + 1).cloned().collect();
                 self.sending.on_loaded(loaded, now);

@@ -71,8 +71,8 @@ impl Receiving {
         }
     }
 
-    /// Returns the reason to refuse a hello, if any. Another process with the same host id is no such reason: about
-    /// processes, [`Self::admit_process`] decides.
+    /// Returns the reason to refuse a hello, if any. This function ignores other processes with the same host id:
+    /// [`Self::admit_process`] decides between processes.
     fn refusal_reason(&self, hello: &Hello, record: StreamRecord, now: MonoTime) -> Option<String> {
         if let Some(reason) = version_mismatch(hello) {
             return Some(reason);

@@ -175,8 +175,8 @@ pub struct MissingPreviousBatches {
     pub stream: StreamId,
     /// Number of the first batch; 1 if nothing of the stream is known.
     pub from: u64,
-    /// Number of the last batch before the first batch of the new stream. `from` if only batches after that batch are
-    /// missing, which a killed process sent from memory.
+    /// Number of the last batch: the batch before the first batch of the new stream. If that batch is stored, and the
+    /// only missing batches are those that a killed process sent from memory, `through` is `from`.
     pub through: u64,
     /// Number of events in the missing batches, including those that a killed process sent from memory; `None` if it is
     /// unknown.
@@ -261,8 +261,8 @@ impl Receiving {
             }
             Admission::Later => return HelloResult::Wait,
         }
-        // Batches from an earlier process of the host are stored first, so that the welcome's statement about them
-        // stays true.
+        // The welcome states the last stored batch. Batches from an earlier process of the host are stored first, so
+        // that this statement stays true.
         let has_unstored = |progress: &Progress| progress.has_unstored_from_other_process(hello.process);
         if self.has_too_many_unstored(host, stream) || self.streams.get(&stream).is_some_and(has_unstored) {
             return HelloResult::Wait;
@@ -310,10 +310,11 @@ impl Receiving {
         HelloResult::Welcome { reply, missing, replaced, missing_previous, displaced }
     }
 
-    /// Returns whether the host must wait for the writer, because its stream or its earlier streams have too many
-    /// batches that are not stored.
+    /// Returns whether the host must wait for the writer, because its stream has too many batches that are not stored,
+    /// or because the host has too many other streams in memory.
     fn has_too_many_unstored(&self, host: HostId, stream: StreamId) -> bool {
         let is_full = self.streams.get(&stream).is_some_and(Progress::is_full);
+        // A stream that no host sends any more stays in memory only until its batches are stored.
         let other_streams =
             self.streams.iter().filter(|(id, progress)| progress.host == host && **id != stream);
         is_full || other_streams.count() >= MAX_UNSTORED_STREAMS

@@ -30,7 +30,7 @@ impl PartAssembler {
     }
 
     /// Adds a part. Returns the frame of the batch if the part completes the batch. A part that does not follow the
-    /// previous part discards the batch.
+    /// previous part, or that exceeds the limit on the sum of bytes, discards the batch.
     pub(super) fn add(&mut self, part: &Part) -> Option<Bytes> {
         if part.offset == 0 {
             self.remove(part.host);

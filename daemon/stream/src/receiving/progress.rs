@@ -12,8 +12,8 @@ pub(super) const MAX_BATCH_NUMBER: u64 = i64::MAX as u64;
 /// Number of damaged arrivals in a row after which a batch is accepted as damaged.
 const MAX_DAMAGED_ARRIVALS: u32 = 3;
 
-/// Maximum number of batches that are accepted and not stored. An agent that respects its window causes at most half as
-/// many.
+/// Maximum number of accepted batches that are not stored or not confirmed. An agent that respects its window causes at
+/// most half as many.
 const MAX_PENDING: usize = 2 * (MAX_IN_FLIGHT_BATCHES + 1);
 
 /// A position in a stream: number of a batch; its chain hash and the number of events up to it, if they are known.
@@ -86,7 +86,7 @@ impl Progress {
         if let Some(mark) = mark {
             self.apply_mark(mark);
         }
-        // If no batch of the stream is stored or accepted, what an earlier hello stated is no longer needed.
+        // If no batch of the stream is stored or accepted, this hello replaces what an earlier hello stated.
         if self.mark.is_none() && self.is_all_stored() {
             *self = Self::new(hello, None);
         }
@@ -218,8 +218,8 @@ impl Progress {
         self.stored = mark.into();
         if mark.stored >= self.accepted.number {
             if mark.stored > self.accepted.number {
-                // The database is ahead of the accepted batches in memory: the batch was stored before the aggregator
-                // was restarted.
+                // The database is ahead of the accepted batches in memory: the mark's batch was stored before the
+                // aggregator was restarted.
                 self.pending.push_back((mark.stored, mark.chain));
             }
             self.accepted = self.stored;
