@@ -97,6 +97,7 @@ impl ClockFaults {
     /// that was set forward skips some times; the result is then the time of the step.
     pub fn true_wall(&self, shown_wall: WallTime) -> WallTime {
         let steps = self.steps.iter().filter(|step| step.clock.is_wall());
+        // A step starts a period without further steps. Before the first step there is one more such period.
         let mut starts: Vec<WallTime> = steps.map(|step| self.since + step.at).collect();
         starts.push(WallTime::from_unix_nanos(i64::MIN));
         // The loop goes from the last step to the first, because the last matching time is the result.

@@ -219,6 +219,7 @@ impl OneWayDelay {
     /// Returns the delay in seconds. `None` if the verdict says that the delay is not known, for example because a
     /// clock was stepped.
     pub fn known_seconds(&self) -> Option<f64> {
+        // The verdict is checked, because deserialisation does not check that a delay with a bad verdict has no value.
         let is_known = matches!(self.verdict, Verdict::Ok | Verdict::Limited | Verdict::Stale);
         self.value.filter(|_| is_known).map(Span::seconds)
     }

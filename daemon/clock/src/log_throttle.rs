@@ -98,6 +98,7 @@ mod tests {
         let mut throttle = LogThrottle::default();
         let logged =
             (0..10_000).filter(|n| throttle.count_event(&n.to_string(), None, at(0)).is_some()).count();
+        // The count that all further kinds share is one more entry.
         assert_eq!((logged, throttle.kinds.len()), (MAX_KINDS + 1, MAX_KINDS + 1));
         assert_eq!(throttle.remove_expired(at(60)), [(String::new(), None, 10_000 - MAX_KINDS as u64 - 1)]);
     }

@@ -94,6 +94,7 @@ impl SimulatedClock {
             let max_duration =
                 if change == 0.0 { f64::INFINITY } else { (ppm.copysign(change) - drift) / change };
             let duration = (random.exponential(8.0) + 0.1).min(max_duration);
+            // If the drift is at ± `ppm` already, a change outwards has no duration. Another change is then drawn.
             if duration > 1e-3 {
                 let error = clock.error(t);
                 clock.pieces.push(Piece { start: t, error, drift: drift * 1e-6, change: change * 1e-15 });

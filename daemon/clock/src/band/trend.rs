@@ -71,6 +71,8 @@ impl Trend {
     /// Inserts the two points of an exchange. `limit` is the largest slope that the offset can have, seconds per
     /// second.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, limit: f64) {
+        // The upper point is at the time at which the exchange was sent, the lower point at the later time at which it
+        // returned.
         let (first, last) = self.time_range.unwrap_or((upper.x, lower.x));
         self.time_range = Some((first.min(upper.x), last.max(lower.x)));
         self.exchange_count += 1;
@@ -94,7 +96,7 @@ impl Trend {
             let slope = self.slope(x, seconds, limit)?;
             let above = lowest_bound(&self.upper, x, seconds, slope)?;
             let below = lowest_bound(&self.lower, x, seconds, -slope)?;
-            // If the sum is below 0, the narrow band is empty.
+            // `below` has the opposite sign, as in `self.lower`. If the sum is below 0, the narrow band is empty.
             (above.saturating_add(below) >= 0).then(|| above.saturating_sub(below) / 2)
         })
     }

@@ -37,6 +37,7 @@ impl UnannouncedSteps {
         if let Some((_, previous)) =
             self.last_step.filter(|(time, _)| (at - *time).abs() <= VIOLATION_DURATION)
         {
+            // The limit of drift counts as violated only if both steps contradict it.
             let is_drift_change = [previous, contradiction].contains(&Contradiction::DriftChange);
             let limit = if is_drift_change { ViolatedLimit::DriftChange } else { ViolatedLimit::Drift };
             self.violated_limit = Some((at + VIOLATION_DURATION, limit));
@@ -46,8 +47,8 @@ impl UnannouncedSteps {
 
     /// Returns the limit that counts as violated at a time; `None` if there is none.
     pub(super) fn violated_limit(&self, at: RawTime) -> Option<ViolatedLimit> {
-        // If the edge's clock was set back far, the end of the violation lies far in the future. The violation then
-        // counts as over.
+        // If the edge's clock was set back by more than `VIOLATION_DURATION`, the end of the violation lies far in the
+        // future. The violation then counts as over.
         self.violated_limit
             .filter(|(end, _)| at < *end && *end - at <= VIOLATION_DURATION + VIOLATION_DURATION)
             .map(|(_, limit)| limit)

@@ -58,6 +58,7 @@ impl Relation {
         up: (RawTime, RawTime),
         down: (RawTime, RawTime),
     ) -> [OneWayDelay; 2] {
+        // `up.0` and `down.1` are the stamps of the edge's clock.
         let is_fresh = self.exchange_times.has_exchange_near(up.0, down.1, self.settings.max_fresh_age);
         let [up_offset, down_offset] = self.offsets_of_exchange(up.0, down.1);
         [
@@ -67,7 +68,8 @@ impl Relation {
     }
 
     /// Returns the difference between the times at which two receivers got one message, as
-    /// [`reception_differences`](Self::reception_differences) does for a pair of messages.
+    /// [`reception_differences`](Self::reception_differences) does for a pair of messages. `sent` is the stamp of the
+    /// receiver on the sender's host, `received` that of the receiver on the other host.
     pub fn reception_difference(
         &self,
         direction: Direction,
@@ -201,7 +203,7 @@ impl Relation {
         }
         let drift = Span::from_nanos(self.windows.limit().max_change_over(hi.nanos()));
         let bounds = Interval { lo: (lo - drift).max(Span::ZERO), hi: hi + drift };
-        // The estimate assumes a symmetric path, so it may lie outside of the proven interval.
+        // The estimate of the offset assumes a symmetric path, so the value may be negative, which a delay cannot be.
         let value = value.clamp(lo.max(Span::ZERO), hi);
         self.with_verdict(at, raw, (value, bounds), &offset, is_fresh)
     }

@@ -110,6 +110,8 @@ impl ShortestRoundTrips {
                 && movement > explanations.into_iter().fold(0, i64::saturating_add)
         };
         let movement = movement_from(self.points.iter().rev().find(shows_jump)?);
+        // If the jump was before an exchange with a short round trip, this exchange would have shown the jump. The jump
+        // is therefore after the last such exchange.
         let would_show_jump =
             |earlier: &&RoundTripPoint| earlier.round_trip - self.shortest_round_trip <= movement.abs() / 4;
         let last = self.points.iter().rev().find(would_show_jump)?;
@@ -139,9 +141,9 @@ impl ShortestRoundTrips {
             }
             Some(_) => is_short,
             None => {
-                // If the exchange spans a jump, the clock was set back before the return. By the clock from before the
-                // jump, which stamped the sending of the other exchanges in flight, the return was later by at most
-                // the missing time.
+                // If the exchange spans a jump, the clock was set back before the return, by at most the missing time.
+                // Other exchanges in flight may have been sent before the jump. Their stamps may therefore be later than
+                // the return, by at most the missing time.
                 let missing_time = Span::from_nanos(deficit.saturating_add(max_explained_deficit));
                 self.ignore_short_until = is_short.then(|| point.returned + missing_time);
                 is_short

@@ -72,7 +72,8 @@ pub enum LearnResult {
     Restarted(Option<Span>),
     /// The exchange was accepted as the first of a new window, because a jump is suspected: the offset moved by more
     /// than queueing on the network explains. The value is the movement of the offset. Either the path between the
-    /// hosts changed, or a clock jumped without notice. Delays are `limited` until the window is full again.
+    /// hosts changed, or a clock jumped without notice. Delays are `limited` until
+    /// [`window`](RelationSettings::window) has passed since the jump.
     Jumped(Span),
     /// The exchange was refused.
     Refused(Refusal),

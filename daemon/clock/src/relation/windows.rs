@@ -20,6 +20,7 @@ const MAX_MESSAGE_DURATION: Span = Span::from_seconds(60);
 #[derive(Clone, Debug)]
 pub(super) struct Windows {
     drift: DriftModel,
+    /// The setting [`RelationSettings::window`], a duration.
     window: Span,
     retention: Span,
     current: Band,
@@ -101,7 +102,7 @@ impl Windows {
                 next_holds_from,
                 next_sent: exchange.sent,
             });
-            // Windows that are older than this are not needed for any query.
+            // No query needs a window that ended before `start`.
             let start = exchange.returned - self.retention - MAX_MESSAGE_DURATION;
             while self.past_windows.len() > MAX_PAST_WINDOWS
                 || self.past_windows.front().is_some_and(|past| past.next_holds_from < start)
@@ -115,9 +116,9 @@ impl Windows {
         suspected_jump.map(|jump| jump.movement)
     }
 
-    /// Replaces all windows by `window`, after a step of a clock.
-    pub(super) fn restart(&mut self, window: Band) {
-        self.current = window;
+    /// Replaces all windows by one window, which has the exchanges of `band`, after a step of a clock.
+    pub(super) fn restart(&mut self, band: Band) {
+        self.current = band;
         // A step makes all earlier bounds invalid. After a suspected jump, past windows stay valid, because the time of
         // the jump is known.
         self.past_windows.clear();
