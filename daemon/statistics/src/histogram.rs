@@ -11,8 +11,8 @@ const VALUES_PER_CUT: u64 = 100;
 /// Number of values that may be cut off at each end even if [`VALUES_PER_CUT`] permits fewer.
 // One in a hundred of few values would be none, but also a short run can have a few stalls.
 const MIN_CUT: u64 = 3;
-/// Because of [`MIN_CUT`], at most one value in this many may be cut off at each end: with fewer than 24 values, fewer
-/// than three.
+/// Limit of [`MIN_CUT`] for few values: it permits at most one value in this many to be cut off at each end. With fewer
+/// than 24 values, these are fewer than three.
 const VALUES_PER_MIN_CUT: u64 = 8;
 /// Values are cut off only if they would widen the axis by at least this factor.
 const MIN_GAIN: f64 = 1.5;

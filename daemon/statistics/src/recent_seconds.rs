@@ -86,6 +86,7 @@ impl<C: Merge + Default> RecentSeconds<C> {
     /// most as many seconds as the ring has cells are covered. Seconds without a cell are left out.
     pub fn iter(&self, now: i64, seconds: usize) -> impl Iterator<Item = (i64, &C)> {
         let length = seconds.min(self.cells.len()) as i64;
+        // Each number of the range is increased by one, because `now + 1` as the end of the range could overflow.
         (now.saturating_sub(length)..now)
             .map(|second_before| second_before + 1)
             .filter_map(|second| self.get(second).map(|cell| (second, cell)))

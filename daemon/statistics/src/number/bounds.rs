@@ -48,7 +48,7 @@ pub fn within_ms(seconds: f64, (lo, hi): (f64, f64)) -> String {
     fixed(seconds * 1e3, decimals_within(seconds, (hi - lo) / 2.0))
 }
 
-/// Formats a difference with its sign, for a value within an interval.
+/// Formats a difference in ms with its sign and the digits that the width of its interval supports: `−1.45`.
 pub fn signed_within_ms(seconds: f64, (lo, hi): (f64, f64)) -> String {
     signed(seconds * 1e3, decimals_within(seconds, (hi - lo) / 2.0))
 }
@@ -60,6 +60,7 @@ pub fn shift_ms(lo: f64, hi: f64) -> String {
 }
 
 /// Formats a clock offset with its sign and the digits that its bound supports: `+1,204.18`, `−1,002.698`, `+250`.
+/// If the bound is zero, there are two decimals.
 pub fn offset_ms(seconds: f64, half_width: f64) -> String {
     signed(seconds * 1e3, if half_width > 0.0 { decimals_within(seconds, half_width) } else { 2 })
 }
