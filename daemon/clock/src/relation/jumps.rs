@@ -142,8 +142,8 @@ impl ShortestRoundTrips {
             Some(_) => is_short,
             None => {
                 // If the exchange spans a jump, the clock was set back before the return, by at most the missing time.
-                // Other exchanges in flight may have been sent before the jump. Their stamps may therefore be later than
-                // the return, by at most the missing time.
+                // Other exchanges in flight may have been sent before the jump. Their stamps may therefore be later
+                // than the return, by at most the missing time.
                 let missing_time = Span::from_nanos(deficit.saturating_add(max_explained_deficit));
                 self.ignore_short_until = is_short.then(|| point.returned + missing_time);
                 is_short
