@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn program_is_reset_before_each_episode() {
+    fn program_is_reset_again_after_failed_reset() {
         let script = "n=0; while read -r word bytes rest; do case $word in \
                       reset) n=$((n + 1)); if [ $n = 2 ]; then echo error the gripper is stuck; continue; fi;; \
                       *) head -c \"$bytes\" > /dev/null; echo reward $n;; esac; echo done; done";

@@ -178,9 +178,10 @@ mod tests {
 
     #[test]
     fn unknown_type_error_lists_possible_types() {
-        let error = read("kind = 'ros'\ntopic = '/a'\ntype = 'std_msgs/Strin'").expect_err("there is none");
+        let error =
+            read("kind = 'ros'\ntopic = '/a'\ntype = 'std_msgs/Strin'").expect_err("is no message type");
         assert!(error.contains("`std_msgs/String` or `std_msgs/UInt8MultiArray`"), "{error}");
-        let error = read("kind = 'ros'\ntopic = '/a'\nros_version = 3").expect_err("there is none");
+        let error = read("kind = 'ros'\ntopic = '/a'\nros_version = 3").expect_err("is no ROS version");
         assert!(error.contains("there is no ROS 3; write 1 or 2"), "{error}");
     }
 

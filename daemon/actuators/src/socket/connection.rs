@@ -83,7 +83,7 @@ impl Connection {
     }
 
     /// Discards the bytes that the controller sent while no answer waited for feedback. Returns `false` if the
-    /// controller has closed the connection.
+    /// controller has closed the connection or the socket has failed.
     ///
     /// # Errors
     /// If a controller that gives feedback sent such bytes over TCP: every later line would be taken for the feedback

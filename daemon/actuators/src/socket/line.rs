@@ -125,7 +125,8 @@ fn non_finite_number(tree: &[u8]) -> Option<f64> {
 fn array(element: ElementType, shape: &[usize], bytes: &[u8]) -> Result<Value, SocketError> {
     let Some((length, inner)) = shape.split_first() else { return number(element, bytes) };
     let row_bytes = bytes.len().checked_div(*length).unwrap_or(0);
-    // An array without elements becomes an empty list: its other lengths may be huge.
+    // An array without elements becomes one empty list. The lengths of its other dimensions may be huge, so nested
+    // lists could take any amount of memory.
     if row_bytes == 0 {
         return Ok(Value::Array(Vec::new()));
     }
@@ -239,12 +240,14 @@ mod tests {
             "the model's answer contains NaN, which JSON does not have",
         );
         expect_error(&tree("[1.5,-Infinity]"), "the model's answer contains -inf, which JSON does not have");
+        // `NaN` in a string is not a number, so the error names the type.
         expect_error(&tree(r#"{"dict":[[1,"NaN \"N"]]}"#), "type application/x-python-tree");
         expect_error(&tensor(ElementType::F16, &[1], vec![0, 0]), "type array of F16");
         expect_error(&tensor(ElementType::F32, &[3], vec![0; 4]), "does not match its shape");
         expect_error(&unshaped(MediaType::Jpeg, "abc"), "type image/jpeg");
         expect_error(&unshaped(MediaType::Json, "{"), "is not valid");
         expect_error(&unshaped(MediaType::Text, &"x".repeat(MAX_LINE_BYTES)), "more than 65507 bytes");
+        // This payload is refused before it is converted to JSON.
         expect_error(&tensor(ElementType::U8, &[600_000], vec![0; 600_000]), "more than 65507 bytes");
     }
 }

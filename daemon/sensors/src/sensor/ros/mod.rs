@@ -100,8 +100,8 @@ impl SensorKind for RosSensorConfig {
         Ok(Box::new(RosSensor { config, version, options, clock, reader: None }))
     }
 
-    // These conditions are not errors, because they may end by themselves: an agent that the host starts before the
-    // master must not fail.
+    // A missing master or topic is a remark and not an error, because the master may start and the topic may be
+    // published later: an agent that the host starts before the master must not fail.
     fn remarks(&self) -> Vec<String> {
         let Ok(version) = self.validated_version() else { return Vec::new() };
         match check_topic_at_master(version, &self.topic, self.message_type.as_ref(), TopicAccess::Read) {
