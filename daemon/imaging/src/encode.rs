@@ -49,7 +49,8 @@ fn write_jpeg(picture: &Picture, quality: u8, file: &mut Vec<u8>) -> Result<(), 
         PixelFormat::Grey8 => jpeg_encoder::ColorType::Luma,
     };
     let mut encoder = jpeg_encoder::Encoder::new(file, quality);
-    // libjpeg averages, too, and most models were trained on pictures that libjpeg compressed.
+    // libjpeg also averages the colours of neighbouring pixels, and most models were trained on pictures that libjpeg
+    // compressed.
     encoder.set_chroma_subsampling_method(jpeg_encoder::ChromaSubsamplingMethod::Average);
     encoder
         .encode(picture.pixels(), side(picture.width())?, side(picture.height())?, colours)

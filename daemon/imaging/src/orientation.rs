@@ -35,7 +35,7 @@ pub fn turn_upright(part: &Part, picture: &mut Picture) -> Result<(), ImageError
     if !matches!(part.description.media, MediaType::Jpeg | MediaType::Png) {
         return Ok(());
     }
-    // `read_part` decodes a file by its first bytes, too, which may differ from the description.
+    // The first bytes determine the format here, as in `read_part`, because the description may name a wrong format.
     let exif = if detect_format(&part.bytes)? == MediaType::Jpeg {
         // The pixel format has no effect, because only the header is read.
         open_jpeg(&part.bytes, PixelFormat::Rgb8)?.decoder.exif().cloned()

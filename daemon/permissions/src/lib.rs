@@ -38,7 +38,7 @@ pub fn restrict_new_files() {
 /// Removes the permissions of other users from a database or spool of this user and from the files beside it. Returns
 /// the changed files.
 ///
-/// A file with other contents is left unchanged.
+/// A file that is neither an SQLite database nor empty is left unchanged, and so are the files beside it.
 // A mistyped path may lead to a file that other users need.
 pub fn restrict_database(path: &Path) -> Vec<PathBuf> {
     // SQLite names the files beside a database after the resolved path.
@@ -167,7 +167,7 @@ mod tests {
         for (before, after) in [(0o755, 0o750), (0o775, 0o770), (0o700, 0o700), (0o1777, 0o1777)] {
             fs::set_permissions(folder.path(), Permissions::from_mode(before)).expect("own folder");
             write_database(&folder.path().join("host-id"), 0o644);
-            restrict_folder(folder.path(), &["host-id", "none"]);
+            restrict_folder(folder.path(), &["host-id", "missing"]);
             assert_eq!(mode(folder.path()), after);
             assert_eq!(mode(&folder.path().join("host-id")), 0o640);
         }

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 pub struct Description {
     /// Kind of content.
     pub media: MediaType,
-    /// Lengths of the dimensions, outermost first; empty if the content has no shape. For pictures: height, width,
-    /// channels.
+    /// Lengths of the dimensions, outermost first; empty for an array of one element without dimensions, and for
+    /// content without shape. For pictures: height, width, channels.
     #[serde(default)]
     pub shape: Vec<u32>,
     /// Type of one element of `shape`; `None` if there is no shape.
@@ -116,8 +116,8 @@ impl Description {
         Self::unshaped(MediaType::Bytes)
     }
 
-    /// Returns the number of bytes of a part with this description; `None` if the description has no shape, or if the
-    /// number overflows.
+    /// Returns the number of bytes of a part with this description; `None` if the description has no element type, or
+    /// if the number overflows.
     pub fn shaped_bytes(&self) -> Option<u64> {
         let mut dimensions = self.shape.iter().map(|length| u64::from(*length));
         self.element.and_then(|element| dimensions.try_fold(element.bytes(), u64::checked_mul))

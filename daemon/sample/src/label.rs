@@ -2,9 +2,9 @@
 
 use crate::printable::printable_line;
 
-/// Maximum number of words in a list of examples.
+/// Maximum number of texts in a list of examples.
 const MAX_EXAMPLES: usize = 5;
-/// Longest word that is shown in full, characters.
+/// Longest text that is shown in full, characters.
 const MAX_SHOWN_CHARS: usize = 40;
 
 /// Returns the normal form of a label: in lower case, with spaces instead of hyphens and underscores. Labels with the
@@ -14,21 +14,21 @@ pub fn normalized_label(label: &str) -> String {
     label.trim().chars().map(|c| if matches!(c, '_' | '-') { ' ' } else { c.to_ascii_lowercase() }).collect()
 }
 
-/// Returns the first words as a list for messages: `tench, goldfish, …`.
-pub fn list_examples<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
-    let mut words = words.into_iter();
-    let mut shown: Vec<String> = words.by_ref().take(MAX_EXAMPLES).map(shorten).collect();
-    shown.extend(words.next().map(|_| "…".to_owned()));
+/// Returns the first texts as a list for messages: `tench, goldfish, …`.
+pub fn list_examples<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
+    let mut texts = texts.into_iter();
+    let mut shown: Vec<String> = texts.by_ref().take(MAX_EXAMPLES).map(shorten).collect();
+    shown.extend(texts.next().map(|_| "…".to_owned()));
     shown.join(", ")
 }
 
-/// Returns a word as printable text of at most [`MAX_SHOWN_CHARS`] characters.
-fn shorten(word: &str) -> String {
-    let word = printable_line(word);
-    if word.chars().count() <= MAX_SHOWN_CHARS {
-        return word.into_owned();
+/// Returns a text as one printable line of at most [`MAX_SHOWN_CHARS`] characters.
+fn shorten(text: &str) -> String {
+    let line = printable_line(text);
+    if line.chars().count() <= MAX_SHOWN_CHARS {
+        return line.into_owned();
     }
-    word.chars().take(MAX_SHOWN_CHARS - 1).chain(['…']).collect()
+    line.chars().take(MAX_SHOWN_CHARS - 1).chain(['…']).collect()
 }
 
 #[cfg(test)]
