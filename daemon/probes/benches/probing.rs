@@ -26,7 +26,7 @@ fn main() {
     );
     println!(
         "{:<26}{:>10}{:>10}{:>8}{:>12}{:>14}{:>20}",
-        "", "answers/s", "refined/s", "lost", "probers", "reflector", "round trip, median"
+        "", "answers/s", "refined/s", "lost", "prober CPU", "reflector CPU", "round trip, median"
     );
     for (name, stamps, with_key) in [
         ("kernel's stamps", TimestampSource::Kernel, false),

@@ -74,6 +74,7 @@ fn feed_sender(options: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock
         with_nonce: false,
         clocks: if options & RAW_CLOCKS != 0 { RelatedClocks::Raw } else { RelatedClocks::RawToWall },
         ssid: 5,
+        // The number of the second request wraps around to zero.
         first_sequence: u32::MAX,
         padding_bytes: 0,
         timeout: Span::from_seconds(1),

@@ -111,8 +111,8 @@ impl Prober {
         let sender = SenderState::new(SenderConfig {
             key: config.key.clone(),
             instance: config.instance,
-            // Only a PEERNet reflector, which `instance` identifies, gets the random octets, because other
-            // implementations need not return them.
+            // A nonce is random octets that the answer must return. Only a PEERNet reflector, which `instance`
+            // identifies, gets a nonce, because other implementations need not return the octets.
             with_nonce: config.instance.is_some(),
             clocks: config.clocks,
             ssid,
@@ -206,6 +206,7 @@ impl Prober {
         let (departure, packet) = self.sender.request(&*self.clock);
         match self.socket.send(packet, None, self.config.target, SEND_TIMEOUT).await {
             Ok(token) => {
+                // If `sender` is full, the new probe replaces the oldest, which counts as lost if it was not answered.
                 pending_results.push_lost(self.sender.record_sent(departure));
                 if let Some(token) = token {
                     if self.awaited_departures.len() >= MAX_AWAITED_DEPARTURES {

@@ -269,7 +269,8 @@ impl Reflector {
         let arrival = Arrival {
             source: received.source,
             received: kernel_stamp.unwrap_or(read.wall),
-            // The program's reading always holds; the kernel's stamp may narrow the bound.
+            // This time must not be before the arrival. The program reads the clock after the arrival; the kernel's
+            // stamp may give a time that is closer to the arrival.
             received_raw: kernel_stamp
                 .and_then(latest_arrival)
                 .map_or(read.raw, |latest| latest.min(read.raw)),

@@ -40,7 +40,7 @@ impl TokenBucket {
     fn has_token(self, interval: Span, now: MonoTime) -> bool {
         // The left side is the time that the bucket would need to become full again after the reply. The bucket holds
         // the tokens of one second, so an empty bucket needs one second.
-        self.full_at.max(now) + interval - now <= Span::from_seconds(1).max(interval)
+        self.full_at.max(now) + interval - now <= Span::from_seconds(1)
     }
 
     fn take(&mut self, interval: Span, now: MonoTime) {
@@ -70,6 +70,7 @@ impl Limiter {
     /// Creates a limiter with `per_second` replies for each source, at least one, and ten times as many for all sources
     /// without a session together.
     pub fn new(per_second: u32) -> Self {
+        // A bucket needs a rate of at least one token per second, because it holds the tokens of one second.
         let interval = |hz: u32| Span::from_nanos(1_000_000_000 / i64::from(hz.max(1)));
         Self {
             peers: HashMap::new(),

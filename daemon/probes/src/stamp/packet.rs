@@ -75,7 +75,7 @@ impl Mode {
 pub struct Request {
     /// Number of the packet in its session.
     pub sequence: u32,
-    /// Time of departure, in the format of the error estimate.
+    /// Time of departure, in the format that the error estimate names.
     pub timestamp: u64,
     /// Error estimate of the sender's stamp.
     pub estimate: ErrorEstimate,
@@ -89,11 +89,11 @@ pub struct Reply {
     /// Number of the reply. A stateful reflector counts the replies of each session; a stateless reflector repeats the
     /// number of the request.
     pub sequence: u32,
-    /// Time of departure, in the format of the error estimate.
+    /// Time of departure, in the format that the error estimate names.
     pub timestamp: u64,
     /// Error estimate of the reflector's stamps.
     pub estimate: ErrorEstimate,
-    /// Time of arrival of the request, in the format of the error estimate.
+    /// Time of arrival of the request, in the format that the error estimate names.
     pub received: u64,
     /// The answered request.
     pub request: Request,
