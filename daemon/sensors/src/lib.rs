@@ -31,8 +31,8 @@ pub trait Sensor: Send {
         false
     }
 
-    /// Prepares the sensor, or the system that it observes, for an episode. Called only if [`blocks`](Self::blocks)
-    /// returns `true`.
+    /// Prepares the sensor, or the system that it observes, for an episode. Called only if [`resets`](Self::resets)
+    /// returns `true`; then [`blocks`](Self::blocks) must also return `true`.
     ///
     /// # Errors
     /// If the reset fails; a later reset may succeed.

@@ -24,7 +24,7 @@ const DROPPED_SAMPLES: Name = Name::from_static("dropped-samples");
 /// Kind of sensor, implemented by its configuration.
 #[enum_dispatch]
 pub trait SensorKind {
-    /// Opens the sensor; `clock` is the clock of its deadlines.
+    /// Opens the sensor; `clock` gives the times of its measurements and time limits.
     ///
     /// # Errors
     /// If the configuration contradicts itself, or if something that it names does not exist.

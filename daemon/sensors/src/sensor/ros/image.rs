@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn depth_is_a_little_endian_tensor() {
+    fn big_endian_depth_becomes_little_endian_tensor() {
         let mut depth = image("16UC1", 1, 2, &[1, 2, 3, 4]);
         depth.is_bigendian = 1;
         let part = picture_part(depth).expect("fits");
