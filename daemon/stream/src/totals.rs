@@ -22,14 +22,14 @@ pub struct NewestSentBatch {
 /// and batches agree whenever the process is killed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
-    /// Number of events that were submitted.
+    /// Number of events that were submitted. Reported gaps count as events, too.
     pub produced: u64,
     /// Number of events that were dropped.
     pub dropped: u64,
     /// Number of gaps that were reported.
     pub gaps: u64,
-    /// Number of dropped events that gaps have reported. Gaps must still report the further dropped events, also after
-    /// a restart.
+    /// Number of dropped events that gaps have reported. Gaps must still report all other dropped events, also after a
+    /// restart.
     pub reported_drops: u64,
     /// Events that were submitted to the current process.
     pub submitted: SubmittedEvents,

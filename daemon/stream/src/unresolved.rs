@@ -1,7 +1,7 @@
 //! Batches that a process sent while its spool could not be written, before the process was killed. The aggregator's
 //! first welcome states whether they are stored.
 //!
-//! Without this check, the events of these batches would be reported as lost although they may be stored.
+//! Without this statement, the events of these batches would be reported as lost although they may be stored.
 
 use std::collections::VecDeque;
 
@@ -194,7 +194,7 @@ mod tests {
         assert_eq!(
             (with_run, with_run + without_run),
             (11, 2 + 14),
-            "the runs of the 6 stored events are unknown"
+            "the 6 stored events may all be of the run, so 6 of its 17 losses are reported without a run"
         );
 
         let both_stored = unresolved.resolve(5, Some(PROCESS));
@@ -230,6 +230,7 @@ mod tests {
     fn reported_part_of_merged_gap_is_not_reported_again() {
         let (_, unresolved) = unresolved(RunId::random());
         let resolved = ResolvedBatches { lost: 1, reported_drops: 4, ..ResolvedBatches::default() };
+        // A gap for events that were lost when a process was killed.
         let gap =
             |count| Gap { count, ..unresolved.counted.gaps(&SettledEvents::default(), 0, 1)[0].clone() };
         let (mut earlier_gaps, mut earlier_drops) = (VecDeque::from([gap(5)]), 1);

@@ -21,7 +21,8 @@ pub enum Action {
     Append {
         /// Contiguous batches that follow the newest batch in the spool; empty if only the totals changed.
         batches: Vec<SpooledBatch>,
-        /// Totals up to the last of these batches.
+        /// Totals up to the last of these batches; without batches, up to the newest batch that is in the spool or
+        /// stored by the aggregator.
         totals: Totals,
     },
     /// Read batches from a number on: at least one, and more until their bodies exceed a number of bytes.

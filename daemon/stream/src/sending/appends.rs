@@ -16,7 +16,7 @@ pub(super) struct Appends {
     job: Job<RunningAppend>,
     /// Totals that were written last.
     written_totals: Totals,
-    /// `true` if the last attempt failed.
+    /// `true` from a failed attempt until [`recover`](Self::recover) is called.
     has_failed: bool,
     /// `true` after a failure to write batches: the number of dropped events is then written alone before the batches
     /// are tried again.
@@ -69,7 +69,7 @@ impl Appends {
         &self.written_totals
     }
 
-    /// Returns whether the last attempt failed.
+    /// Returns whether an attempt failed and [`recover`](Self::recover) was not called since then.
     pub(super) const fn has_failed(&self) -> bool {
         self.has_failed
     }

@@ -19,8 +19,8 @@ const MIN_OBSERVATION: Span = Span::from_seconds(1);
 /// Time without waiting for acknowledgements after which compression stops.
 const IDLE_BEFORE_STOP: Span = Span::from_seconds(10);
 
-/// Measures the rate of acknowledged bytes while the window is full, and switches compression. The path to the store
-/// limits the rate only while the window is full; otherwise the number of events limits the rate.
+/// Measures the rate of acknowledged bytes while the window of batches in flight is full, and switches compression. The
+/// path to the store limits the rate only while the window is full; otherwise the number of events limits the rate.
 ///
 /// A slow store looks like a slow link; compression then costs some processor time and does no harm. A pause of the
 /// store, for example because its disk was full, must not count: the longest wait is therefore ignored. A slow link

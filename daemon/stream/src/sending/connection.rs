@@ -86,10 +86,10 @@ impl Sending {
         let output = self.durable_lane.next(next, &mut self.spooler, self.host.id, now);
         if output.starts_batch {
             // The timeout of acknowledgements starts with the first batch in flight.
-            let is_idle = next == self.spooler.backlog.oldest();
+            let is_first_in_flight = next == self.spooler.backlog.oldest();
             self.session.state = ConnectionState::Up {
                 next: next + 1,
-                last_progress: if is_idle { now } else { last_progress },
+                last_progress: if is_first_in_flight { now } else { last_progress },
             };
         }
         output.frame
@@ -206,6 +206,7 @@ impl Sending {
 
     /// Handles a welcome. The aggregator's last batch is compared with this agent's batch of the same number.
     fn handle_welcome(&mut self, mut welcome: Welcome, now: Stamp) {
+        // By the protocol, the aggregator states at least this number. This agent does not rely on it.
         welcome.last_stored = welcome.last_stored.max(self.spooler.backlog.origin.first - 1);
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
         match self.session.state {
@@ -257,6 +258,7 @@ impl Sending {
             ScanPurpose::Compare(welcome) => {
                 let chain = match scanned {
                     Some((_, chain)) if welcome.last_stored == through => Some(chain),
+                    // The scan reached the end of the file. The aggregator's last batch is newer and is in memory.
                     Some(_) => self.spooler.backlog.chain(welcome.last_stored),
                     None => None,
                 };
@@ -361,8 +363,8 @@ impl Sending {
     }
 
     /// Handles batches that were read from the spool.
-    pub(super) fn handle_loaded(&mut self, loading: LoadPurpose, batches: Vec<SpooledBatch>, now: Stamp) {
-        match loading {
+    pub(super) fn handle_loaded(&mut self, purpose: LoadPurpose, batches: Vec<SpooledBatch>, now: Stamp) {
+        match purpose {
             LoadPurpose::Scan(from) => self.handle_scan(from, &batches, now),
             LoadPurpose::GapSearch(from) => {
                 if self.reader.handle_gap_search(from, &batches, &self.spooler.backlog) {
@@ -418,7 +420,7 @@ impl Sending {
     /// Frees the batches up to `through`, which the aggregator stored.
     fn free_acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
         if scanned.is_some() {
-            // The known gap begins before the last acknowledged batch. Any other gap will be found again.
+            // If a gap is known, it begins at or before batch `through`. Any other gap will be found again.
             self.reader.forget_gap();
         }
         self.spooler.free_acknowledged(through, scanned, now);

@@ -29,9 +29,9 @@ impl EarlierProcess {
         self.unwritten.as_ref()
     }
 
-    /// Returns the number of submitted events and the number of dropped events, including events of the earlier
-    /// process.
-    pub(super) const fn submitted_and_dropped(&self, totals: &Totals) -> (u64, u64) {
+    /// Returns the number of produced events and the number of dropped events ([`Totals`]), including events of the
+    /// earlier process.
+    pub(super) const fn produced_and_dropped(&self, totals: &Totals) -> (u64, u64) {
         let ResolvedBatches { stored, lost, .. } = self.resolved;
         (totals.produced + stored + lost, totals.dropped + lost)
     }

@@ -143,8 +143,8 @@ impl Sending {
 
     /// Counts all events that are in memory only as dropped, because the process ends without writing these events to
     /// the spool. The returned totals are to be written to the spool, so that the next process reports how many events
-    /// are missing. Events that were sent and not acknowledged count as dropped, too, because it is unknown whether
-    /// they are stored.
+    /// are missing. Such events count as dropped even if they were sent, because it is unknown whether the aggregator
+    /// stored them.
     pub fn give_up(&mut self) -> Totals {
         self.spooler.give_up()
     }
@@ -261,9 +261,9 @@ impl Sending {
 
     /// Handles the batches that [`Action::Load`] requested. The list ends before the first batch that the spool lacks.
     pub fn on_loaded(&mut self, batches: Vec<SpooledBatch>, now: Stamp) -> Option<Notice> {
-        let loading = self.reader.finish()?;
+        let purpose = self.reader.finish()?;
         self.record_recovery(SpoolWork::Load);
-        self.handle_loaded(loading, batches, now);
+        self.handle_loaded(purpose, batches, now);
         self.next_notice()
     }
 

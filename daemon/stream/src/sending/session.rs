@@ -7,8 +7,8 @@ use super::SendingConfig;
 use super::spool_reader::SpoolScan;
 use crate::{AGENT_STREAM_VERSIONS, ChainHash};
 
-/// Number of hellos without progress that are sent without a pause. Each later hello waits longer than the previous
-/// hello.
+/// Maximum number of hellos without progress after which the next hello is sent without a pause. Each later hello waits
+/// longer than the previous hello.
 const HELLOS_WITHOUT_PAUSE: u32 = 3;
 
 /// State of the connection.
@@ -52,7 +52,7 @@ pub(super) struct Welcome {
 pub(super) struct Session {
     config: SendingConfig,
     pub(super) state: ConnectionState,
-    /// Number of hellos since the last progress.
+    /// Number of scheduled hellos since the last progress. A hello that is repeated for lack of an answer counts once.
     hellos_without_progress: u32,
     /// Number of hellos on this connection since the last answer.
     unanswered_hellos: u32,

@@ -108,7 +108,7 @@ impl SpoolReader {
             return None;
         }
         let read_bytes = backlog.read_bytes();
-        let (loading, from, bytes) = match (state, self.gap) {
+        let (purpose, from, bytes) = match (state, self.gap) {
             (ConnectionState::Scanning { scan, .. }, _) => {
                 (LoadPurpose::Scan(scan.next), scan.next, read_bytes)
             }
@@ -123,7 +123,7 @@ impl SpoolReader {
                 backlog.should_read_ahead().then_some((LoadPurpose::ReadAhead(from), from, read_bytes))?
             }
         };
-        self.job.start(loading);
+        self.job.start(purpose);
         Some(Action::Load { from, bytes })
     }
 

@@ -47,6 +47,7 @@ impl EventSpooler {
         let Totals { produced, dropped, .. } = spool.totals;
         // All events in the spool were produced, even if the counts in the spool state fewer events.
         let produced = produced.max(dropped.saturating_add(backlog.waiting_usage().events));
+        // `newest_sent` and `submitted` concern the current process, which has sent and submitted nothing yet.
         let totals = Totals {
             produced,
             newest_sent: None,
@@ -133,7 +134,7 @@ impl EventSpooler {
     pub(super) fn accounting(&self, compressed: bool, trouble: Option<String>) -> Accounting {
         let (intake_usage, waiting_usage, pending) =
             (self.intake.usage(), self.backlog.waiting_usage(), self.backlog.pending_usage());
-        let (produced, dropped) = self.earlier.submitted_and_dropped(self.intake.totals());
+        let (produced, dropped) = self.earlier.produced_and_dropped(self.intake.totals());
         let gaps = self.intake.totals().gaps;
         let (waiting, stored) = (intake_usage.events + waiting_usage.events, self.backlog.stored_events());
         debug_assert_eq!(produced, stored + waiting + dropped, "all events are accounted for");

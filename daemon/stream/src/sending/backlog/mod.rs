@@ -76,6 +76,8 @@ impl Backlog {
         // Without batches, no event waits, even if the spool's count of waiting events is not zero.
         let waiting_usage = if newest.0 < oldest { Usage::default() } else { spool.waiting_usage };
         let Totals { produced, dropped, .. } = spool.totals;
+        // `submitted` counts events of the current process, which has submitted nothing yet.
+        let settled = Totals { submitted: SubmittedEvents::default(), ..spool.totals.clone() };
         Self {
             origin: StreamOrigin::new(spool),
             oldest: OldestBatch {
@@ -86,7 +88,7 @@ impl Backlog {
             ready: ReadyBatches::new(budget),
             spooled: newest,
             pending: PendingBatches::default(),
-            settled: Totals { submitted: SubmittedEvents::default(), ..spool.totals.clone() },
+            settled,
             newest,
             waiting_usage,
             sent: SentBatches::default(),
@@ -302,7 +304,7 @@ impl Backlog {
     }
 
     /// Frees the batches up to `through`, which the aggregator stored. If some of these batches are in the file only,
-    /// `scanned` contains the size of the batches in the file and the chain hash of the last of them.
+    /// `scanned` contains the total size of those batches and the chain hash of the last of them.
     ///
     /// Batches up to `writing` are being written to the file.
     pub(super) fn free(&mut self, through: u64, scanned: Option<ScanResult>, writing: u64) -> FreedBatches {

@@ -75,13 +75,13 @@ impl Allowance {
         (self.bytes / 4).max(MIN_PART_BYTES)
     }
 
-    /// Updates the allowance. The echo of a request behind `bytes` bytes in flight arrived after `round_trip`;
+    /// Updates the allowance. The echo of a request behind `bytes_ahead` bytes in flight arrived after `round_trip`;
     /// `shortest` is the shortest round trip.
-    pub(super) fn observe(&mut self, bytes: u64, round_trip: Span, shortest: Span, now: MonoTime) {
+    pub(super) fn observe(&mut self, bytes_ahead: u64, round_trip: Span, shortest: Span, now: MonoTime) {
         // The agent's own queue causes a delay of at most `MAX_QUEUEING`; a longer delay has another cause.
         let is_late = round_trip > shortest + MAX_QUEUEING;
         self.late_echoes = if is_late { self.late_echoes.saturating_add(1) } else { 0 };
-        let rate = bytes as f64 / round_trip.seconds();
+        let rate = bytes_ahead as f64 / round_trip.seconds();
         // After a delay of more than twice the longest queue, the link may be slower, and the earlier rates too high.
         let discard_earlier = round_trip > shortest + MAX_QUEUEING + MAX_QUEUEING;
         self.rates.add(rate, now, discard_earlier);
@@ -92,13 +92,14 @@ impl Allowance {
         let target = shortest + queue;
         let bytes_at_rate = |rate: f64| (rate * target.seconds()) as u64;
         if round_trip > target {
-            let reduced = bytes_at_rate(best).max(self.bytes / 2).max(MIN_ALLOWANCE_BYTES);
             // The allowance is at most halved in one step: a single late echo may be due to a lost packet.
+            let reduced = bytes_at_rate(best).max(self.bytes / 2).max(MIN_ALLOWANCE_BYTES);
             self.bytes = self.bytes.min(reduced);
         } else {
             // The allowance counts as fully used if less than one part of it was unused.
-            let used = bytes + self.part_bytes();
-            let doubled = if round_trip <= shortest + NEGLIGIBLE_QUEUEING { 2 * used } else { 2 * bytes };
+            let used = bytes_ahead + self.part_bytes();
+            let doubled =
+                if round_trip <= shortest + NEGLIGIBLE_QUEUEING { 2 * used } else { 2 * bytes_ahead };
             let increased =
                 bytes_at_rate(used as f64 / round_trip.seconds()).min(doubled).min(self.max_bytes);
             self.bytes = self.bytes.max(increased);

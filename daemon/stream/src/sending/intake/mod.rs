@@ -171,7 +171,8 @@ impl Intake {
         let mut added_usage = Usage { events: 1, bytes: self.encoded.len() as u64 };
         if let Event::Iteration(iteration) = event {
             // An iteration that the aggregator would refuse must not block later events.
-            if let Err(error) = iteration.tree.check(0) {
+            let first_node = 0;
+            if let Err(error) = iteration.tree.check(first_node) {
                 return Some(format!("the iteration cannot be sent: {error}"));
             }
             // An iteration is accepted only if the reserve for other events stays free.
