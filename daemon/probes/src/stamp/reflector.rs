@@ -2,6 +2,9 @@
 //!
 //! An answer is written into the bytes of its request. It therefore always has the length of the request, and a
 //! reflector cannot amplify traffic.
+//!
+//! A STAMP session consists of the probes of one sender. A peer is an edge that has a data session with this host
+//! (docs/session-protocol.md).
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -16,7 +19,7 @@ use super::timestamp::ErrorEstimate;
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty;
 
-/// Minimum number of STAMP sessions that are remembered for peers, and as many for others.
+/// Minimum number of STAMP sessions that each map of [`Sessions`] remembers.
 const MIN_SESSIONS: usize = 4096;
 
 /// Longest time between the reception of a request and its reply.
@@ -27,7 +30,7 @@ const MAX_ANSWER_DURATION: Span = Span::from_seconds(4);
 #[derive(Debug)]
 pub struct ReflectorState {
     key: Option<Key>,
-    /// Key of the peers that have a session with this host.
+    /// Key that peers get with their data session.
     session_key: Option<Key>,
     instance: u64,
     limiter: Limiter,
@@ -35,8 +38,8 @@ pub struct ReflectorState {
     sessions: Option<Sessions>,
 }
 
-/// STAMP sessions of peers and of others. The two maps are separate, so that forged source addresses only make the
-/// reflector forget sessions of others.
+/// STAMP sessions of peers and of other sources. The two maps are separate, so that forged source addresses only make
+/// the reflector forget sessions of sources that are no peers.
 #[derive(Debug)]
 struct Sessions {
     peers: RecentMap<SessionId, Session>,
@@ -71,7 +74,7 @@ pub struct Arrival {
 pub struct SessionId {
     source: SocketAddr,
     ssid: u16,
-    /// `true` if the source has a session with this host.
+    /// `true` if the source is a peer.
     is_peer: bool,
 }
 
@@ -124,7 +127,7 @@ impl ReflectorState {
         Self { key, session_key: None, instance, limiter, sessions }
     }
 
-    /// Sets the key that peers get with their session with this host. Requests that this key authenticates get
+    /// Sets the key that peers get with their data session. Requests that this key authenticates get
     /// authenticated answers; all other requests are answered as without this key. No effect if the reflector has a
     /// `key`, because all requests then need that key.
     #[must_use]
@@ -133,8 +136,7 @@ impl ReflectorState {
         self
     }
 
-    /// Replaces the addresses of the peers that have a session with this host. Each peer has its own rate, which
-    /// other sources cannot use up.
+    /// Replaces the addresses of the peers. Each peer has its own rate, which other sources cannot use up.
     pub fn set_peers(&mut self, addresses: &[IpAddr]) {
         self.limiter.set_peers(addresses);
     }
@@ -230,13 +232,13 @@ impl ReflectorState {
         reply.write(mode, packet);
         let tlvs = &mut packet[mode.base_bytes()..];
         if answer.has_intact_tlvs {
-            let origin = tlv::headers(tlvs).find(|header| is_for_origin(header, tlvs));
-            let raw_stamps = tlv::headers(tlvs).find(|header| is_for_raw_stamps(header, tlvs));
-            if let Some(header) = origin {
+            let origin_header = tlv::headers(tlvs).find(|header| has_origin(header, tlvs));
+            let stamps_header = tlv::headers(tlvs).find(|header| has_raw_stamps(header, tlvs));
+            if let Some(header) = origin_header {
                 let origin = Origin { epoch: wall_epoch, instance: self.instance };
                 tlvs[header.value].copy_from_slice(&origin.to_value());
             }
-            if let Some(header) = raw_stamps {
+            if let Some(header) = stamps_header {
                 let PreparedReply { received_raw: received, previous, .. } = *answer;
                 let stamps = RawStamps { epoch, received, replied: now.raw, previous };
                 tlvs[header.value].copy_from_slice(&stamps.to_value());
@@ -322,7 +324,7 @@ fn answer_tlvs(tlvs: &mut [u8], are_intact: bool, previous: Option<FollowUp>) {
             tlv::EXTRA_PADDING => (true, true),
             tlv::FOLLOW_UP => (true, length == FollowUp::BYTES),
             tlv::HMAC => (true, length == CODE_BYTES),
-            _ => (is_for_origin(&header, tlvs) || is_for_raw_stamps(&header, tlvs), true),
+            _ => (has_origin(&header, tlvs) || has_raw_stamps(&header, tlvs), true),
         };
         let mut flags = 0;
         if !is_known {
@@ -346,10 +348,12 @@ fn answer_tlvs(tlvs: &mut [u8], are_intact: bool, previous: Option<FollowUp>) {
     }
 }
 
-fn is_for_raw_stamps(header: &tlv::TlvHeader, tlvs: &[u8]) -> bool {
+/// Returns whether the TLV's value is a [`RawStamps`]. Another program may use the same type.
+fn has_raw_stamps(header: &tlv::TlvHeader, tlvs: &[u8]) -> bool {
     header.kind == tlv::RAW_STAMPS && RawStamps::from_value(&tlvs[header.value.clone()]).is_some()
 }
 
-fn is_for_origin(header: &tlv::TlvHeader, tlvs: &[u8]) -> bool {
+/// Returns whether the TLV's value is an [`Origin`]. Another program may use the same type.
+fn has_origin(header: &tlv::TlvHeader, tlvs: &[u8]) -> bool {
     header.kind == tlv::ORIGIN && Origin::from_value(&tlvs[header.value.clone()]).is_some()
 }

@@ -45,7 +45,7 @@ pub struct SenderConfig {
     pub timeout: Span,
 }
 
-/// State of a sender.
+/// State of a sender. The sender runs on the edge, and its reflector runs on the cloud.
 #[derive(Debug)]
 pub struct SenderState {
     key: Option<Key>,
@@ -101,7 +101,7 @@ struct PendingProbe {
 struct AnsweredProbe {
     /// Number of the reply.
     sequence: u32,
-    /// `None` if the edge's clock was interrupted in between.
+    /// `None` if the edge's clock was interrupted between the departure of the request and the arrival of the answer.
     observation: Option<ExchangeObservation>,
 }
 
@@ -123,8 +123,8 @@ pub struct ReplyArrival {
 pub struct ReplyResult {
     /// An earlier exchange, now with the stamp of its reply's true departure.
     pub refined: Option<ExchangeObservation>,
-    /// The exchange that the reply completes. `None` if the edge's clock was interrupted in between, so the stamps
-    /// cannot be compared.
+    /// The exchange that the reply completes. `None` if the edge's clock was interrupted between the departure of the
+    /// request and the arrival of the reply, so the two stamps cannot be compared.
     pub answered: Option<ExchangeObservation>,
 }
 
@@ -139,7 +139,8 @@ struct TlvValues {
     alteration: Option<&'static str>,
 }
 
-/// Times in a reply, by the reflector's clock that the exchange relates.
+/// Times in a reply, by the reflector's clock that [`SenderConfig::clocks`] selects. If this is the wall clock, the
+/// fields of type [`RawTime`] contain wall times.
 #[derive(Clone, Copy, Debug)]
 struct ReflectorTimes {
     received: RawTime,
@@ -224,6 +225,7 @@ impl SenderState {
             let delay = stamp.earliest - sent.raw;
             probe.kernel_departure =
                 (Span::ZERO..=MAX_DEPARTURE_DELAY).contains(&delay).then_some(stamp.earliest);
+            // If the wall clock was set between the comparisons, the order of the stamps proves nothing.
             probe.is_kernel_stamp_too_early = stamp.is_steady && stamp.latest < sent.raw - ORDER_TOLERANCE;
         }
     }
@@ -428,8 +430,8 @@ fn find_probe(pending: &mut VecDeque<PendingProbe>, sequence: u32) -> Option<&mu
 }
 
 /// Sets the departure of the earlier reply `reply_sequence` to `departure` if that is later than the known departure.
-/// Returns the changed exchange. The reply to the request `reporting_request` reports the departure, so that reply is
-/// not the earlier reply, even if it has the same number.
+/// Returns the changed exchange. The reply to the request `reporting_request` reports `departure`. The search skips
+/// this reply, because a reply cannot report its own departure.
 // A later stamp of a departure is closer to the true departure. The stamp was made between the readings of the two
 // replies' epochs, so it can be used only if both epochs are equal.
 fn refine_departure(

@@ -113,7 +113,7 @@ impl FollowUp {
     }
 }
 
-/// Value of [`ORIGIN`]: the reflector whose clock made the stamps. In a request, the number and the epoch are zero.
+/// Value of [`ORIGIN`]: the reflector whose clock made the stamps. In a request, both fields are zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Origin {
     /// Epoch of the reflector's wall clock, [`wall_epoch`](peernet_clock::Clock::wall_epoch).
