@@ -35,7 +35,7 @@ pub(crate) enum Command {
         #[arg(value_name = "CONFIG", required = true)]
         configs: Vec<PathBuf>,
     },
-    /// Copy an aggregator's database to a file in its current state; the aggregator may continue to store.
+    /// Copy the current state of an aggregator's database to a file; the aggregator may continue to store.
     ///
     /// The copy is complete and on the disk when the command exits with 0. To restore it, stop the aggregator, replace
     /// its database with the copy, and start the aggregator again. An existing file is not overwritten. Exits with 65

@@ -170,8 +170,8 @@ async fn wait_for_first_end(parts: &[Part]) -> &'static str {
 async fn stop_in_reverse(parts: Vec<Part>, stop_timeout: Duration) -> Exit {
     let deadline = Instant::now() + stop_timeout;
     let part_count = u32::try_from(parts.len()).unwrap_or(u32::MAX).max(1);
-    // Otherwise the time reserved for later parts could use up a short timeout, and the first part would be aborted
-    // at once.
+    // Without the minimum, the time reserved for later parts could use up a short timeout, and the first part would
+    // be aborted at once.
     let reserved_per_part = RESERVED_PER_PART.min(stop_timeout / part_count);
     let mut exit = Exit::Ok;
     for (remaining_parts, mut part) in parts.into_iter().enumerate().rev() {

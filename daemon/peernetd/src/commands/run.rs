@@ -42,7 +42,7 @@ pub(crate) fn run(file: &Path) -> Exit {
     for line in &configuration.deprecation_lines {
         warn!("deprecated: {line}");
     }
-    // The limit must be raised before a listener computes its share of the limit.
+    // The limit of open files must be raised before a listener computes its share of the limit.
     if let Err(error) = raise_limit() {
         warn!(
             "cannot raise the limit of open files of this process: {error}; continuing with the current limit"

@@ -356,6 +356,7 @@ mod tests {
     fn misplaced_table_is_reported_with_right_place() {
         let text = problems_of("[aggregator]\n[retention]\nnodes_days = 1\n");
         assert!(text.contains("did you mean [aggregator.retention]?"), "{text}");
+        // A table [spool] is useless for an agent without an aggregator.
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let text = problems_of(&format!("[agent]\nname = 'a'\nstate_dir = {:?}\n[spool]\n", folder.path()));
         assert!(text.contains(":4: spool: ") && text.contains("[agent] aggregator"), "{text}");

@@ -38,7 +38,7 @@ pub(super) struct Remainder<T> {
     indices_in_file: BTreeMap<String, Vec<usize>>,
 }
 
-/// Reads a file in which only the keys in `arrays` are arrays.
+/// Reads a file. Of its top-level keys, only those in `arrays` are arrays of tables.
 ///
 /// # Errors
 /// The first key that could not be read.
@@ -64,7 +64,8 @@ fn find_needless_array<'a, T: Deserialize<'a>>(
     if !value.get_ref().is_array() || arrays.contains(&&**name) {
         return None;
     }
-    // An unknown key must not become a table, either. It is unknown if not even an empty table can have its name.
+    // The advice to write a table would be wrong for an unknown key. A key is unknown if even an empty table with this
+    // name is refused as unknown.
     let empty_table = Spanned::new(value.span(), DeValue::Table(DeTable::new()));
     let document = DeTable::from_iter([(spanned_name.clone(), empty_table)]);
     let result = T::deserialize(Deserializer::from(Spanned::new(spanned_name.span(), document)));

@@ -38,6 +38,7 @@ pub(super) fn print(result: &ExaminationResult, now: WallTime) {
     match (problems, result.unavailable.is_empty()) {
         (0, true) if notices == 0 => print_to_stdout("healthy"),
         (0, true) => print_to_stdout("healthy; see the notices above"),
+        // `print_result` prints the errors about the files that could not be examined.
         (0, false) => {}
         (1, _) => print_to_stdout("1 problem"),
         (n, _) => print_to_stdout(format_args!("{n} problems")),

@@ -24,7 +24,8 @@ pub(super) struct SpoolReport {
     pub(super) inspection: Inspection,
     /// Size of the file and its log, bytes.
     pub(super) file_bytes: u64,
-    /// Free space on the disk of the spool, bytes, without the space that the agent reserves for deleting.
+    /// Free space on the disk of the spool, bytes. The file with which the agent reserves space for deleting
+    /// does not count as free space.
     pub(super) disk_free_bytes: u64,
     pub(super) findings: Vec<Finding>,
 }
