@@ -24,7 +24,7 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &LoadPlan) {
     let mut source = SqliteConnectOptions::new().filename(from).connect().await.expect("opens");
     let mut tables = Vec::new();
     for table in TABLES {
-        // In the order of arrival: one batch of each run after the other.
+        // In the order of arrival: the first batch of each run, then the second batch of each run, and so on.
         let number = if table == "iteration" { "number" } else { "iteration" };
         let select = format!(
             "SELECT * FROM {table} ORDER BY ({number} - 1) / {}, run, {number}",
@@ -53,6 +53,7 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &LoadPlan) {
         .connect()
         .await
         .expect("opens");
+    // `None`: up to the newest migration. `false`: no migration is only marked as applied.
     sqlx::migrate!("../../migrations").run_direct(None, &mut target, false).await.expect("makes the schema");
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "bare")));
     let transactions = nodes.div_ceil(COMMIT_NODES);

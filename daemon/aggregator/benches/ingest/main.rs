@@ -32,6 +32,7 @@ async fn main() {
         ["generator", address, agents, nodes] => {
             generator::run(address, &LoadPlan::new(number(agents), number(nodes)), None).await;
         }
+        // `run_rounds` does not use this form. It is for measurements at a fixed rate, started by hand.
         ["generator", address, agents, nodes, speed] => {
             let speed: f64 = speed.parse().unwrap_or_else(|_| panic!("{speed:?} is not a speed"));
             generator::run(address, &LoadPlan::new(number(agents), number(nodes)), Some(speed)).await;

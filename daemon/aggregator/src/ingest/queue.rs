@@ -131,6 +131,7 @@ mod tests {
     fn capacity_is_reserved_by_bytes_and_released() {
         let (queue, mut receiver) = queue();
         let slots = queue.capacity_for(1 << 20);
+        // An item of 1 MiB takes 1,024 permits and one more.
         assert_eq!(slots, CAPACITY_BYTES / BYTES_PER_PERMIT / 1_025);
         let work = || AdmittedWork::Work(Work::Goodbye(peernet_logger::HostId::random()));
         for _ in 0..slots {
@@ -140,7 +141,7 @@ mod tests {
         let small = queue.reserve(1_000).expect("1,000 bytes fit");
         assert!(small.grow_to(1 << 20).is_none(), "a full queue has no capacity for a larger slot");
         drop(receiver.try_recv().expect("the first item"));
-        let grown = queue.reserve(1_000).and_then(|slot| slot.grow_to((1 << 20) - 1));
+        let grown = queue.reserve(1_000).and_then(|slot| slot.grow_to(1 << 20));
         grown.expect("there is room again").fill(work(), MonoTime::from_nanos(0));
     }
 

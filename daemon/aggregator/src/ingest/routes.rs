@@ -10,12 +10,12 @@ use peernet_networks::ConnectionId;
 /// hosts.
 const MAX_HOSTS_PER_CONNECTION: usize = 64;
 
-/// A change of what a connection may send.
+/// A change of how much a connection may send: an admitted connection may send large messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Admission {
     /// A host's hello was accepted on the connection.
     Admit(ConnectionId),
-    /// The connection has no host any more.
+    /// The connection has no host any more. The next hello must arrive in time, as on a new connection.
     Demote(ConnectionId),
 }
 
