@@ -68,7 +68,7 @@ pub enum FramingError {
         /// Form of the line.
         form: &'static str,
     },
-    /// A line that a reply may have once occurs a second time.
+    /// A reply contains a line twice that it may contain only once.
     #[error("it wrote the line {0} more than once in one reply; write it once")]
     Repeated(&'static str),
     /// The program uses an unknown version of the framing.

@@ -12,7 +12,7 @@ const IPC: &str = "ipc";
 const RESTART: &str = "restart";
 /// Largest time by which reported stages may be longer than the whole call. Such an excess is attributed to rounding.
 const MAX_ROUNDING: Span = Span::from_millis(1);
-/// The excess is at most the duration of the whole call divided by this number, too.
+/// Divisor of the call's duration. The quotient also limits the excess: the smaller of the two limits counts.
 const ROUNDING_DIVISOR: i64 = 10;
 
 /// Stage with its beginning and end.
@@ -93,8 +93,8 @@ impl ProgramCall {
                 stages.push(timed_stage(name, self.started_at, self.started_at + *span));
             }
         }
-        // `restart` is a node and not a stage: it belongs to the preceding failure, not to the loop, and would distort
-        // the sum of the stages.
+        // Statistics do not count a node with the name `restart` as a stage. Its time belongs to the preceding failure,
+        // not to the loop, and would distort the sum of the stages.
         if let Some(from) = self.restart_began_at {
             stages.push(timed_stage(RESTART, from, stages_start));
         } else if !stages.iter().any(|stage| is_summed(&stage.name)) {

@@ -18,7 +18,7 @@ pub enum ProcessError {
     /// The process ended or closed its pipe, so no further call can succeed.
     #[error("{0}")]
     ProcessEnd(ProcessEnd),
-    /// The process neither read nor wrote before the deadline.
+    /// The process did not read or write everything that the call needs before the deadline.
     #[error("it did not answer before its timeout")]
     TimedOut,
     /// The process sent a line of more than the given number of bytes.

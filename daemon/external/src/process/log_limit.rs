@@ -19,7 +19,7 @@ pub(super) struct LogLimit {
     period_end: Option<MonoTime>,
     /// Lines that were logged in the current period.
     logged: LogVolume,
-    /// Lines that were left out and not taken yet.
+    /// Lines that were left out and are not reported yet.
     omitted: LogVolume,
 }
 

@@ -4,7 +4,7 @@
 //! the log.
 //!
 //! All calls block the calling thread, until a deadline at most. Each process leads a separate process group. The
-//! whole group is killed when the process or this program ends, for whatever reason.
+//! whole group is killed when the process or PEERNet ends, for whatever reason.
 
 mod error;
 mod group;

@@ -13,9 +13,9 @@ pub struct ProcessEnd {
     pub status: Option<ExitStatus>,
     /// Misbehaviour before the end of the process; `None` if the process did not misbehave.
     pub fault: Option<Fault>,
-    /// `true` if this program killed the process.
+    /// `true` if PEERNet killed the process.
     pub was_killed: bool,
-    /// `true` if this program had asked the process to end (SIGTERM).
+    /// `true` if PEERNet had asked the process to end (SIGTERM).
     pub termination_requested: bool,
     /// Last lines of its standard error, oldest first.
     pub last_lines: Vec<String>,
@@ -48,7 +48,7 @@ impl ProcessEnd {
         self.status.is_some_and(|status| status.success())
     }
 
-    /// Returns whether the process ended as requested: with exit status 0, by the SIGTERM that this program sent, or
+    /// Returns whether the process ended as requested: with exit status 0, by the SIGTERM that PEERNet sent, or
     /// with the exit status by which a shell reports that signal (128 + 15).
     pub fn ended_as_requested(&self) -> bool {
         let term = Signal::TERM.as_raw();

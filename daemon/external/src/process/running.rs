@@ -51,7 +51,7 @@ impl Process {
         let start_error = |error| ProcessError::Start { program: launch.describe(), error };
         let mut group = Group::start(launch.command()).map_err(start_error)?;
         let pipes = Self::take_pipes(&mut group, launch, clock).inspect_err(|_| {
-            // The process was killed, so its status means nothing.
+            // `finish` kills the process, so the status that it returns means nothing.
             let _ = group.finish();
         });
         let (input, output, stderr_log) = pipes.map_err(start_error)?;
@@ -161,6 +161,7 @@ impl Process {
             self.group.terminate();
             self.exits_within(half);
         }
+        // `reap` discards this fault if the process has ended in time.
         self.reap(Some(Fault::IgnoredTermination));
         self.process_end()
     }
@@ -215,8 +216,8 @@ impl Process {
     /// process, if any.
     fn reap(&mut self, fault: Option<Fault>) {
         if self.status.is_none() {
-            // This is asked before the group is killed, because a SIGKILL can also come from the system when memory runs
-            // out.
+            // `has_ended` is queried before the group is killed. If the process had ended by then, a SIGKILL in its
+            // status came from another sender, such as the system when memory runs out.
             let has_ended = self.exits_within(Span::ZERO);
             self.status = self.group.finish();
             let by_kill = self.status.is_some_and(|status| status.signal() == Some(Signal::KILL.as_raw()));

@@ -1,7 +1,7 @@
 //! The thread that starts all processes.
 //!
 //! The kernel sends the parent-death signal when the *thread* that started the process ends. Threads of a pool may
-//! end at any time; the spawner thread runs until this program ends.
+//! end at any time; the spawner thread runs until PEERNet ends.
 
 use std::io;
 use std::process::{Child, Command};

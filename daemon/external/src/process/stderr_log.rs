@@ -59,7 +59,7 @@ impl StderrLog {
     }
 }
 
-/// Handle of the thread that logs the lines, and the last lines.
+/// Handle of the thread that logs the lines of one process. It also has the last of these lines.
 #[derive(Debug)]
 pub(super) struct StderrReader {
     last_lines: Arc<Mutex<VecDeque<String>>>,

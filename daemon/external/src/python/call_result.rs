@@ -30,7 +30,7 @@ pub enum Step {
     Act,
 }
 
-/// Timing of a call on this process's monotonic clock.
+/// Timing of a call on PEERNet's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CallTimes {
     /// Time at which this call began to start a new process, because the last process had ended. The new process was
@@ -47,9 +47,9 @@ pub struct CallTimes {
 impl CallTimes {
     /// Converts the worker's stamps.
     ///
-    /// The worker stamps with `time.monotonic_ns()`, which reads the same clock as this process. Under clock fault
-    /// injection the stamps may lie outside of the call; the steps then follow each other from the beginning of the
-    /// call.
+    /// The worker stamps with `time.monotonic_ns()`, which reads the same clock as PEERNet. Only if PEERNet has another
+    /// clock, as in some tests, the stamps may lie outside of the call. The steps then follow each other from the
+    /// beginning of the call.
     pub(super) fn new(started_at: MonoTime, ended_at: MonoTime, stamps: &[(Step, i64, i64)]) -> Self {
         // End of the last step; `None` if the stamps are not in order.
         let last_end = stamps.iter().try_fold(started_at.nanos(), |previous_end, (_, from, to)| {

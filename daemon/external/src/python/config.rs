@@ -80,7 +80,7 @@ impl PythonConfig {
         Err(PythonError::Name(self.object.clone()))
     }
 
-    /// Checks the numbers against their upper limits, and the names of variables.
+    /// Checks the timeouts against their upper limit, and the names and values of the environment variables.
     pub(super) fn check(&self) -> Result<(), PythonError> {
         if let Some(name) = invalid_variable(&self.env) {
             return Err(PythonError::Variable(name.to_owned()));

@@ -131,8 +131,8 @@ def locate(name, search_path):
     if spec is None:
         return None, None
     if spec.origin is None:
-        # submodule_search_locations of a namespace package is computed from the parent in sys.modules, which need not
-        # be imported.
+        # The submodule_search_locations of a namespace package is computed from its parent in sys.modules. The parent
+        # may be missing there, so the folders are composed here instead.
         folders = (os.path.join(folder, name.rpartition(".")[2]) for folder in search_path)
         return None, [folder for folder in folders if os.path.isdir(folder)]
     return spec.origin, spec.submodule_search_locations
@@ -152,6 +152,7 @@ def imports_of(tree, package):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
+            # Level 1 stands for the package itself, and each further level for one package further out.
             parents = package.split(".")[: package.count(".") + 2 - node.level] if node.level and package else []
             base = ".".join(parents + ([node.module] if node.module else []))
             yield from (base + "." + alias.name if base else alias.name for alias in node.names)

@@ -1,7 +1,7 @@
 //! Memory that is shared with the worker, for large parts.
 //!
-//! A pipe copies through the kernel page by page, which takes 22 µs per crossing at 150 kB on the reference machine;
-//! two `memcpy` take 3 µs. Neither side writes while the other one reads: a call is a request followed by a reply, and
+//! A pipe copies through the kernel page by page, which takes 22 µs for 150 kB on the reference machine; two `memcpy`
+//! take 3 µs. Neither side writes while the other one reads: a call is a request followed by a reply, and
 //! each side copies the received parts out of the memory before it sends its next message. This second copy is needed
 //! because the next call overwrites the memory, and custom code may keep a value longer.
 
@@ -25,7 +25,7 @@ const INITIAL_SIZE_BYTES: usize = 1 << 20;
 /// Memory that stays allocated between calls, bytes. Memory beyond it is returned to the system after a call.
 const MAX_KEPT_BYTES: u64 = 64 << 20;
 
-/// Shared memory, as mapped in this process.
+/// Shared memory, as mapped in PEERNet's process.
 #[derive(Debug)]
 pub(super) struct SharedMemory {
     file: Arc<File>,

@@ -69,6 +69,7 @@ class Encoder:
         self.may_pickle = may_pickle
 
     def parts(self, value):
+        # form() returns a method, which encodes the value as one part.
         form = self.form(value)
         if form is not None:
             return [form(value)]
@@ -97,7 +98,8 @@ class Encoder:
         return sum(description["media"] not in ("text", "json", {"other": TREE}) for description, _ in parts)
 
     def form(self, value):
-        """The method that encodes a value as a single part; None if it has no such form."""
+        """The method that encodes a value as a single part; None if there is none, or if the value may be pickled and a
+        part would lose something of it."""
         if isinstance(value, (bytes, bytearray, memoryview)):
             return self.bytes
         if isinstance(value, str):
@@ -224,6 +226,7 @@ class Encoder:
                 data = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
                 buffers = [buffer.raw() for buffer in buffers]
             except BufferError:
+                # raw() refuses a buffer that is not contiguous. The pickle then contains all data itself.
                 buffers = None
             if buffers is None or len(buffers) > MAX_LEAVES:
                 data, buffers = pickle.dumps(value, protocol=5), []

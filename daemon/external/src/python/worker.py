@@ -271,8 +271,8 @@ def start(request):
     folder, modules_before = os.getcwd(), set(sys.modules) - {"PIL"}
     custom_object, what = load_object(settings["module"], settings["path"], METHODS[settings["role"]])
     role = ROLES[settings["role"]](custom_object)
-    # A model has no episodes.
     advances = settings["role"] == "sensor" and callable(getattr(custom_object, "advance", None))
+    # A model has no episodes.
     resets = settings["role"] != "model" and callable(getattr(custom_object, "reset", None))
     version = ".".join(str(number) for number in sys.version_info[:3])
     description = {
@@ -312,6 +312,7 @@ def answer(channel, request, role, encoder, decoder):
         raise
     except UnsupportedValue as error:
         text = str(error)
+        # The value that cannot be transferred is the list of the values that infer() yielded.
         if value is not None and value is getattr(role, "yielded", None):
             text += RETURN_ADVICE % len(value)
         write_failure(channel, "refused", text, stages)
@@ -331,7 +332,7 @@ def reset(custom_object):
 
 
 def advance(custom_object, seconds):
-    """Advances the simulation that a sensor observes by the time that the last iteration took."""
+    """Advances the simulation of a sensor. `seconds` is the time that the last iteration took."""
     custom_object.advance(seconds)
     wait_for_gpu()
 

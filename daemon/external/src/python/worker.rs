@@ -15,7 +15,7 @@ use crate::process::{Launch, Process, ProcessEnd, ProcessError};
 /// Reply of the worker, with the bytes of the reply's parts.
 pub(super) type ReplyWithBytes = (Reply, Vec<Bytes>);
 
-/// Process of a Python object, and the memory that it shares with this process.
+/// Process of a Python object, and the memory that it shares with PEERNet.
 #[derive(Debug)]
 pub(super) struct Worker {
     process: Process,
@@ -91,8 +91,8 @@ impl Worker {
                 self.shared_memory.release_excess();
                 return Ok((reply, bytes));
             };
-            // The worker writes the next partial answer to the shared memory only after this request. By then,
-            // `receive_reply` has copied the current partial answer.
+            // The worker writes the next partial answer to the shared memory only after it has received `Proceed`. By
+            // then, `receive_reply` has copied the current partial answer.
             let is_awaited = on_partial_answer(frame::join_parts(parts, bytes));
             let request = if is_awaited { Request::Proceed {} } else { Request::Cancel {} };
             self.process.write(&[&encode_request(&request)?], new_deadline())?;
@@ -101,12 +101,12 @@ impl Worker {
 
     /// Calls `reset()` of the object.
     pub(super) fn reset(&mut self, deadline: MonoTime) -> Result<ReplyWithBytes, WorkerError> {
-        self.send_header(&Request::Reset {}, deadline)
+        self.send_and_receive(&Request::Reset {}, deadline)
     }
 
     /// Calls `advance(seconds)` of the object.
     pub(super) fn advance(&mut self, time: Span, deadline: MonoTime) -> Result<ReplyWithBytes, WorkerError> {
-        self.send_header(&Request::Advance { seconds: time.seconds() }, deadline)
+        self.send_and_receive(&Request::Advance { seconds: time.seconds() }, deadline)
     }
 
     /// Kills the process.
@@ -120,7 +120,7 @@ impl Worker {
     }
 
     /// Sends a request without parts, and receives the reply.
-    fn send_header(
+    fn send_and_receive(
         &mut self,
         request: &Request<'_>,
         deadline: MonoTime,
