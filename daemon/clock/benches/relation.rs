@@ -26,8 +26,8 @@ struct Traffic {
 const TRAFFIC: [Traffic; 4] = [
     Traffic { name: "probes, 10 a second", hz: 10, queueing_delay: |n| exponential(n, 15_000.0) },
     Traffic { name: "data, 1,000 a second", hz: 1_000, queueing_delay: |n| exponential(n, 15_000.0) },
-    // Bounds of neighbouring exchanges differ by less than the drift between them, so every exchange narrows the
-    // band.
+    // Only the answers, which have odd numbers, are queued. Bounds of neighbouring exchanges differ by less than the
+    // drift between them, so every exchange narrows the band.
     Traffic {
         name: "worst: all narrow the band, 1,000 a second",
         hz: 1_000,
@@ -57,6 +57,7 @@ fn main() {
         let judge = timed(&clock, judged, |observation| {
             black_box(relation.judge(observation));
         });
+        // The newest quarter of the exchanges. `judge` has learned them, too.
         let late = &judged[judged.len() / 2..];
         let delay = timed(&clock, late, |ExchangeObservation { exchange, .. }| {
             black_box(relation.delay(Direction::Up, exchange.sent, exchange.received));

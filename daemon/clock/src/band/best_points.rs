@@ -81,8 +81,8 @@ impl BestPoints {
         self.points.range(end.saturating_sub(count)..end).copied()
     }
 
-    /// Returns whether [`points_around`](Self::points_around) returns the newest points for `x`, and whether all of
-    /// these points lie within `reach` of `x`.
+    /// Returns `true` if [`points_around`](Self::points_around) returns the newest points for `x` and all of these
+    /// points lie within `reach` of `x`.
     pub(super) fn newest_points_are_around(&self, x: i64, count: usize, reach: u64) -> bool {
         let len = self.points.len();
         // `points_around` returns the newest `count` points if at most `count / 2` of all points are at or after `x`.

@@ -82,8 +82,10 @@ impl DriftChangeLimit {
         Self { half: (half * (1.0 + 1e-12) * (1u128 << Self::BITS) as f64).ceil() as u64 }
     }
 
-    /// Returns κ·a·b / 2 for two lengths of time in nanoseconds, rounded up; κ is this limit. The result is the largest
-    /// distance of the offset from the straight line through two of its values, at distances a and b from them.
+    /// Returns κ·a·b / 2 for two lengths of time in nanoseconds, rounded up; κ is this limit.
+    ///
+    /// A straight line through two values of the offset differs from the offset by at most this result, at a time that
+    /// is `a` away from the first value and `b` away from the second.
     #[inline]
     pub(crate) fn max_deviation(self, a: u64, b: u64) -> i64 {
         let area = u128::from(a) * u128::from(b);

@@ -31,8 +31,8 @@ pub(super) fn push(hull: &mut Vec<Point>, next: Point, half_limit: f64) {
 /// for fewer than two points. `points` must be in the order of time.
 ///
 /// This is the problem of Moon, Skelly and Towsley ("Estimation and removal of clock skew from network delay
-/// measurements", INFOCOM 1999). Its solution is the edge of the lower convex hull above the mean time (Zhang, Liu and
-/// Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002), which takes one pass.
+/// measurements", INFOCOM 1999). Its solution is the edge of the lower convex hull that spans the mean time (Zhang, Liu
+/// and Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002), which takes one pass.
 pub(super) fn slope_below(points: impl Iterator<Item = Point>) -> Option<f64> {
     let mut hull: Vec<(f64, f64)> = Vec::with_capacity(16);
     let mut origin = None;

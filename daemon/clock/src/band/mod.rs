@@ -24,8 +24,8 @@ use trend::Trend;
 
 use crate::{Exchange, Interval, RawTime, Span};
 
-/// Number of newest exchanges that bound the offset at any age. If the window contains fewer exchanges, the window is
-/// extended back to the oldest of these exchanges.
+/// Number of newest exchanges that bound the offset however old they are. If the window contains fewer exchanges, the
+/// window is extended back to the oldest of these exchanges.
 // With rare exchanges, the window alone would often be empty, and the offset would have no bounds.
 const MIN_BOUNDING_EXCHANGES: usize = 8;
 

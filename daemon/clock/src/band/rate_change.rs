@@ -4,10 +4,10 @@
 //! With |θ''| ≤ κ, ψ(x) = θ(x) + κx²/2 is convex and φ(x) = θ(x) − κx²/2 is concave. Hence, for points (a, U_a) from
 //! above and (a, L_a) from below and a time q:
 //!
-//! - between two points of one side, a ≤ q ≤ b, the chord of ψ is above it: θ(q) ≤ [(b−q)·U_a + (q−a)·U_b] / (b−a) +
+//! - between two points of one side, a ≤ q ≤ b, the chord of ψ is above ψ: θ(q) ≤ [(b−q)·U_a + (q−a)·U_b] / (b−a) +
 //!   κ(q−a)(b−q)/2;
-//! - beyond two points of both sides, a < b ≤ q, the chord of φ from a to q is below φ(b): θ(q) ≤ U_b + (q−b)·(U_b −
-//!   L_a) / (b−a) + κ(q−a)(q−b)/2, and likewise before them.
+//! - beyond two points, one of each side, a < b ≤ q, the chord of φ from a to q is below φ(b): θ(q) ≤ U_b +
+//!   (q−b)·(U_b − L_a) / (b−a) + κ(q−a)(q−b)/2, and likewise before them.
 //!
 //! Convex hulls select the two points that bound θ(q) best: for the chord of ψ, the hull of the points (x, U + κx²/2);
 //! for the chord of φ, the hull of the points (x, U − κx²/2) and the hull of the points (x, L − κx²/2). Lower points
@@ -266,7 +266,8 @@ mod tests {
         fn bound_of_hulls_is_not_below_best_pair(upper in points(), lower in points(), q in -SECOND..12 * SECOND) {
             let actual = hulls(&upper, &lower).upper_bound(q, change());
             let best = best_of_all_pairs(&upper, &lower, q);
-            // The hulls leave out only pairs of points that are neighbours in time, which give weak bounds.
+            // The hulls leave out only pairs of points that are neighbours in time, which give weak bounds. Weak bounds
+            // are above 0 here, so that the hulls give a bound whenever the best bound is 0 or less.
             prop_assert!(actual.is_none_or(|actual| best.is_some_and(|best| best <= actual)), "{actual:?} {best:?}");
             prop_assert!(best.is_none_or(|best| best > 0 || actual.is_some()), "{actual:?} {best:?}");
         }

@@ -3,9 +3,9 @@
 //! Let U_a be an upper bound at the time a, and L_b a lower bound at the later time b. Between the two times, the
 //! offset grew by at least L_b − U_a: at some time its rate was (L_b − U_a) / (b − a) or more. In the same way, a lower
 //! bound L_a and a later upper bound U_b prove that the rate was (U_b − L_a) / (b − a) or less at some time. The window
-//! of the band is too short for these proofs: over a path of 40 ms, an excess of 50 ppm shows only after a quarter of
-//! an hour. The lowest point of every sixteen seconds is therefore kept for half an hour. These points serve only the
-//! bounds of the skew, not the bounds of delays.
+//! of the band is too short for these proofs: over a path of 40 ms, a skew that exceeds the limit of drift by 50 ppm
+//! shows only after a quarter of an hour. The lowest point of every sixteen seconds is therefore kept for half an hour.
+//! These points serve only the bounds of the skew, not the bounds of delays.
 
 use super::best_points::{BestPoints, InsertResult};
 use super::hull;
@@ -64,6 +64,7 @@ impl SkewBounds {
         self.upper.iter().for_each(|point| hull::push(&mut upper, point, 0.0));
         self.lower.iter().for_each(|point| hull::push(&mut lower, point, 0.0));
         let max = lowest_rate(&lower, &upper)?;
+        // A later lower point has the opposite sign, and so has its rate: the lowest rate is the negated highest rate.
         let min = -lowest_rate(&upper, &lower)?;
         Some(ProvenSkew { min_ppm: min * 1e6, max_ppm: max * 1e6 })
     }
@@ -116,6 +117,8 @@ mod tests {
     #[test]
     fn excess_skew_is_proven_over_long_path() {
         let path = Path { up: 5e6, down: 40e6, jitter: 1e6, loss: 0.02, burst: 0.0 };
+        // The delays add up to 45 ms. A proof over 600 s therefore leaves 75 ppm open, and a proof over 1,100 s 41 ppm.
+        // With a skew of 100 ppm, only the second proof shows that the skew is above 50 ppm.
         assert!(prove_skew(100.0, path, 600.0).min_ppm < 50.0);
         let later_proof = prove_skew(100.0, path, 1_100.0);
         assert!(
