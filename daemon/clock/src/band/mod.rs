@@ -262,8 +262,12 @@ impl Band {
             upper.sort_unstable_by_key(|point| point.x);
             hulls.set_upper(upper.iter().copied(), change);
             hulls.set_lower(self.newest_exchanges.iter().map(|bounds| bounds.lower), change);
+            hulls.are_of_slots = false;
             return;
         }
+        // Hulls of other points cannot be updated with the newest point of a slot: it may be earlier than their points.
+        let was_of_slots = std::mem::replace(&mut hulls.are_of_slots, true);
+        let [upper, lower] = if was_of_slots { [upper, lower] } else { [Insertion::Other; 2] };
         let max_points = MAX_POINTS_BEFORE_OR_AFTER;
         match (upper, self.upper.newest()) {
             (Insertion::Newest, Some(newest)) => hulls.replace_upper(newest, change),

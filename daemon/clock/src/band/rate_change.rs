@@ -33,6 +33,8 @@ pub(super) struct Hulls {
     upper: Side,
     /// Points of the lower side with the opposite sign.
     lower: Side,
+    /// `true` if the points are those of the slots of both sides.
+    pub(super) are_of_slots: bool,
 }
 
 /// The points of one side that give the best bound at some time.
@@ -103,6 +105,13 @@ impl Hulls {
             is_near(side.raised.points.first()) && is_near(side.raised.points.last())
         };
         ends_are_near(&self.upper) && ends_are_near(&self.lower)
+    }
+
+    /// Returns whether the points of each hull are in the order of time.
+    #[cfg(test)]
+    pub(super) fn are_in_order_of_time(&self) -> bool {
+        let mut hulls = [&self.upper, &self.lower].into_iter().flat_map(|side| [&side.raised, &side.lowered]);
+        hulls.all(|hull| hull.points.is_sorted_by_key(|point| point.x))
     }
 
     pub(super) fn memory_bytes(&self) -> usize {

@@ -77,6 +77,28 @@ proptest! {
     }
 
     #[test]
+    fn hulls_stay_in_order_after_sparse_exchanges(
+        exchanges in proptest::collection::vec((any::<bool>(), 0i64..200, 1i64..400, 0i64..1_000), 1..120),
+    ) {
+        let ms = 1_000_000;
+        let (mut sent, mut all_bounds) = (0, Vec::new());
+        for (is_sparse, gap, round_trip, bound) in exchanges {
+            sent += if is_sparse { 2_000 * ms } else { gap * ms };
+            let upper = Point { x: sent, bound: bound * ms };
+            all_bounds.push(Bounds { upper, lower: Point { x: sent + round_trip * ms, bound: bound * ms } });
+        }
+        // Answers with a long round trip arrive after answers to later requests.
+        all_bounds.sort_by_key(|bounds| bounds.lower.x);
+        let limit = DriftLimit::new(LIMIT_PPM);
+        let drift = DriftModel { limit, change_limit: Some(DriftChangeLimit::new(1.0, limit)) };
+        let mut band = Band::new(drift, Span::from_seconds(10), Span::from_seconds(10));
+        for bounds in &all_bounds {
+            band.insert(bounds);
+            prop_assert!(band.hulls.are_in_order_of_time(), "{:?}", band.hulls);
+        }
+    }
+
+    #[test]
     fn present_interval_equals_interval_of_all_exchanges(seed: u64, path in paths(), hz in 0.2..50.0f64) {
         let mut random = RandomSource::new(seed);
         let host_clocks = HostClocks {
