@@ -118,7 +118,7 @@ mod tests {
         let announced = AnnouncedClock::new(announcement_with_claim(0), FREE_RUNNING, at);
         let claim = announced.claim(at + Span::from_seconds(9), 100.0).expect("the announcement has a claim");
         let expected = Interval { lo: Span::from_millis(-5_003), hi: Span::from_millis(-4_997) };
-        assert_eq!(claim.error, expected, "10 s at 100 ppm are 1 ms at each end");
+        assert_eq!(claim.error, expected, "9 s and `MAX_TRANSIT` at 100 ppm are 1 ms");
         let wall_clock_of_host = AnnouncedClock::new(announcement_with_claim(0), WALL, at);
         assert_eq!(
             wall_clock_of_host.claim(at + Span::from_seconds(9), 100.0),

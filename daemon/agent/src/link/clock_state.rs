@@ -44,7 +44,7 @@ pub(super) struct ClockStateChanges {
     /// Clock samples of the closed seconds.
     pub(super) samples: Vec<ClockSample>,
     pub(super) restart: Option<Restart>,
-    /// `true` if the cloud's wall clock was stepped or slewed; no delay depends on it.
+    /// `true` if the cloud's wall clock was stepped or slewed, and no delay depends on this wall clock.
     pub(super) is_cloud_wall_set: bool,
     pub(super) jump: Option<SuspectedJump>,
     pub(super) excess_skew: Option<ExcessSkew>,
@@ -68,7 +68,8 @@ impl LinkClockState {
         now: Stamp,
     ) -> Self {
         let current_second = LinkSecond::new(now.wall.unix_seconds());
-        // A link relates the edge's free-running clock to either clock of the cloud, `Raw` or `RawToWall`.
+        // A link relates the edge's free-running clock to the cloud's free-running clock (`RelatedClocks::Raw`) or to
+        // the cloud's wall clock (`RelatedClocks::RawToWall`).
         let is_edge_free_running = true;
         let is_cloud_free_running = relation.settings().clocks == RelatedClocks::Raw;
         let edge = AnnouncedClock::new(edge, is_edge_free_running, now.raw);
@@ -154,9 +155,10 @@ impl LinkClockState {
         (delays, changes)
     }
 
-    /// Judges the delays of observed messages, one in each direction.
-    // These delays update neither the clock relation nor the current second, because both stamps are receptions: the
-    // departure of the message is not stamped.
+    /// Judges the delays of observed messages, one in each direction, or of a request and its first partial answer.
+    // These delays update neither the clock relation nor the current second. Both stamps of an observed message are
+    // receptions: the departure of the message is not stamped. For a request, `judge` has already updated both from the
+    // final answer.
     pub(super) fn judge_stamps(
         &self,
         up: &TransitStamps,
@@ -266,9 +268,9 @@ impl LinkClockState {
             self.update_relation((0, Some(epoch)), |relation| relation.restart_after_cloud_step(epoch));
         }
         self.update_claims(now);
-        let is_free_running = self.relation.settings().clocks == RelatedClocks::Raw;
+        let is_cloud_free_running = self.relation.settings().clocks == RelatedClocks::Raw;
         ClockStateChanges {
-            is_cloud_wall_set: is_free_running && self.cloud.wall_epoch() > old_epoch,
+            is_cloud_wall_set: is_cloud_free_running && self.cloud.wall_epoch() > old_epoch,
             ..ClockStateChanges::default()
         }
     }

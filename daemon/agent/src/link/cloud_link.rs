@@ -166,7 +166,8 @@ impl CloudLink {
         }
     }
 
-    /// Judges the delays of observed messages, one in each direction. The relation does not learn from them.
+    /// Judges the delays of observed messages, one in each direction, or of a request and its first partial answer. The
+    /// relation does not learn from these delays.
     pub(crate) fn judge_stamps(
         &self,
         up: &TransitStamps,

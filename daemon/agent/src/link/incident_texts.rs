@@ -60,7 +60,7 @@ pub(super) fn jump_text(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> Strin
     format!(
         "the clock of {cloud} seems to have jumped {size} {direction} against that of {edge}{unreported}: either the path between \
          them changed, or a clock jumped without a detected step, as when a virtual machine is paused or moved; the intervals \
-         of delays allow for both, and are wider until the window is full again"
+         of delays allow for both, and are wider until the window of exchanges is full again"
     )
 }
 

@@ -194,11 +194,11 @@ mod tests {
 
     #[test]
     fn older_exchange_must_be_better_by_drift() {
-        // 900 ms at 10,000 ppm are 9 ms.
-        for (up, best) in [(4, exchange(900, 4, 4)), (3, exchange(900, 3, 3))] {
+        // 900 ms at 10,000 ppm are 9 ms. At 900 ms the bounds of the older exchange are therefore about 10 ms.
+        for (delay, best) in [(9, exchange(900, 9, 9)), (11, exchange(0, 1, 1))] {
             let mut second = LinkSecond::new(0);
             second.add_exchange(&exchange(0, 1, 1), 10_000.0);
-            second.add_exchange(&exchange(900, up, up), 10_000.0);
+            second.add_exchange(&exchange(900, delay, delay), 10_000.0);
             assert_eq!((second.upper, second.lower), (Some(best), Some(best)));
         }
         let mut second_of_steady_clocks = LinkSecond::new(0);

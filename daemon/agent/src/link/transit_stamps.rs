@@ -15,6 +15,9 @@ pub(crate) struct HostStamp {
 }
 
 /// Stamps of one message at the two ends of a link.
+///
+/// The departure of an observed message is not stamped. `sender` is then the stamp with which the agent on the
+/// sender's host received the message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TransitStamps {
     pub(crate) sender: HostStamp,
