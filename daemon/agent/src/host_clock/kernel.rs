@@ -88,7 +88,9 @@ mod tests {
 
     #[test]
     fn ptp_clock_has_bound_of_one_second_of_growth() {
+        // phc2sys has just set `maxerror` to zero.
         assert_eq!(bound_and_text(true, 0, 16_000_000).0, Some(Span::from_micros(500)));
+        // The kernel has already added the growth of two seconds.
         assert_eq!(bound_and_text(true, 1000, 16_000_000).0, Some(Span::from_micros(1000)));
     }
 

@@ -10,8 +10,8 @@
 //!
 //! The difference of the boot clock and the monotonic clock changes only by sleeps; the difference of the wall clock
 //! and the monotonic clock changes by steps and slews. Both differences are read with each stamp (`Clock::epoch`,
-//! `Clock::wall_epoch`), so the next message detects a sleep or a step. Only slews and a changed clocksource have to be
-//! polled here.
+//! `Clock::wall_epoch`), so the next message detects a sleep or a step. Only slews, a changed clocksource and the
+//! reports of the hypervisor have to be polled here.
 
 mod chrony;
 mod chronyc;

@@ -186,7 +186,8 @@ mod tests {
             let incidents = Incidents::new(Arc::clone(&clock), event_queue);
             let sys = tempfile::tempdir().expect("a folder");
             let clocksource = Clocksource::from_sysfs(sys.path());
-            let vmclock = create_device(sys.path(), 7);
+            let marker = 7;
+            let vmclock = create_device(sys.path(), marker);
             let mut monitor =
                 HostClockMonitor::new(50.0, Arc::clone(&clock), clocksource, Vmclock::open_all(sys.path()));
             monitor.check(&incidents);
@@ -282,7 +283,8 @@ mod tests {
         let mut testbed = ClockTestbed::new(0.0);
         testbed.check_for(1);
         assert!(testbed.take_reported_texts().is_empty());
-        disrupt(&testbed.vmclock, 0, 8);
+        let (sequence, new_marker) = (0, 8);
+        disrupt(&testbed.vmclock, sequence, new_marker);
         testbed.check_for(1);
         let reported = testbed.take_reported_texts();
         assert!(

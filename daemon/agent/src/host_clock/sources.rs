@@ -53,6 +53,7 @@ impl ClaimSources {
                 period = period.min(EXACT_INTERVAL);
                 ClaimOrigin::Exact
             }
+            // Daemons that are unaware of injected faults are queried as daemons without injected faults are.
             Some(ClaimPolicy::Unaware) | None => ClaimOrigin::Daemons {
                 kernel: is_configured(ClaimSource::Kernel),
                 chronyc: is_configured(ClaimSource::Chrony).then(|| Chronyc::new(config, clock.clone())),

@@ -12,6 +12,7 @@ use super::ring::{Ring, SentSeconds};
 #[derive(Debug)]
 pub(crate) struct PipelineLiveState {
     pipeline: Slug,
+    /// Configured load as text: `closed`, `5 Hz`.
     load: String,
     fields: Mutex<LiveFields>,
 }

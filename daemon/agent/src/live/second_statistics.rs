@@ -55,7 +55,7 @@ impl SecondStatistics {
         let mut hint = 0;
         for (_, node, value) in tree.counted_nodes().iter() {
             let name = &node.name;
-            // Skipped starts do not depend on the answer.
+            // Skipped starts do not depend on the answer, so they count for iterations that failed, too.
             let is_counted =
                 is_value_in_statistics(name, is_in_statistics) || !warm_up && *name == stage::SKIPPED_STARTS;
             if is_counted && let Some(value) = value {

@@ -36,7 +36,8 @@ impl ObservedPipelines {
     pub(crate) fn from_config(config: &AgentConfig) -> Self {
         let pipeline = |pipeline: &PipelineConfig| match &pipeline.placement {
             PlacementConfig::Observe(observed) if pipeline.start == StartMode::Boot => {
-                // The pipeline's pairing has the same timeout: after it, the key belongs to another message there, too.
+                // Messages expire after the same time as in the pipeline's pairing. A key that is received again after
+                // this time belongs to another message.
                 let pipeline_stamps = ObservedPipeline::new(observed.pair_by, Span::from(pipeline.timeout()));
                 Some((pipeline.name.clone(), Arc::new(pipeline_stamps)))
             }

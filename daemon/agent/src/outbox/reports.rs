@@ -150,7 +150,8 @@ impl Reports {
     pub(super) fn report_renewal(&self, stored: u64, newest: u64) {
         let text = format!(
             "this spool is a copy or was restored: its newest batch has the number {newest}, and the aggregator has batches \
-             of the same stream up to {stored}, or different batches; the spool's events continue in a new stream"
+             of the same stream up to number {stored}, or different batches with the same numbers; the spool's events \
+             continue in a new stream"
         );
         self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text);
     }
