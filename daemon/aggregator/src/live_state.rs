@@ -65,7 +65,7 @@ pub struct RefusedFrames {
 /// Numbers of batches that arrived and were not stored, since the aggregator's start; they are sent again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RejectedBatches {
-    /// Batches for which the queue had no capacity.
+    /// Batches for which the queue of batches to store had no capacity.
     pub deferred: u64,
     /// Batches that did not match their hash.
     pub damaged: u64,
@@ -207,8 +207,8 @@ pub struct PipelineSnapshot {
     pub total_p95: PercentileSeries,
 }
 
-/// The 95th percentile of the total latency over time. Each value is the percentile of all iterations of its bucket,
-/// whose sketches are merged.
+/// The 95th percentile of the total latency over time. Each value is the percentile of all iterations of its bucket:
+/// the sketches of the bucket's seconds are merged.
 ///
 /// The bucket's length is the shortest of 1, 2, 5, 10, 20, 30, 60, 120, 300 and 600 s with enough iterations at the
 /// pipeline's rate.

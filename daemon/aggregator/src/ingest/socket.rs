@@ -110,7 +110,8 @@ pub(crate) async fn run(
         }
         deliver(&sender, &mut session, &context.live_events).await;
     }
-    // Closing the queue lets the writer finish; acknowledgements arrive until the writer has ended.
+    // This closes the queue to the writer, so that the writer ends after the queued work. Its acknowledgements arrive
+    // until then.
     session.close();
     while let Some(event) = context.store_events.recv().await {
         session.handle_store_event(event);

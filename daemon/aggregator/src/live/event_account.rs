@@ -41,7 +41,8 @@ impl EventAccount {
         self.stored.duplicates += 1;
     }
 
-    /// Counts a batch that arrived and was not stored. `count` increments the count of the batch's kind.
+    /// Counts a batch that arrived and was not stored. `count` increments the count of the reason:
+    /// deferred or damaged.
     pub(super) fn add_rejected(&mut self, count: impl FnOnce(&mut RejectedBatches)) {
         count(&mut self.rejected_batches);
     }

@@ -156,7 +156,8 @@ impl Host {
         self.snapshot = None;
     }
 
-    /// Counts a batch that arrived and was not stored. `count` increments the count of the batch's kind.
+    /// Counts a batch that arrived and was not stored. `count` increments the count of the reason:
+    /// deferred or damaged.
     pub(super) fn record_rejected(&mut self, count: impl FnOnce(&mut RejectedBatches)) {
         self.events.add_rejected(count);
         self.snapshot = None;

@@ -129,6 +129,8 @@ mod tests {
     fn estimate_restarts_after_silence_or_new_spool() {
         let mut estimator = LagEstimator::default();
         observe(&mut estimator, 0, 30, |time| 10_000.0 - 20.0 * time);
+        // This number of stored events is larger than that of the next update, so the next update restarts the
+        // estimate again.
         estimator.observe(Some(Span::from_seconds(5_000)), 40_000_000, at(120.0));
         assert_eq!(estimator.estimate(), None, "a silence restarts the estimate");
         observe(&mut estimator, 121, 130, |time| 5_000.0 - 20.0 * (time - 121.0));

@@ -19,7 +19,7 @@ const MAX_MODELS: usize = 256;
 const MAX_TEXT_BYTES: usize = 512;
 
 /// Cuts a link's state and removes impossible clock values. Adds to `discarded_items` each list item that is removed,
-/// and 1 if any value of the clock relation is removed.
+/// 1 if any value of the clock relation is removed, and 1 if the offset of the reflector is removed.
 pub(super) fn limit_link(live: &mut LinkLive, discarded_items: &mut u64) {
     limit_list(&mut live.networks, MAX_LIST_ITEMS, discarded_items);
     live.networks.iter_mut().for_each(limit_text);

@@ -2,7 +2,7 @@
 //! how many batches wait to be stored. Free of I/O; [`task`] owns the [`LiveTracker`] and publishes its snapshots.
 //!
 //! Memory is bounded whatever agents send: there are limits for the number of hosts, of pipelines and links per host,
-//! and of names per second. Values beyond a limit are discarded and counted.
+//! and of node names in the report of one second of a pipeline. Values beyond a limit are discarded and counted.
 
 mod event_account;
 mod host;
@@ -37,7 +37,7 @@ const UNSTORED_HOST_TIMEOUT: Span = Span::from_seconds(600);
 const MAX_HOST_PIPELINES: usize = peernet_stream::limits::MAX_PIPELINES;
 /// Maximum number of links per host.
 const MAX_HOST_LINKS: usize = 64;
-/// Maximum number of node names per pipeline and window.
+/// Maximum number of node names in the report of one second of a pipeline, and in a window.
 const MAX_NAMES: usize = 128;
 /// Maximum number of refused hosts in the live state.
 const MAX_REFUSED: usize = 32;
@@ -65,7 +65,7 @@ pub(crate) enum LiveEvent {
     Stored(HostId, StoredCounts, Option<WallTime>),
     /// A duplicate batch arrived.
     Duplicate(HostId),
-    /// A batch arrived for which the queue had no capacity.
+    /// A batch arrived for which the queue of batches to store had no capacity.
     Deferred(HostId),
     /// A batch arrived that does not match its hash.
     Damaged(HostId),
@@ -166,7 +166,7 @@ impl LiveTracker {
         let shown_runs: HashSet<(HostId, RunId)> =
             self.hosts.iter().flat_map(|(id, host)| host.runs().map(|run| (*id, run))).collect();
         self.run_numbers.retain(|run, _| shown_runs.contains(run));
-        // With more numbers left, each of the next runs would soon cause this search again.
+        // With more numbers left, this search would soon be repeated, in the worst case for each new run.
         if self.run_numbers.len() > MAX_RUN_NUMBERS / 2 {
             self.run_numbers.clear();
         }

@@ -17,15 +17,16 @@ use crate::live_state::{LiveSecond, PipelineSnapshot, Window};
 const WINDOWS: [u32; 3] = [1, 10, 60];
 /// Number of seconds that are kept with their sketches: the longest window and the incomplete second.
 const SKETCH_LENGTH_S: i64 = 61;
-/// Length of the ring of the seconds with sketches. The three seconds beyond [`SKETCH_LENGTH_S`] are for an agent's
-/// clock that decreases by at most [`MAX_CLOCK_DECREASE`].
+/// Length of the ring of the seconds with sketches. Two of the three seconds beyond [`SKETCH_LENGTH_S`] are for an
+/// agent's clock that decreases by at most [`MAX_CLOCK_DECREASE`]; the third is a reserve.
 const RING_LENGTH_S: usize = 64;
 /// Number of seconds that are kept as points of the live charts.
 const CHART_LENGTH_S: i64 = 600;
 /// Largest decrease of the agent's clock between two updates that the ring absorbs. After a larger decrease, the
 /// seconds that the clock shows again are removed.
 const MAX_CLOCK_DECREASE: Span = Span::from_seconds(2);
-/// Silence after which the windows continue without the agent. Updates arrive four times a second.
+/// Silence of the agent after which the windows end at the present, not at the latest update. Updates arrive four
+/// times a second.
 const MAX_UPDATE_AGE: Span = Span::from_seconds(1);
 
 /// State of one pipeline, with rings of the last seconds by the agent's wall clock, which may be wrong.

@@ -72,6 +72,7 @@ impl SecondStatistics {
             let (_, summary) = self.values.iter().find(|(other, _)| other == name)?;
             (summary.count() > 0).then_some((summary.count(), summary.moments.mean))
         };
+        // Each message has a verdict, even if its delay is unknown. So the totals of the verdicts count the messages.
         let StageSplit { parts, .. } = StageSplit::new(self.verdicts.map(VerdictCounts::total), mean_of);
         let total_p95 =
             self.total().and_then(QuantityStatistics::from_summary).and_then(|statistics| statistics.p95);

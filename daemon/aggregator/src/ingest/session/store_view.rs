@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use peernet_logger::{HostId, RunId};
 use peernet_store::writing::Streams;
 
-/// Maximum number of runs that wait for their names from the live lane.
+/// Maximum number of runs that wait for their names. A name is a pipeline with its placement, as in a live update.
 // A hostile agent can send iterations of any number of runs without their start.
 const MAX_RUNS_WITHOUT_START: usize = 1_024;
 
