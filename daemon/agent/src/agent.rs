@@ -277,6 +277,7 @@ fn watch_outbox(tasks: &mut Tasks, outbox: &Outbox) {
 /// `peernet` created.
 fn restrict_permissions(config: &AgentConfig) {
     let folder = &config.agent.state_dir;
+    // Apart from the spool, the agent creates the other files in this folder for their owner only.
     let mut restricted_files = peernet_permissions::restrict_folder(folder, &["host-id", "lock"]);
     restricted_files.extend(peernet_permissions::restrict_database(&config.spool.path(folder)));
     peernet_permissions::log_changes(&restricted_files);
@@ -367,8 +368,8 @@ impl RunningAgent {
         stop.cancel();
         let now = Instant::now();
         let requested_at = requested_at.await.unwrap_or(now);
-        // The outbox gets at least a quarter of the stop timeout, even if the iterations in flight took longer than the
-        // other three quarters.
+        // The outbox gets at least a quarter of the stop timeout, even if the tasks took longer than the other three
+        // quarters to end.
         let deadline = (requested_at + stop_timeout).max(now + stop_timeout / 4);
         let close_outbox = async {
             match outbox {

@@ -1,5 +1,5 @@
-//! The key with which the arguments of programs are fingerprinted. Descriptions contain the fingerprints instead of the
-//! arguments, because arguments may be secret.
+//! The key with which the arguments of programs are fingerprinted. Descriptions of runs contain the fingerprints
+//! instead of the arguments, because arguments may be secret.
 
 use std::fs;
 use std::io;

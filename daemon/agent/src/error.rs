@@ -18,7 +18,7 @@ pub enum StartError {
     /// The operating system refuses to start the I/O threads.
     #[error("cannot start the I/O threads: {0}; lower their number, [agent] io_threads")]
     Threads(#[source] io::Error),
-    /// The host id could not be read or created.
+    /// A file of the state directory, such as the host id, could not be locked, read or created.
     #[error(transparent)]
     Identity(#[from] IdentityError),
     /// The spool could not be opened.

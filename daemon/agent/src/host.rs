@@ -1,4 +1,4 @@
-//! This host's identity, and the channels to which the agent's parts report.
+//! This host's identity, and the objects to which the agent's parts report.
 
 use peernet_clock::SharedClock;
 use peernet_logger::{HostId, Slug};
@@ -17,7 +17,7 @@ pub(crate) struct Host {
     pub(crate) clock: SharedClock,
 }
 
-/// The channels to which parts of the agent report events.
+/// The objects to which parts of the agent report events, incidents, and the starts and ends of runs.
 #[derive(Clone, Debug)]
 pub(crate) struct EventSinks {
     pub(crate) event_queue: EventQueue,

@@ -14,20 +14,20 @@ const MAX_LIMIT_BYTES: u64 = 1 << 40;
 const MAX_SYNC_INTERVAL_MS: u64 = 60_000;
 
 pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
-    let (spool, batch) = (&config.spool, config.agent.batch_bytes.get() as u64);
+    let (spool, batch_bytes) = (&config.spool, config.agent.batch_bytes.get() as u64);
     let limit = spool.limit_bytes.get();
     report.check_max("spool.limit_bytes", limit, MAX_LIMIT_BYTES);
     if limit < MIN_LIMIT_BYTES {
         report.add("spool.limit_bytes", format!("{limit} is too small; at least {MIN_LIMIT_BYTES}"));
-    } else if limit < 4 * batch {
+    } else if limit < 4 * batch_bytes {
         let text = format!(
             "{limit} is too small: the spool must have space for four batches, {} bytes; raise spool.limit_bytes or lower agent.batch_bytes",
-            4 * batch
+            4 * batch_bytes
         );
         report.add("spool.limit_bytes", text);
     }
     report.check_max("spool.sync_interval_ms", spool.sync_interval_ms.get().into(), MAX_SYNC_INTERVAL_MS);
-    // Without `spool.file` the file is in `state_dir`. Another function checks `state_dir`.
+    // Without `spool.file` the file is in `state_dir`. `super::check` checks `state_dir`.
     if let Some(file) = &spool.file {
         if file.as_os_str().is_empty() {
             report.add(

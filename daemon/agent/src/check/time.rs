@@ -152,7 +152,8 @@ pub(super) fn check_clock_fault(report: &mut Report, clock_fault: &ClockFaultCon
         let prefix = format!("clock_fault.steps[{index}]");
         report.check_range(&format!("{prefix}.by_ms"), step.by_ms, -MAX_FAULT_MS, MAX_FAULT_MS);
         report.check_positive(&format!("{prefix}.at_s"), step.at_s, MAX_FAULT_S);
-        // Both clocks may be stepped at the same moment, as when a virtual machine was paused.
+        // The wall clock and the free-running clock may be stepped at the same moment, as when a virtual machine was
+        // paused.
         let is_in_order = |previous: &ClockFaultStepConfig| {
             previous.at_s < step.at_s || (previous.at_s == step.at_s && previous.clock != step.clock)
         };

@@ -52,8 +52,9 @@ pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
 
 /// Returns the number of runnable threads of the whole host.
 fn runnable_threads(settings: &InspectionSettings) -> Option<u32> {
-    let averages = read_text(&settings.proc.join("loadavg"))?;
-    averages.split_ascii_whitespace().nth(3)?.split_once('/')?.0.parse().ok()
+    let load = read_text(&settings.proc.join("loadavg"))?;
+    // After the three load averages follow the numbers of runnable threads and of all threads: `2/813`.
+    load.split_ascii_whitespace().nth(3)?.split_once('/')?.0.parse().ok()
 }
 
 /// Returns the number of runnable threads of this process (proc_pid_stat(5)).

@@ -59,7 +59,8 @@ impl ClockConfig {
             max_drift_ppm: self.max_drift_ppm,
             max_drift_change_ppm_per_s: self.max_drift_change_ppm_per_s,
             window: Span::from_seconds_f64(self.window_s),
-            // The shortest retention suffices, because an agent judges only the delays of recent messages.
+            // `window` is the shortest possible retention. It suffices, because an agent judges only the delays of
+            // recent messages.
             retention: Span::from_seconds_f64(self.window_s),
             max_fresh_age: Span::from_seconds_f64(self.fresh_s),
             trust_time_daemons: self.trust_time_daemons,

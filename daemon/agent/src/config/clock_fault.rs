@@ -8,15 +8,15 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClockFaultConfig {
-    /// Offset of the clock from true time, from the start on; milliseconds, at most 1e10 in either direction (four
-    /// months). Default: 0.
+    /// Offset of the wall clock and of the free-running clock from true time, from the start on; milliseconds, at most
+    /// 1e10 in either direction (four months). Default: 0.
     pub offset_ms: f64,
-    /// Drift of the clock; positive is fast; parts per million, at most 100000 in either direction. Default: 0.
+    /// Drift of both clocks; positive is fast; parts per million, at most 100000 in either direction. Default: 0.
     pub drift_ppm: f64,
     /// Steps in chronological order. Default: none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub steps: Vec<ClockFaultStepConfig>,
-    /// Claim of the host about its clock. Default: `none`.
+    /// Claim of the host about its wall clock. Default: `none`.
     pub discipline: ClaimPolicy,
 }
 
@@ -34,7 +34,7 @@ pub struct ClockFaultStepConfig {
     pub clock: SteppedClock,
 }
 
-/// Claim that a host with clock faults makes about its clock.
+/// Claim that a host with clock faults makes about its wall clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ClaimPolicy {

@@ -41,7 +41,8 @@ impl ListenAddresses {
         if addresses.len() > MAX_ADDRESSES {
             return Err(ListenAddressesError::TooMany(addresses.len()));
         }
-        // The system chooses a free port for each address with port 0. An address in a ROS 2 domain has no port.
+        // The system chooses a free port for each address with port 0. For an address in a ROS 2 domain `port()` is 0,
+        // too, but no port is chosen.
         let is_duplicate = |index: &usize| {
             (addresses[*index].port() != 0 || addresses[*index].ros_domain().is_some())
                 && addresses[..*index].contains(&addresses[*index])

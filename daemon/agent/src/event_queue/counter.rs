@@ -48,7 +48,8 @@ const TMPFS_MAGIC: i64 = 0x0102_1994;
 const MAGIC: &[u8; 8] = b"PNcount3";
 /// First bytes of a file of an earlier version, which does not contain the identity of its spool.
 const MAGIC_WITHOUT_OWNER: &[u8; 8] = b"PNcount2";
-/// Length in bytes of the header, and of each of the run records after it. No record crosses the border of a page.
+/// Length in bytes of the header, and of each of the run records after it. No record crosses the border of a page,
+/// because a kill can interrupt a write at such a border.
 // A record with the longest name (64 bytes) takes 105 bytes. A page is a multiple of the next power of two.
 const RECORD_BYTES: usize = 128;
 /// Offset of the total number of events in the header.
