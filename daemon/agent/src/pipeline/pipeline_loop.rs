@@ -138,7 +138,7 @@ impl<'a> PipelineLoop<'a> {
         self.finish(iteration, log, Outcome::Lost(reason), Feedback::default(), None);
     }
 
-    /// Takes the queued sample if another iteration may be in flight.
+    /// Takes the queued sample if fewer iterations than the maximum are in flight.
     pub(super) fn dequeue_sample(&mut self) -> Option<QueuedSample> {
         let max_in_flight = self.resources.max_in_flight();
         let queued_sample = self.queued.take_if(|_| self.in_flight.len() < max_in_flight)?;
@@ -293,7 +293,7 @@ impl<'a> PipelineLoop<'a> {
         let mut new_iteration =
             || StartedIteration { position: self.run.assign_position(start.intended), start, started_at };
         match sample {
-            // No number is assigned, because without a sample there is no iteration.
+            // No position is assigned, because without a sample there is no iteration.
             Ok(None) => self.end(LoopEnd::NoMoreSamples),
             Ok(Some(sample)) => {
                 let iteration = new_iteration();

@@ -97,8 +97,9 @@ impl Placement {
         pipeline: &Slug,
         context: &PipelineContext,
     ) -> Result<Self, OpenFailure> {
-        // The socket is opened before the hello with its name is sent, because a cloud on this machine connects to the
-        // socket before the cloud accepts the session.
+        // Over this Unix socket, a cloud on this machine proves that both hosts read one clock. The socket is opened
+        // before the hello with its name is sent, because the cloud connects to the socket before the cloud accepts the
+        // session.
         let clock_socket = ClockSocket::listen(&*context.host.clock);
         let hello = SessionHello {
             versions: SESSION_VERSIONS,
@@ -113,7 +114,8 @@ impl Placement {
         let clock = Arc::clone(&context.host.clock);
         let session = Session::open(&remote.peer, hello, settings, clock).await?;
         let link = context.links.attach(&session, &remote.peer, pipeline, clock_socket);
-        // Without this wait the delays of the first iterations would be judged before the clocks are related.
+        // The first proof shows that both hosts read one clock. Without this wait the delays of the first iterations
+        // would be judged before the proof.
         link.wait_for_first_proof().await;
         Ok(Self::Remote { session, link, config: Box::new(remote.clone()) })
     }

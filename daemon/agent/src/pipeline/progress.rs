@@ -94,7 +94,8 @@ impl Progress {
     /// warm-up of its episode.
     // Statistics leave out warm-up, but they must show that an episode could not begin.
     pub(crate) fn assign_unprepared_position(&mut self, intended: MonoTime) -> Position {
-        self.assign(intended, false)
+        let is_episode_warm_up = false;
+        self.assign(intended, is_episode_warm_up)
     }
 
     fn assign(&mut self, intended: MonoTime, is_episode_warm_up: bool) -> Position {
@@ -210,7 +211,7 @@ mod tests {
     fn duration_begins_at_first_measured_iteration() {
         let mut progress = progress("warm_up = { iterations = 1 }\nlimit = { duration_s = 2.5 }");
         progress.assign_position(at(10));
-        assert!(!progress.is_limit_reached(at(1000)), "no iteration after the warm-up has started");
+        assert!(!progress.is_limit_reached(at(1000)), "the only iteration so far is warm-up");
         assert_eq!(
             progress.assign_position(at(20)),
             Position { number: 2, episode: 0, step: 1, warm_up: false }

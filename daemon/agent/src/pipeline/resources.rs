@@ -91,6 +91,7 @@ impl PipelineResources {
             facts.push(("Transforms".to_owned(), transforms_text(&transforms)));
         }
         facts.push(("Load".to_owned(), config.load.describe()));
+        // A closed loop has no rate. It has one iteration in flight, which needs no fact.
         if config.load.hz().is_some() {
             let maximum = if sensor.advances() { 1 } else { config.max_in_flight.get() };
             facts.push(("In flight".to_owned(), format!("at most {maximum}")));

@@ -22,8 +22,8 @@ use super::proof::{AnswerResult, NotProven, OwnClock, Proof};
 /// part of PEERNet.
 const MAX_PEERS: usize = 16;
 /// Time after which a process that has not answered the first query is ignored, because it does not serve the session
-/// or is stopped. If the edge's own process was paused, the answer to a later query has the same time before the proof
-/// ends as expired.
+/// or is stopped. After a pause of its own process, the edge waits this long for an answer before it ends an expired
+/// proof.
 const FIRST_ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The socket that a session's hello names.

@@ -297,6 +297,7 @@ impl Server {
                     self.served.send_modify(|served| served.sessions = self.peers.len());
                     self.report(IncidentKind::Connected, host, text);
                 } else {
+                    // The edge has disconnected in the meantime, so its address is removed again.
                     self.update_reflectors(None);
                 }
             }

@@ -93,7 +93,8 @@ fn bind(
 /// Returns the UDP address at which the probes of the peers of `listen` are answered.
 async fn resolve(listen: &Address, port: u16) -> io::Result<SocketAddr> {
     if listen.listener_name().is_some() {
-        // The host of such an address does not belong to the listener: peers may connect on any interface.
+        // A name identifies the listener. The host of the address does not belong to the listener: peers may connect on
+        // any interface.
         return Ok(SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), port));
     }
     let host = listen.host();

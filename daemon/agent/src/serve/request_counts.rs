@@ -58,7 +58,8 @@ mod tests {
                 request_counts.take_missed(host, &pipeline, Some(41)),
                 request_counts.take_missed(host, &pipeline, Some(9))
             ),
-            (1, 9)
+            (1, 9),
+            "the first goodbye removes the count"
         );
         request_counts.counter(host, &pipeline).fetch_add(5, Ordering::Relaxed);
         assert_eq!(request_counts.take_missed(host, &pipeline, None), 0, "the run is not over");
@@ -69,6 +70,6 @@ mod tests {
             request_counts.counter(HostId::random(), &pipeline);
         }
         assert!(request_counts.0.len() <= MAX_RUNS);
-        assert_eq!(request_counts.take_missed(host, &pipeline, Some(4)), 1);
+        assert_eq!(request_counts.take_missed(host, &pipeline, Some(4)), 1, "a counter in use is kept");
     }
 }

@@ -44,7 +44,8 @@ mod tests {
         // below.
         for value in (1..=50).map(|n| f64::from(n) * 1.03e-3) {
             let mut served = ServedCounts::default();
-            served.add(false, Some(value));
+            let is_error = false;
+            served.add(is_error, Some(value));
             assert_eq!(served.inference.quantile(0.5), Some(value));
         }
     }

@@ -47,6 +47,7 @@ impl Service {
         let model = hello.model.clone().map_or_else(|| context.bank.default_model(), Ok);
         let pool = model.and_then(|model| context.bank.load(&model, hello.device.as_deref()));
         pool.map(Self::Model).map_err(|error: LoadError| {
+            // A peer that named no model reads "model that is offered cannot be loaded".
             let requested =
                 hello.model.as_ref().map_or_else(|| "that is offered".to_owned(), Slug::to_string);
             Refusal {

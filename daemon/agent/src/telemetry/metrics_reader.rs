@@ -87,6 +87,10 @@ mod tests {
             "{second_reading:?}"
         );
         assert_eq!(second_reading.models, Some(ModelMetrics { loaded: 0, memory_bytes: 0 }));
-        assert_eq!((second_reading.gpu, second_reading.power_watts), (None, None));
+        assert_eq!(
+            (second_reading.gpu, second_reading.power_watts),
+            (None, None),
+            "the agent does not read these values"
+        );
     }
 }

@@ -207,7 +207,8 @@ impl<'a> Observation<'a> {
         }
         let arrival = self.input_arrivals.record(at);
         self.unpaired_counts.input_missing += message.missing_before;
-        // The input message gets the position, so that an input message without an output message is an iteration, too.
+        // The position is assigned here and not when the output message arrives, because an input message without an
+        // output message is an iteration, too.
         let position = run.assign_position(at);
         let key = message.key(self.config.pair_by);
         let host_stamp = self.stamps.stamp(Side::Input, &message, key.ok().flatten());
@@ -260,7 +261,9 @@ impl<'a> Observation<'a> {
         }
     }
 
-    /// Records the iteration that a resolution completes. If there is a peer, queries the peer for its stamps before.
+    /// Records the iteration that a resolution completes. If there is a peer, a pair is usually not recorded here: this
+    /// function queries the peer for its stamps, and `run` records the pair when the peer has answered or a timeout has
+    /// passed.
     fn settle(&mut self, resolution: Resolution<Input, ReceivedMessage>, run: &mut Run, runner: &Runner) {
         match resolution {
             Resolution::Paired { input, output } => {

@@ -144,7 +144,8 @@ impl Source {
         Ok(())
     }
 
-    /// Returns the reason why a topic has no messages; `None` while both have a publisher.
+    /// Returns the reason why no messages of a topic are received; `None` while both topics have a publisher whose
+    /// messages can be read.
     pub(super) fn problem(&self) -> Option<String> {
         let problems: Vec<String> =
             [&self.input, &self.output].into_iter().filter_map(Topic::problem).collect();

@@ -88,7 +88,8 @@ impl Topic {
         }
     }
 
-    /// Returns the reason why the topic has no messages; `None` while it has a publisher.
+    /// Returns the reason why no messages of the topic are received; `None` while the topic has a publisher whose
+    /// messages can be read.
     pub(super) fn problem(&self) -> Option<String> {
         match self {
             Self::Ros1(topic) => topic.problem(),
