@@ -79,7 +79,8 @@ impl Integrity {
         });
     }
 
-    /// Returns whether rows can be found in the file; `true` if no file is open.
+    /// Returns whether rows can be found in the file. Returns `true` while no file is open; when a file is opened,
+    /// `attach_file` corrects the recorded value.
     fn is_repairable(&self) -> bool {
         let file = self.file.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
         file.is_none_or(has_table_list)

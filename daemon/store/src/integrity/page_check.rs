@@ -62,6 +62,7 @@ impl PageCheck {
             self.next = number + 1;
             match self.file.well_formed_page(number, page.to_vec(), self.file.page_count) {
                 Some(page) => self.overflow_pages.extend(page.overflow_pages()),
+                // SQLite stores nothing in this page.
                 None if self.file.is_lock_page(number) => {}
                 None => {
                     self.other_pages.insert(number, be32(page, 0));
@@ -79,6 +80,7 @@ impl PageCheck {
     /// moved during the pass; another pass does not find these pages malformed.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing_page = self.file.first_missing_page()?;
+        // The write-ahead log is read only if a page remains that may be malformed, or if a page is missing.
         self.follow_overflows(None)?;
         if self.other_pages.is_empty() && missing_page.is_none() {
             return Ok(Vec::new());
