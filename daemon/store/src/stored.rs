@@ -19,6 +19,7 @@ macro_rules! other_database_prefix {
 /// number of the host's gaps of unknown size, and number of such gaps whose events are in another database.
 macro_rules! gap_columns {
     // The only index of the table `gap` begins with the run, so gaps of a host are found by the host's runs.
+    // Gaps of events that are in another database have no run.
     () => {
         concat!(
             "(SELECT coalesce(sum(count), 0) FROM gap WHERE gap.run IS NULL AND gap.host = host.id AND gap.reason LIKE '",

@@ -117,7 +117,7 @@ pub struct RunDetail {
 }
 
 impl From<RunSummary> for RunDetail {
-    /// Makes a run from the values in a list alone.
+    /// Makes a run that has only the values of `summary`. Its other fields are empty.
     fn from(summary: RunSummary) -> Self {
         Self {
             summary,

@@ -71,7 +71,8 @@ mod tests {
     #[test]
     fn step_is_reported_once_with_amount_and_direction() {
         let mut watch = WallClockWatch::new(stamp(1_000, 0));
-        // The wall clock advanced 9 s more: too little for a step, although the last check was long ago.
+        // The wall clock advanced 9 s more than the monotonic clock: too little for a step, although the last check was
+        // long ago.
         assert_eq!(watch.check_step(stamp(9_000_009, 9_000_000 - 1_000)), None);
         let month = 30 * 86_400;
         let forward = watch.check_step(stamp(9_000_010 + month, 9_000_001 - 1_000)).expect("a step");

@@ -109,6 +109,7 @@ pub(super) async fn trees(
     let (mut anchors, mut nodes, mut transits) = (&anchors[..], &nodes[..], &transits[..]);
     let mut trees = Vec::with_capacity(iterations.len());
     for (number, started) in iterations {
+        // The table `anchor` has the anchors of all hosts except the edge.
         let (other_anchors, nodes, transits) = (
             take_while(&mut anchors, |row| row.iteration == *number),
             take_while(&mut nodes, |row| row.iteration == *number),

@@ -163,6 +163,7 @@ fn collect_input(
                     owner,
                     count: statistics.count,
                     seconds: statistics.sum(),
+                    // Statistics do not contain the numbers of the iterations.
                     iterations: Vec::new(),
                 })
             })

@@ -11,9 +11,10 @@ use crate::types::RunSummary;
 
 /// Name of the requested data in errors.
 const WHAT: &str = "whole iterations";
-/// Maximum number of iterations whose trees are in memory at a time. A tree may be large.
+/// Maximum number of iterations whose trees are read at a time. A tree may be large.
 const MAX_ITERATIONS: u32 = 200;
-/// Number of iterations whose shapes one statement compares. The statement reads all nodes of these iterations and must
+/// Number of iterations of which one statement compares the shapes of the trees: the names, the parents and the missing
+/// values of the nodes. The statement reads all nodes of these iterations and must
 /// not exceed the time limit of a statement.
 const ITERATIONS_PER_COMPARISON: u32 = 5_000;
 

@@ -7,7 +7,7 @@ use sqlx::{Connection, SqliteConnection};
 
 use crate::rollups::{RollupRow, Rollups, Scope, bucket};
 
-/// Width of the buckets that are stored.
+/// Width of the coarsest buckets that earlier versions stored. The wider buckets are made from these buckets.
 const STORED_WIDTH_S: i64 = 10;
 const HOUR_S: i64 = 3600;
 /// Number of runs between two log lines.

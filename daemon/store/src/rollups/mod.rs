@@ -2,7 +2,7 @@
 //!
 //! A roll-up has the moments and the sketch of the values in one bucket. Buckets are 1 s, 10 s, 1 min or 1 h wide, or
 //! cover the whole run; a value belongs to the bucket in which its iteration started. The key of the table is run,
-//! width, bucket, name, quantity, so that a commit appends rows and a page reads one range of rows.
+//! width, bucket, name, quantity, so that a commit appends rows and a page of the dashboard reads one range of rows.
 //!
 //! With a thousand agents the cost per row matters, because each agent changes a bucket of every width and name in each
 //! commit. Four measures keep this cost low: the values of a commit are summed up before rows are changed; no rows are

@@ -162,7 +162,7 @@ pub(super) async fn newest_buckets(
     connection: &mut SqliteConnection,
     run: i64,
 ) -> Result<[Option<i64>; WIDTHS_S.len() + 1], sqlx::Error> {
-    // `NEWEST` contains this number.
+    // `NEWEST` contains `WHOLE_RUN` as the number 0.
     const _: () = assert!(WHOLE_RUN == 0);
     let (second, ten, minute, hour, whole) = sqlx::query_as(NEWEST).bind(run).fetch_one(connection).await?;
     Ok([second, ten, minute, hour, whole])

@@ -206,6 +206,7 @@ mod tests {
     fn run(values: impl Iterator<Item = f64>, verdict: Verdict) -> RunStatistics {
         let (mut mergeable, mut total) = (MergeableStatistics::default(), Summary::default());
         values.for_each(|value| total.record(value));
+        // The delays of the uploads serve as half widths, too: of the half widths, the test checks only the number.
         let mut upload = Summary::default();
         (0..total.count()).for_each(|_| upload.record(0.002));
         mergeable.add(stage::TOTAL, "s", &total);

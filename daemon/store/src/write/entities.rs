@@ -238,8 +238,8 @@ impl Entities {
         Ok((self.remember(reporter, run.run, KnownRun { number, uuid }), pipeline))
     }
 
-    /// Stores a run's name from a live update. The description in the run's start event takes precedence, whether it
-    /// arrived before or arrives later.
+    /// Stores a run's pipeline and placement from a live update. The description in the run's start event takes
+    /// precedence, whether it arrived before or arrives later.
     pub(super) async fn name_run(
         &mut self,
         connection: &mut SqliteConnection,
@@ -251,7 +251,7 @@ impl Entities {
         let pipeline = pipeline(connection, reporter.row, name.pipeline.as_str()).await?;
         let placement = &name.placement;
         // The condition on `version` leaves a run unchanged whose start event has arrived. The condition on `model`
-        // leaves a run unchanged that already has its name from a live update.
+        // leaves a run unchanged that already has its pipeline and placement from a live update.
         sqlx::query(
             "UPDATE run SET pipeline = ?, placement = ?, peer = ?, network = ?, address = ?, model = ?, device = ? \
              WHERE number = ? AND model = ? AND version = ''",

@@ -117,8 +117,9 @@ impl FormerFiles {
         let Self(file) = self;
         let is_replaced = identity(&file.path).ok() != Some(file.identity);
         let current_log = std::fs::metadata(&file.log_path).ok()?;
-        let is_same_log = Some((current_log.dev(), current_log.ino())) == file.log && current_log.len() > 0;
-        (is_replaced && is_same_log).then(|| file.log_path.clone())
+        let has_former_log =
+            Some((current_log.dev(), current_log.ino())) == file.log && current_log.len() > 0;
+        (is_replaced && has_former_log).then(|| file.log_path.clone())
     }
 }
 

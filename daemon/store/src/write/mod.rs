@@ -71,7 +71,7 @@ pub struct CommitResult {
     pub runs_without_start: Vec<(HostId, RunId)>,
     /// Number of nodes stored.
     pub nodes: u64,
-    /// Secrets that were read again from the database.
+    /// Secrets that [`Work::Secret`] requested, as stored now; `None` for a host without a stored secret.
     pub secrets: Vec<(HostId, Option<HostSecret>)>,
     /// Quarantined batches with the reason.
     pub quarantined: Vec<(BatchHead, String)>,
@@ -154,6 +154,7 @@ impl Writer {
         // alone in its part.
         let mut parts = vec![work];
         while let Some(part) = parts.pop() {
+            // `None`: the batches are stored, not quarantined.
             let committed = match self.attempt(part, now, None).await {
                 Ok(committed) => committed,
                 Err(Refusal::Database(error)) => {

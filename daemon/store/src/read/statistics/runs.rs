@@ -1,5 +1,5 @@
-//! Statistics of any number of whole runs in two statements. A separate statement for each run would cost more than
-//! the rows of the run.
+//! Statistics of any number of whole runs in two statements. A separate statement for each run would take longer
+//! than reading the rows of the run.
 
 use std::collections::HashMap;
 

@@ -75,9 +75,9 @@ impl StoredWidths {
     /// Returns both widths.
     ///
     /// The width of a point is the smallest width with which the whole run has at most `max_points` points. The stored
-    /// width is the coarsest stored width that divides the width of a point. A stored width of which buckets were
-    /// deleted is skipped, so that all points of a line are made from one width. Buckets of an hour are the exception:
-    /// the remaining buckets are used even if some buckets were deleted.
+    /// width is the coarsest stored width that divides the width of a point. If buckets of this stored width were
+    /// deleted, the next greater width of a point is tried, so that all points of a line are made from one stored width.
+    /// Buckets of an hour are the exception: the remaining buckets are used even if some buckets were deleted.
     pub(super) fn choose(&self, max_points: usize) -> (i64, i64) {
         let complete_extent = self.0.iter().filter(|width| width.is_complete).find_map(|width| width.extent);
         let remaining_extent = || {
@@ -274,7 +274,8 @@ mod tests {
         ] {
             assert_eq!(stored(length_s, &[]).choose(points), choice, "{length_s} s in {points} points");
         }
-        // The rule also holds for the longest possible range, which results from an error of a clock.
+        // Over the longest possible range, which results from an error of a clock, there are also at most 240 points, and
+        // the stored width divides the width of a point.
         let (width_s, stored_width_s) = stored(i64::MAX / 1_000_000_000, &[]).choose(240);
         assert!(i64::MAX / 1_000_000_000 / width_s < 240 && width_s % stored_width_s == 0);
     }
@@ -286,6 +287,7 @@ mod tests {
         assert_eq!(stored(7_200, &[1, 10, 60]).choose(240), (3_600, 3_600));
         // Buckets of an hour are used even if some were deleted.
         assert_eq!(stored(WEEK_S, &[1, 10, 60, 3_600]).choose(240), (3_600, 3_600));
+        // A run without buckets gets the smallest widths.
         assert_eq!(
             StoredWidths(stored(0, &[]).0.map(|width| StoredWidth { extent: None, ..width })).choose(240),
             (1, 1)

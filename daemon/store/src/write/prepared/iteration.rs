@@ -66,6 +66,7 @@ impl BatchBuilder {
                 && let Some(verdict) = position(Verdict::ALL, delay.verdict)
             {
                 *self.verdicts.entry((run, name, verdict)).or_default() += 1;
+                // The statistics omit the NaN of a delay without a half width.
                 let half_width = delay.half_width().unwrap_or(f64::NAN);
                 self.summaries.record(run, name, Quantity::HalfWidth, second_s, half_width);
             }
