@@ -14,8 +14,8 @@ const WHAT: &str = "whole iterations";
 /// Maximum number of iterations whose trees are read at a time. A tree may be large.
 const MAX_ITERATIONS: u32 = 200;
 /// Number of iterations of which one statement compares the shapes of the trees: the names, the parents and the missing
-/// values of the nodes. The statement reads all nodes of these iterations and must
-/// not exceed the time limit of a statement.
+/// values of the nodes. The statement reads all nodes of these iterations and must not exceed the time limit of a
+/// statement.
 const ITERATIONS_PER_COMPARISON: u32 = 5_000;
 
 pub(crate) async fn full_iterations(

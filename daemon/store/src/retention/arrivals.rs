@@ -1,5 +1,5 @@
-//! The table `arrival` records when each range of data arrived, which shows the data that has to be deleted next.
-//! The owner of data is a run or a link.
+//! The table `arrival` records when each range of data arrived, which shows the data that has to be deleted next. The
+//! owner of data is a run or a link.
 //!
 //! If a later row of the same owner covers a part of a row's range, that part is kept until the later row is due.
 //! Ranges overlap, for example, if a robot's clock jumps back during a run. Because of this rule, such a jump deletes

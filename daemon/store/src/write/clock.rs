@@ -39,8 +39,9 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
 /// Selects the time under which a sample of a relation period is stored. A sample that is already stored keeps its
 /// time. A wall clock that was set back shows the same times again, while the relation period of free-running clocks
 /// continues. If several samples of a relation period have the same wall time, each further sample is stored under a
-/// time that is one nanosecond earlier. A sample's time is the end of its second, so the earlier times still lie in this
-/// second. ?1 link, ?2 the sample's time, ?3 relation period, ?4 the reading of the free-running clock at that time.
+/// time that is one nanosecond earlier. A sample's time is the end of its second, so the earlier times still lie in
+/// this second. ?1 link, ?2 the sample's time, ?3 relation period, ?4 the reading of the free-running clock at that
+/// time.
 const SAMPLE_TIME: &str = "SELECT coalesce( \
      (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns = ?4), \
      ?2 - (SELECT count(*) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns <> ?4))";

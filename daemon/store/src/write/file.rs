@@ -117,9 +117,9 @@ impl FormerFiles {
         let Self(file) = self;
         let is_replaced = identity(&file.path).ok() != Some(file.identity);
         let current_log = std::fs::metadata(&file.log_path).ok()?;
-        let has_former_log =
+        let former_log_has_data =
             Some((current_log.dev(), current_log.ino())) == file.log && current_log.len() > 0;
-        (is_replaced && has_former_log).then(|| file.log_path.clone())
+        (is_replaced && former_log_has_data).then(|| file.log_path.clone())
     }
 }
 

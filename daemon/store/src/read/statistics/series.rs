@@ -76,8 +76,8 @@ impl StoredWidths {
     ///
     /// The width of a point is the smallest width with which the whole run has at most `max_points` points. The stored
     /// width is the coarsest stored width that divides the width of a point. If buckets of this stored width were
-    /// deleted, the next greater width of a point is tried, so that all points of a line are made from one stored width.
-    /// Buckets of an hour are the exception: the remaining buckets are used even if some buckets were deleted.
+    /// deleted, the next greater width of a point is tried, so that all points of a line are made from one stored
+    /// width. Buckets of an hour are the exception: the remaining buckets are used even if some buckets were deleted.
     pub(super) fn choose(&self, max_points: usize) -> (i64, i64) {
         let complete_extent = self.0.iter().filter(|width| width.is_complete).find_map(|width| width.extent);
         let remaining_extent = || {
@@ -274,8 +274,8 @@ mod tests {
         ] {
             assert_eq!(stored(length_s, &[]).choose(points), choice, "{length_s} s in {points} points");
         }
-        // Over the longest possible range, which results from an error of a clock, there are also at most 240 points, and
-        // the stored width divides the width of a point.
+        // Over the longest possible range, which results from an error of a clock, there are also at most 240 points,
+        // and the stored width divides the width of a point.
         let (width_s, stored_width_s) = stored(i64::MAX / 1_000_000_000, &[]).choose(240);
         assert!(i64::MAX / 1_000_000_000 / width_s < 240 && width_s % stored_width_s == 0);
     }
