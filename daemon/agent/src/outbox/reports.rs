@@ -9,7 +9,7 @@ use peernet_networks::Address;
 use peernet_stream::{Accounting, IncidentKind};
 
 use super::dropping::{DroppingReport, DroppingWatch};
-use super::spool::{QuarantinedSpool, RecoveredBatches};
+use super::spool::{QuarantinedSpool, RecoveryCounts};
 use crate::incidents::{IncidentSubject, Incidents};
 use crate::reconnect_backoff::ReconnectBackoff;
 
@@ -238,7 +238,7 @@ fn describe_quarantine(quarantined: &QuarantinedSpool) -> String {
     let advice = format!(
         "check the disk, for example with smartctl, and delete {path} when you do not need these events"
     );
-    let Some(RecoveredBatches { batches, events, lost_batches, lost_events }) = recovered else {
+    let Some(RecoveryCounts { batches, events, lost_batches, lost_events }) = recovered else {
         return format!(
             "{moved}, and an empty spool was created, because no batch could be read before the damage: events in the damaged file \
              that the aggregator had not stored are lost; {advice}"
@@ -277,8 +277,7 @@ mod tests {
         {
             assert!(text.contains(part), "{text}");
         }
-        let recovered =
-            RecoveredBatches { batches: 1, events: 1_200, lost_batches: Some(3), lost_events: 30 };
+        let recovered = RecoveryCounts { batches: 1, events: 1_200, lost_batches: Some(3), lost_events: 30 };
         quarantined.recovered = Some(recovered);
         let text = describe_quarantine(&quarantined);
         for part in [
@@ -287,7 +286,7 @@ mod tests {
         ] {
             assert!(text.contains(part), "{text}");
         }
-        quarantined.recovered = Some(RecoveredBatches { lost_batches: None, ..recovered });
+        quarantined.recovered = Some(RecoveryCounts { lost_batches: None, ..recovered });
         assert!(describe_quarantine(&quarantined).contains("their number cannot be read"));
     }
 

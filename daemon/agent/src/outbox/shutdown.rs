@@ -53,7 +53,8 @@ impl Shutdown {
             // The outbox waits for the spool, because events that are only in memory would be lost.
             (false, _) => self.deadline,
             (true, true) => now,
-            // Waiting longer has no use: the next start of the agent sends the remaining events from the spool.
+            // Without progress the outbox stops before the deadline: the next start of the agent sends the remaining
+            // events from the spool.
             (true, false) => self.deadline.min(self.latest_progress + self.progress_timeout),
         };
         (waiting > 0 && now < end).then_some(end)

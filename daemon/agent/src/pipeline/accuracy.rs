@@ -29,14 +29,14 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
             return;
         }
     };
-    let is_marked = log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some();
+    let is_marked_by_model = log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some();
     let mut record = |name: Name, value: Option<f64>| {
         if let Some(value) = value {
             log.record_value(name, value, Unit::NONE);
         }
     };
     match scored {
-        Some(ScoredAnswer::UnknownLabel) => record(UNKNOWN_LABEL, (!is_marked).then_some(1.0)),
+        Some(ScoredAnswer::UnknownLabel) => record(UNKNOWN_LABEL, (!is_marked_by_model).then_some(1.0)),
         Some(ScoredAnswer::Class { is_best, is_in_top }) => {
             record(TOP_1, Some(f64::from(is_best)));
             record(TOP_5, is_in_top.map(f64::from));

@@ -1,10 +1,11 @@
-//! Pauses while every iteration of a closed loop, or every preparation, fails. No I/O.
+//! Pauses while every iteration of a closed loop, or every preparation (a reset or an advance between iterations),
+//! fails. No I/O.
 
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::Outcome;
 
-/// Pause after each failed iteration of a closed loop, or after each failed preparation. The pause grows with the
-/// number of consecutive failures.
+/// Pause after a failed iteration of a closed loop, or after a failed preparation. The first consecutive failures cause
+/// no pause; then the pause grows with each further failure.
 ///
 /// Without the pause the loop would repeat the failures as fast as it can, for example while a model's queue is full or
 /// no image can be read.

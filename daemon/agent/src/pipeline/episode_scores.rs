@@ -113,6 +113,9 @@ impl EpisodeResult {
 mod tests {
     use super::*;
 
+    const AFTER_WARM_UP: bool = true;
+    const DURING_WARM_UP: bool = false;
+
     fn reward(reward: f64) -> Feedback {
         Feedback { reward: Some(reward), ..Feedback::default() }
     }
@@ -124,7 +127,7 @@ mod tests {
     #[test]
     fn return_is_sum_and_success_is_latest_report() {
         let mut scores = EpisodeScores::default();
-        scores.begin(0, true);
+        scores.begin(0, AFTER_WARM_UP);
         for feedback in [reward(0.5), success(false), Feedback::default(), reward(-2.0), success(true)] {
             scores.add(0, &feedback);
         }
@@ -133,13 +136,13 @@ mod tests {
         assert_eq!(scores.close(0), None, "the episode has already ended");
         // The feedback comes after the end of its episode, so it counts for no episode.
         scores.add(0, &reward(7.0));
-        scores.begin(1, true);
+        scores.begin(1, AFTER_WARM_UP);
         let result_without_reports = Some(EpisodeResult { success: Some(false), total_reward: Some(0.0) });
         assert_eq!(scores.close(1), result_without_reports);
-        scores.begin(2, true);
+        scores.begin(2, AFTER_WARM_UP);
         [1e308, 1e308].iter().for_each(|value| scores.add(2, &reward(*value)));
         let pipeline = "line".parse().expect("a name");
-        scores.begin_unprepared(3, true);
+        scores.begin_unprepared(3, AFTER_WARM_UP);
         assert_eq!(scores.close(3), Some(EpisodeResult { success: Some(false), total_reward: None }));
         let infinite_result = scores.close(2).expect("the episode has a result");
         let remark = infinite_result.remark(&pipeline, 2).expect("the sum is infinite");
@@ -150,13 +153,13 @@ mod tests {
     #[test]
     fn episodes_of_warm_up_or_without_any_report_have_no_result() {
         let mut scores = EpisodeScores::default();
-        scores.begin(0, true);
+        scores.begin(0, AFTER_WARM_UP);
         assert_eq!(scores.close(0), None, "the actuator reports nothing");
-        scores.begin(1, false);
+        scores.begin(1, DURING_WARM_UP);
         scores.add(1, &success(true));
         assert_eq!(scores.close(1), None, "the episode belongs to the warm-up");
-        scores.begin(2, true);
-        scores.begin(3, true);
+        scores.begin(2, AFTER_WARM_UP);
+        scores.begin(3, AFTER_WARM_UP);
         scores.add(3, &success(true));
         assert_eq!(scores.close(2), Some(EpisodeResult { success: Some(false), total_reward: None }));
         assert_eq!(scores.close(3), Some(EpisodeResult { success: Some(true), total_reward: None }));

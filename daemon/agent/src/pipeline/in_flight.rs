@@ -80,6 +80,7 @@ impl QueuedSample {
                 let (log, act_result) = actuator_executor.act(log, answered, answer).await;
                 (log, act_result.map_err(|error| Outcome::Failed(format!("the actuator failed: {error}"))))
             }
+            // There is nothing to act on, or no actuator. A sensor alone has no answer.
             (Ok(_), _) => (log, Ok(Feedback::default())),
             (Err(outcome), _) => (log, Err(outcome.clone())),
         };

@@ -108,6 +108,7 @@ impl Sender {
         let mut awaits_welcome = false;
         let mut connection_state = ConnectionState::start_connecting(&address, Duration::ZERO);
         loop {
+            // While frames or a live update wait, the connection reports `SendReady` when the socket takes frames again.
             let is_blocked = self.live_lane.is_blocked() || !self.unsent_frames.is_empty();
             let is_quiet = self.intake.is_quiet(self.clock.mono());
             tokio::select! {
@@ -120,6 +121,7 @@ impl Sender {
                 }
                 _ = live_updates.tick() => {
                     self.live_lane.mark_due();
+                    // The counter's file counts queued events in shared memory, where other programs can delete it.
                     self.intake.recreate_counter_if_deleted();
                     self.drain_queue();
                 }
@@ -212,13 +214,13 @@ impl Sender {
                 "stopped; the events in the spool are sent after the next start"
             );
         }
-        let connections = self.live_lane.unreported_ends();
-        // If a session is up, the last update contains the final totals of these connections.
-        if connections > 0 && !self.state_machine.is_up() {
+        let ended_connections = self.live_lane.unreported_ends();
+        // If a session is up, the last update contains the final totals of the ended connections.
+        if ended_connections > 0 && !self.state_machine.is_up() {
             tracing::warn!(
-                connections,
-                "stopped while no aggregator answered; the traffic of these connections to clouds since the last live update is not \
-                 stored"
+                connections = ended_connections,
+                "stopped while no aggregator answered; the traffic of these ended connections to clouds since the last live \
+                 update is not stored"
             );
         }
         if let ConnectionState::Open(connection) = connection_state {
@@ -270,7 +272,8 @@ impl Sender {
         let has_counter_file = self.intake.has_counter_file();
         let unspooled_events = self.state_machine.unspooled_events();
         if has_counter_file && self.state_machine.has_sent_unspooled() {
-            // Only the aggregator knows which of these events it stored, so they must not be recorded as lost.
+            // Only the aggregator knows which of these events it stored, so they must not be recorded as lost. The next
+            // start computes the losses from the counter's file and the aggregator's answer.
             tracing::warn!(
                 events = unspooled_events,
                 "stopped before these events were in the spool or known to be stored; after the next start a gap reports the \

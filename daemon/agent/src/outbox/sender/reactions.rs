@@ -24,7 +24,8 @@ impl Sender {
             let request = match action {
                 Action::Send(frame) => {
                     // The batch is recorded before it is sent. If the process is killed between these two steps, the
-                    // next process queries the aggregator for a batch that it does not have, which does no harm.
+                    // next process queries the aggregator for a batch that the aggregator does not have. That does no
+                    // harm.
                     if let Some(sent) = self.state_machine.sent_unspooled() {
                         self.intake.record_sent_unspooled(sent);
                     }
@@ -111,6 +112,7 @@ impl Sender {
                     unreported_ends: self.live_lane.unreported_ends(),
                 };
                 self.reports.report_welcome(&aggregator, &welcome);
+                // A restarted aggregator has no summaries of the last seconds, so all summaries are sent again.
                 self.live_lane.mark_all_unsent();
                 if aggregator_lost_batches {
                     self.intake.repeat_run_starts(&mut self.state_machine, self.clock.stamp());

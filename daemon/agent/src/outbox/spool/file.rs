@@ -77,8 +77,8 @@ impl SpoolFile {
         if !self.reserve.allocate() && !batches.is_empty() {
             return Err(SpoolFileError::Full { action: ACTION, path: self.path.clone() });
         }
-        // `unreported` is set if it is known which batches of an earlier, killed process are stored. The file in which
-        // that process counted its events is then removed below.
+        // `unreported` is set if it is known which batches of an earlier, killed process the aggregator has stored. The
+        // file in which that process counted its events is then removed below.
         let counter_to_remove = match totals.unreported {
             Some(_) => killed_process::unresolved_counter(&mut self.connection)
                 .await
@@ -98,8 +98,9 @@ impl SpoolFile {
             counter::remove(&counter);
         }
         if batches.is_empty() {
-            // No batch could be written, so the next batches are sent from memory, and the aggregator may store them.
-            // After a power cut the file must still state which process sent them.
+            // The totals may contain the record `newest_sent`. After this write the outbox may send batches that are
+            // only in memory, and the aggregator may store them. After a power cut the file must still state which
+            // process sent them.
             self.sync(ACTION).await?;
         }
         Ok(())

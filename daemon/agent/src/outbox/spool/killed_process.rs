@@ -241,7 +241,8 @@ async fn write_unreported(
     mut reported_through: u64,
     unreported: &[Gap],
 ) -> Result<(), sqlx::Error> {
-    // Losses that are already in the table are subtracted: the column has contained them since they were inserted.
+    // Losses that are already in the table `unreported` are subtracted, because the column `lost_when_killed` already
+    // contains them.
     let lost_when_killed: u64 =
         unreported.iter().filter(|gap| gap.reason == KILLED_REASON).map(|gap| gap.count).sum();
     sqlx::query(

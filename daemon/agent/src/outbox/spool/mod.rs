@@ -6,8 +6,8 @@
 //! process is killed.
 //!
 //! A crash of the process loses no appended batch. A power cut loses at most the batches that were appended since
-//! SQLite's write-ahead log was last synced. The log is synced every sync interval and not after each batch, because
-//! five syncs per second wear out the flash memory of a robot.
+//! SQLite's write-ahead log was last synced. The log is synced every sync interval and not after each batch. By
+//! default up to five batches per second are due, and five syncs per second wear out the flash memory of a robot.
 
 mod error;
 mod file;
@@ -31,5 +31,5 @@ pub(crate) use file_kind::FileKind;
 pub use inspect::{InspectError, Inspection, SpoolDamage, SpoolReadError, inspect, pending_events};
 pub(crate) use open::OpenSpool;
 pub(in crate::outbox) use quarantine::QuarantinedSpool;
-pub(in crate::outbox) use recovery::RecoveredBatches;
+pub(in crate::outbox) use recovery::RecoveryCounts;
 pub(in crate::outbox) use task::{SpoolRequest, SpoolResult, SpoolTask, SpoolTaskError};

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use peernet_clock::WallTime;
 
-use super::RecoveredBatches;
+use super::RecoveryCounts;
 
 /// A quarantined spool.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -21,8 +21,8 @@ pub(in crate::outbox) struct QuarantinedSpool {
     pub(in crate::outbox) new_path: PathBuf,
     /// Length of the file and its write-ahead log, in bytes.
     pub(in crate::outbox) bytes: u64,
-    /// Batches that were recovered and lost; `None` if no batch was recovered.
-    pub(in crate::outbox) recovered: Option<RecoveredBatches>,
+    /// Numbers of recovered and of lost batches; `None` if no batch was recovered.
+    pub(in crate::outbox) recovered: Option<RecoveryCounts>,
 }
 
 /// Renames the spool, its write-ahead log (`-wal`) and its shared memory (`-shm`). The `sqlite3` shell may recover data

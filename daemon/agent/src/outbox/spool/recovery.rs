@@ -24,9 +24,9 @@ const STATE_TABLES: [&str; 4] = ["stream", "reached", "unreported", "unresolved"
 /// of lost batches for which the file is too short is ignored.
 const MIN_BATCH_BYTES: u64 = 16;
 
-/// Batches of a quarantined spool: recovered and lost.
+/// Numbers of recovered and of lost batches of a quarantined spool, and of their events.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(in crate::outbox) struct RecoveredBatches {
+pub(in crate::outbox) struct RecoveryCounts {
     /// Number of intact batches, which are in the new spool.
     pub(in crate::outbox) batches: u64,
     /// Number of events in these batches.
@@ -62,7 +62,7 @@ pub(super) async fn recover(
     damaged: &Path,
     spool: &Path,
     host: HostId,
-) -> Result<RecoveredBatches, RecoveryError> {
+) -> Result<RecoveryCounts, RecoveryError> {
     let mut source = read_only_options(damaged).connect().await?;
     let file_bytes = fs::metadata(damaged).map_or(0, |metadata| metadata.len());
     let result = create(&mut source, file_bytes, spool, host).await;
@@ -93,7 +93,7 @@ async fn create(
     file_bytes: u64,
     spool: &Path,
     host: HostId,
-) -> Result<RecoveredBatches, RecoveryError> {
+) -> Result<RecoveryCounts, RecoveryError> {
     let owner: Option<String> =
         sqlx::query_scalar("SELECT host FROM stream WHERE id = 1").fetch_optional(&mut *source).await?;
     if owner != Some(host.to_string()) {
@@ -112,7 +112,7 @@ async fn fill(
     target: &mut SqliteConnection,
     file_bytes: u64,
     spool: &Path,
-) -> Result<RecoveredBatches, RecoveryError> {
+) -> Result<RecoveryCounts, RecoveryError> {
     let cannot_create = |error: &dyn std::error::Error| RecoveryError::Create(error.to_string());
     set_application_id(spool, target).await.map_err(|error| cannot_create(&error))?;
     // `None` means up to the newest migration; with `true` the migrations would be recorded but not executed.
@@ -161,11 +161,11 @@ async fn copy_batches(
     source: &mut SqliteConnection,
     target: &mut SqliteConnection,
     file_bytes: u64,
-) -> Result<RecoveredBatches, RecoveryError> {
+) -> Result<RecoveryCounts, RecoveryError> {
     let (acknowledged, first_chain): (i64, Vec<u8>) =
         sqlx::query_as("SELECT acknowledged, chain FROM stream WHERE id = 1").fetch_one(&mut *target).await?;
     let mut previous: ChainHash = chain_from_column(&first_chain).map_err(|_| RecoveryError::NoBatch)?;
-    let mut recovered = RecoveredBatches::default();
+    let mut recovered = RecoveryCounts::default();
     let mut number = acknowledged;
     loop {
         number = number.saturating_add(1);
@@ -218,9 +218,9 @@ async fn copy_batches(
 }
 
 /// Counts the events of lost batches as dropped, so that they do not count as stored. The events also count as
-/// reported, because an incident reports them and no gap must report them again. If losses of earlier processes are not
-/// reported yet, the counts stay as they are, because these losses refer to the counts. The counts also stay if more
-/// events would count as dropped than as produced.
+/// reported, because an incident reports them and no gap must report them again. The counts stay as
+/// they are if losses of earlier processes are not reported yet, because the tables of these losses contain values of
+/// the column `told`. The counts also stay if more events would count as dropped than as produced.
 async fn count_losses(target: &mut SqliteConnection, lost_events: u64) -> Result<(), sqlx::Error> {
     sqlx::query(
         "UPDATE stream SET dropped = dropped + ?1, told = told + ?1

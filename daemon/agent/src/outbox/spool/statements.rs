@@ -53,7 +53,7 @@ pub(super) async fn insert(
         .bind(totals.reported_drops.cast_signed())
         .execute(&mut *connection)
         .await?;
-    // `unreported` is set if it is known which batches of the earlier process are stored.
+    // `unreported` is set if it is known which batches of the earlier process the aggregator has stored.
     if let Some(unreported) = &totals.unreported {
         killed_process::resolve(connection, totals.reported_drops, unreported).await?;
     }

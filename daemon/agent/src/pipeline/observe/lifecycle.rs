@@ -15,7 +15,7 @@ use crate::pipeline::run::Run;
 use crate::pipeline::runner::{PipelineError, Runner};
 use crate::reconnect_backoff::ReconnectBackoff;
 
-/// Time without a publisher of both topics after which the missing publishers are reported.
+/// Time after which it is reported that the input topic, the output topic or both have no publisher.
 // Discovery may take several seconds, so missing publishers are not reported at once.
 const PUBLISHER_TIMEOUT: Duration = Duration::from_secs(10);
 
@@ -67,6 +67,7 @@ pub(in crate::pipeline) async fn run_to_end(
         runner.live_state.set_state(PipelineState::Running);
         let reason = loop {
             match observation.run(&mut source, run, runner).await {
+                // A run without a limit ends at midnight (UTC), and a new run begins.
                 SessionEnd::Midnight => {
                     run.end(EndReason::Finished, &runner.context);
                     // The subscriptions and the observation continue; only the run is a new one.
@@ -164,6 +165,7 @@ async fn connect(
         let error = match opening_result {
             Ok(mut source) => match await_publishers(runner, config, &mut source, run).await {
                 Ok(true) => return Ok(Some(source)),
+                // The agent stops.
                 Ok(false) => {
                     source.close().await;
                     return Ok(None);

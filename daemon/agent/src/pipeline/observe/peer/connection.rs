@@ -50,7 +50,8 @@ pub(super) struct PeerConnection {
 /// Reason why there is no connection to the peer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct PeerProblem {
-    /// `true` if the peer answered and refused.
+    /// `true` if the peer refused, or if a request or an answer is invalid. An early retry would fail again, so the
+    /// pause before the retry is longer.
     is_refusal: bool,
     text: String,
 }
@@ -122,7 +123,8 @@ impl PeerConnector {
             let pause = problem.pause(&mut reconnect_backoff);
             if reported_problem.as_ref() != Some(&problem) {
                 let text = format!("{}; the run starts when the peer answers", problem.describe());
-                self.report(problem.kind(), None, text);
+                let unknown_peer = None;
+                self.report(problem.kind(), unknown_peer, text);
                 reported_problem = Some(problem);
             }
             runner.stop.run_until_cancelled(tokio::time::sleep(pause)).await?;
@@ -227,6 +229,7 @@ impl PeerConnection {
         let log = Recorder::new(Arc::clone(&self.clock), self.own_host);
         match self.placement.compute(log, &sample, self.answer_timeout).await.result {
             Ok(answer) => {
+                // A missing answer is read like an empty one: reading returns an error.
                 let answer = answer.unwrap_or_else(empty_sample);
                 StampAnswer::read(&answer)
                     .map_err(|error| refusal(format!("the answer cannot be read: {error}")))
@@ -269,7 +272,9 @@ impl PeerConnection {
     }
 
     pub(super) async fn close(&self) {
-        self.placement.close(None).await;
+        // The peer computes no iterations of the run, so the goodbye contains no number of iterations.
+        let planned_iterations = None;
+        self.placement.close(planned_iterations).await;
     }
 }
 

@@ -115,11 +115,16 @@ mod tests {
         MonoTime::from_nanos(millis * 1_000_000)
     }
 
-    fn answer(key: i64, has_output: bool) -> PeerAnswer {
-        let stamp =
-            HostStamp { wall: WallTime::from_unix_nanos(5), raw: RawTime::from_nanos(5), epoch: Some(0) };
-        let output = has_output.then_some(stamp);
-        let stamps = ObservedPair::new(key, Some(stamp), output, has_output.then_some(Span::ZERO));
+    const STAMP: HostStamp =
+        HostStamp { wall: WallTime::from_unix_nanos(5), raw: RawTime::from_nanos(5), epoch: Some(0) };
+
+    fn complete_answer(key: i64) -> PeerAnswer {
+        let stamps = ObservedPair::new(key, Some(STAMP), Some(STAMP), Some(Span::ZERO));
+        PeerAnswer { peer: HostId::from_bytes([1; 16]), stamps }
+    }
+
+    fn answer_without_output(key: i64) -> PeerAnswer {
+        let stamps = ObservedPair::new(key, Some(STAMP), None, None);
         PeerAnswer { peer: HostId::from_bytes([1; 16]), stamps }
     }
 
@@ -131,11 +136,11 @@ mod tests {
         assert_eq!(pending.take_due(at(10), 1), [7], "at most one key");
         assert_eq!(pending.take_due(at(10), 9), [8]);
         assert!(pending.take_due(at(50), 9).is_empty(), "queried 40 ms ago");
-        assert!(pending.take_answer(&answer(7, false)).is_empty());
+        assert!(pending.take_answer(&answer_without_output(7)).is_empty());
         assert_eq!(pending.next_due(), Some(at(110)));
         assert_eq!(pending.take_due(at(110), 9), [7, 8]);
-        assert_eq!(pending.take_answer(&answer(7, true)), ["seven"]);
-        assert!(pending.take_answer(&answer(7, true)).is_empty(), "the pair was already removed");
+        assert_eq!(pending.take_answer(&complete_answer(7)), ["seven"]);
+        assert!(pending.take_answer(&complete_answer(7)).is_empty(), "the pair was already removed");
     }
 
     #[test]
@@ -143,10 +148,10 @@ mod tests {
         let mut pending = PendingPairs::new(Span::from_millis(500));
         pending.add(7, "seven", at(0));
         pending.add(8, "eight", at(100));
-        assert!(pending.take_answer(&answer(7, false)).is_empty());
+        assert!(pending.take_answer(&answer_without_output(7)).is_empty());
         assert_eq!(pending.next_expiry(), Some(at(500)));
         assert_eq!(pending.expire(at(499)), None);
-        assert_eq!(pending.expire(at(500)), Some(("seven", Some(answer(7, false)))));
+        assert_eq!(pending.expire(at(500)), Some(("seven", Some(answer_without_output(7)))));
         assert_eq!(pending.expire(at(500)), None);
         assert_eq!(pending.abandon(), Some(("eight", None)));
         assert_eq!(pending.next_expiry(), None);

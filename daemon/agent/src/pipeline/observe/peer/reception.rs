@@ -20,7 +20,7 @@ pub(super) struct ReceptionWatch {
 pub(super) enum ReceptionReport {
     /// The peer received no pair of messages within the last ten seconds.
     Stopped,
-    /// The peer receives the same messages again.
+    /// The peer again receives the messages that this host receives.
     Resumed,
 }
 

@@ -133,7 +133,8 @@ impl PeerTask {
             let pause = problem.pause(&mut reconnect_backoff);
             // The loss of the connection has been reported already; only a refusal is new information.
             if problem.is_refusal() && reported_problem.as_ref() != Some(&problem) {
-                connector.report(problem.kind(), None, problem.describe());
+                let unknown_peer = None;
+                connector.report(problem.kind(), unknown_peer, problem.describe());
                 reported_problem = Some(problem);
             }
             self.wait_for(tokio::time::sleep(pause)).await?;
@@ -172,8 +173,9 @@ impl PeerTask {
 
     /// Records the pairs that an answer of the peer completes.
     fn take_answer(&mut self, answer: &PeerAnswer) {
+        let has_both_messages = true;
         for pair in self.pending.take_answer(answer) {
-            self.record_reception(true);
+            self.record_reception(has_both_messages);
             self.settle_with(&pair, answer);
         }
     }
@@ -200,7 +202,8 @@ impl PeerTask {
     fn settle_incomplete(&mut self, pair: &Pair, answer: Option<&PeerAnswer>) {
         match answer {
             Some(answer) => {
-                self.record_reception(false);
+                let has_both_messages = false;
+                self.record_reception(has_both_messages);
                 self.settle_with(pair, answer);
             }
             // Without an answer it is unknown whether the peer received the messages, so it is not recorded.

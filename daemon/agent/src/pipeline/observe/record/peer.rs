@@ -22,7 +22,7 @@ const PEER_UNANSWERED: Name = Name::from_static("peer-unanswered");
 const PEER: HostIndex = HostIndex(1);
 
 /// Returns the tree of a pair of messages with the peer's stamps, and the time at which the iteration ended. `judge`
-/// judges the delays of the input message and, if both stamps are known, of the output message.
+/// judges the delays of the input message and, if the peer sent stamps of both messages, of the output message.
 pub(in crate::pipeline::observe) fn tree_with_peer_stamps(
     (clock, host): (&SharedClock, HostId),
     peer: HostId,
@@ -115,8 +115,8 @@ fn close(mut recorder: Recorder, pair: &Pair, ended: Stamp, transport: Option<Sp
     );
     let iteration = started_iteration(pair.input.position, started);
     let tree = match transport {
-        // Without the transport the stages would not add up to the total.
         Some(_) => iteration::close(recorder, &iteration, ended.mono, CLOSED_LOOP, transport),
+        // Without the transport the stages would not add up to the total.
         None => iteration::close_without_stages(recorder, &iteration, ended.mono),
     };
     (tree, ended)
