@@ -108,7 +108,7 @@ impl Sender {
         let mut awaits_welcome = false;
         let mut connection_state = ConnectionState::start_connecting(&address, Duration::ZERO);
         loop {
-            // While frames or a live update wait, the connection reports `SendReady` when the socket takes frames again.
+            // While frames or a live update wait, the connection reports when the socket takes frames again.
             let is_blocked = self.live_lane.is_blocked() || !self.unsent_frames.is_empty();
             let is_quiet = self.intake.is_quiet(self.clock.mono());
             tokio::select! {
