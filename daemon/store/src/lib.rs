@@ -204,9 +204,10 @@ impl Store {
         read::measured_time::measured_time(&self.readers, run).await
     }
 
-    /// Returns the number and the totals of the iterations of a run that started at `from` or later and before `to`.
-    /// Both times must be multiples of the [resolution](MeasuredTime::resolution_s), unless the resolution is 0. The
-    /// number is exact; quantiles of the totals are within 1 %.
+    /// Returns the number of the iterations of a run that started at `from` or later and before `to`, and the
+    /// distribution of their values of `total`. Both times must be multiples of the
+    /// [resolution](MeasuredTime::resolution_s), unless the resolution is 0. The number is exact; quantiles of the
+    /// distribution are within 1 %.
     pub async fn measured_within(
         &self,
         run: i64,

@@ -77,8 +77,8 @@ pub struct DelayAccuracy {
 }
 
 impl DelayAccuracy {
-    /// Returns the number of messages from the edge to the cloud and the number of messages back. Messages with an
-    /// unknown delay count, too.
+    /// Returns the number of messages from the edge to the cloud and the number of messages back. Messages whose delay
+    /// is unknown are included.
     pub fn sent_messages(directions: &[Self]) -> [u64; 2] {
         [stage::UPLOAD, stage::DOWNLOAD].map(|name| {
             let direction = directions.iter().find(|direction| direction.stage == name);

@@ -188,6 +188,7 @@ async fn read_pages(
     rate: u64,
 ) -> Result<Vec<u32>, sqlx::Error> {
     let (file, log) = (Arc::clone(file), log_path(database));
+    // If the file has no header of a database, page 1 is malformed, because this page has the header.
     let Some(mut check) = read_blocking(reads, move || PageCheck::start(file, log)).await? else {
         return Ok(vec![1]);
     };

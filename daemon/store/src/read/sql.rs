@@ -233,7 +233,8 @@ statements! {
     /// The edge of a run, and the name of its cloud: ?1 run.
     TREE_HOSTS = "SELECT host.uuid, host.name, run.peer FROM run JOIN pipeline ON pipeline.id = run.pipeline \
             JOIN host ON host.id = pipeline.host WHERE run.number = ?1";
-    /// The anchors in the trees of some iterations, without the edge's anchor. Parameters as in `NODES`.
+    /// The anchors in the trees of some iterations. The table has no anchors of the edge, because the start of the
+    /// iteration takes their place. Parameters as in `NODES`.
     ANCHORS = "SELECT anchor.iteration, host.uuid, host.name, anchor.wall_ns FROM anchor \
                CROSS JOIN host ON host.id = anchor.host \
                WHERE anchor.run = ?1 AND anchor.iteration IN (SELECT value FROM json_each(?2)) \

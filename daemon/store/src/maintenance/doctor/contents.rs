@@ -44,7 +44,8 @@ const STORED_ROWS: &str = "WITH kept AS ( \
          (SELECT count(*) FROM node WHERE node.run = kept.run AND iteration > newest - 20) AS nodes \
        FROM kept WHERE newest IS NOT NULL \
      ) SELECT coalesce(sum(iterations), 0), coalesce(sum(iterations * nodes / sample), 0) FROM sampled";
-/// Numbers of iterations and rows of statistics that retention deleted before the end of their period.
+/// Numbers of iterations and rows of statistics that retention deleted before the end of their
+/// retention period.
 const EARLY_DELETIONS: &str = "SELECT what, count FROM retention_note";
 /// Time and text of the last deletion by retention. All deletions of an hour share one incident, whose time is the time
 /// of the first of these deletions.
@@ -102,7 +103,7 @@ async fn count_rows(report: &mut Report, connection: &mut SqliteConnection) {
 /// Adds findings for contents that need attention.
 fn add_findings(report: &mut Report, early_deletions: &[(String, i64)], debts: i64) {
     let gaps: i64 = report.gaps.iter().map(|group| group.gaps).sum();
-    // A host may have reported any number of lost events.
+    // A host may have reported any number of lost events, so the sum could overflow.
     let events = report.gaps.iter().fold(0_i64, |events, group| events.saturating_add(group.events));
     if gaps > 0 {
         report.notice(
@@ -128,7 +129,7 @@ fn add_findings(report: &mut Report, early_deletions: &[(String, i64)], debts: i
     }
     for (what, items) in early_deletions {
         report.notice(
-            format!("retention deleted {items} iterations and rows of statistics before the end of their period ({what})"),
+            format!("retention deleted {items} iterations and rows of statistics before the end of their retention period ({what})"),
             "raise [aggregator.retention] size_limit_bytes, or shorten the periods",
         );
     }

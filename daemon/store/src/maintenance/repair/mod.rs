@@ -159,7 +159,7 @@ pub async fn repair(
     // SQLite.
     let without_log = !checkpoint_log(&path).await?;
     // Recorded damage may not exist any more, for example after a backup was restored. An intact database is not
-    // rewritten.
+    // rewritten. A database whose log cannot be applied is not intact.
     let damage = find_damage_with_sqlite(&path, &CancellationToken::new())
         .await
         .map_err(|error| RepairError::Check { path: path.clone(), source: DatabaseError::new(error) })?;

@@ -42,8 +42,11 @@ struct IncompleteRun {
     number: i64,
     host: i64,
     pipeline: String,
-    /// Earliest and latest time of the lost iterations.
+    /// Earliest time of the lost iterations: the start of the iteration before the first missing number, or the start
+    /// of the run if the run's first iteration is missing.
     gap_from_ns: i64,
+    /// Latest time of the lost iterations: the start of the iteration after the last missing number, or the time of the
+    /// run's last iteration if this iteration is missing.
     gap_to_ns: i64,
     /// Number of the last iteration that retention has deleted; 0 for none.
     last_deleted_iteration: i64,
@@ -110,6 +113,8 @@ impl Reconciliation<'_> {
     }
 
     /// Restarts the retention period of rows whose arrival time is lost, as if these rows had just arrived.
+    // The numbers of `kind` in the statements are those of `retention::Kind`: 0 for nodes, the width for roll-ups, -1
+    // for clock samples.
     async fn restart_retention(&mut self) -> Result<(), sqlx::Error> {
         if self.tables.contains_key("retained") {
             self.execute(
@@ -126,8 +131,9 @@ impl Reconciliation<'_> {
                  (SELECT coalesce(max(arriving_from_s), 0) FROM link)))",
             )
             .await?;
-            // These entries cover all rows, but begin before all other entries. A row that another entry covers, too,
-            // belongs to that entry, so its period does not restart.
+            // These entries cover all rows, and their `from_s` is 0. A row that several entries cover belongs to the
+            // entry with the largest `from_s`. Therefore the retention period of a row with a stored arrival time does
+            // not restart.
             self.execute(
                 "INSERT OR IGNORE INTO arrival (kind, owner, from_s, to_s, first, last) \
                  SELECT owner.kind, owner.id, 0, elapsed_ns / 1000000000, -9223372036854775808, 9223372036854775807 \

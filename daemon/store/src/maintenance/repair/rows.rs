@@ -234,7 +234,8 @@ impl Table {
         keys.iter().map(|index| &first.values[*index]).lt(keys.iter().map(|index| &second.values[*index]))
     }
 
-    /// Returns the first three columns of a row's record, with 0 for a column that is missing or no integer.
+    /// Returns the first three columns of a row's record, with 0 for a column that is missing or no integer. The record
+    /// of a clustered table begins with its key.
     fn key(&self, row: &Row) -> [i64; 3] {
         let column =
             |position: usize| match self.record_columns.get(position).map(|index| &row.values[*index]) {

@@ -145,7 +145,8 @@ mod tests {
 
     #[test]
     fn repeated_time_of_edge_belongs_to_no_period() {
-        // The clock was set back by 50 s after 200.
+        // The clock was set back by 50 s after 200. The first relation period is possible until 202 (`MAX_UNSAMPLED`),
+        // and the second is possible from 150 on (`SAMPLE_PERIOD`).
         let timeline = Timeline::new(&[period(100, 200), period(151, 300)]);
         assert_eq!(periods(&timeline, &[149, 150, 202, 203]), [Some(0), None, None, Some(1)]);
     }
@@ -158,6 +159,7 @@ mod tests {
             sent: RawTime::from_nanos(i64::MIN),
             returned: RawTime::from_nanos(i64::MAX),
         };
+        // The invalid stamps are clamped to 240 and 361, and the last relation period is extended to 371.
         let timeline = Timeline::new(&[period(100, 200), invalid]);
         assert_eq!(periods(&timeline, &[150, 239, 372]), [Some(0), None, None]);
     }
