@@ -5,7 +5,8 @@ use peernet_logger::{Name, stage};
 use crate::slowness::BOTH_DIRECTIONS;
 use crate::stage_split::index_of_network;
 
-/// Name of the sum of upload, download and unattributed time, for iterations in which none of the three is known.
+/// Name of the sum of upload, download and unattributed time. It is used if a delay is not known
+/// and the unattributed time is not known either.
 pub const NETWORK_AND_REST: &str = "upload + download + unattributed";
 
 /// Measured durations of an iteration, seconds.
@@ -15,7 +16,8 @@ pub struct IterationDurations<'a> {
     pub total: f64,
     /// Durations in the order of the stages.
     pub stages: &'a [(Name, f64)],
-    /// Sum of upload and download, if only this sum is known. A step of a clock does not change the sum.
+    /// Sum of upload and download. A step of a clock does not change the sum. `None` if both delays
+    /// are known, or if the sum is not known either.
     pub both_ways: Option<f64>,
     /// Part of the total that belongs to no stage; `None` if it is not known.
     pub unattributed: Option<f64>,
@@ -25,8 +27,8 @@ pub struct IterationDurations<'a> {
     pub is_answered: bool,
 }
 
-/// Parts of a total that no stage accounts for, seconds: the time in the network, if its delays are not known, and the
-/// time that belongs to no stage.
+/// Parts of a total that no stage accounts for, seconds: the time in the network, if the delay of
+/// an upload or a download is not known, and the time that belongs to no stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UnaccountedTime {
     /// [`BOTH_DIRECTIONS`] or [`NETWORK_AND_REST`], with its duration. `None` if all delays are known. Also `None` if a

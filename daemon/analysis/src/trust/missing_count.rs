@@ -5,9 +5,9 @@ use peernet_statistics::number::{count, counted};
 /// Number of missing events in several gaps together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MissingCount {
-    /// Number of missing events in the gaps whose numbers are known.
+    /// Number of missing events in the gaps for which this number is known.
     pub known: u64,
-    /// True if at least one gap has an unknown number of missing events.
+    /// True if the number of missing events is unknown for at least one gap.
     pub is_incomplete: bool,
 }
 

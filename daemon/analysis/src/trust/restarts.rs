@@ -4,16 +4,16 @@ use peernet_logger::{Name, stage};
 
 use crate::rows::Rows;
 
-/// Iterations that waited for the restart of a process.
+/// Iterations in the statistics that waited for the restart of a process.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Restarts {
     /// Owner of the process: `model`, `sensor` or `actuator`.
     pub owner: &'static str,
-    /// Number of these iterations that are in the statistics.
+    /// Number of these iterations.
     pub count: u64,
     /// Total time that these iterations waited for restarts, seconds.
     pub seconds: f64,
-    /// Numbers of these iterations in the run; empty if they are not known.
+    /// Iteration number of each of these iterations; empty if the numbers are not known.
     pub iterations: Vec<u64>,
 }
 

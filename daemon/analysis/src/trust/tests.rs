@@ -56,6 +56,7 @@ fn inference_slower_than_replayed_latencies_is_reported() {
         assert_eq!(found.map(|finding| finding.grade), expected, "{found:?}");
         let (_, text) = about(&report, "replayed");
         let stated = "inference is drawn from x; inference took 2.00 ms longer than drawn on average";
+        // The text states an overrun above 5 % of the drawn latency, which is 10 ms.
         assert_eq!(text.contains(stated), overrun > 0.0005, "{text}");
         let measured = Report::new(&input);
         assert!(
@@ -122,8 +123,8 @@ fn short_run_has_unknown_stationarity() {
     assert_eq!(without_iterations.verdict, Publish::No, "{}", without_iterations.text());
 }
 
-/// The input is that of a dashboard for a run whose clock was corrected: two buckets of a second with iterations,
-/// months apart.
+/// The clock was set during the run, so a dashboard gets the iterations in two buckets of one
+/// second each, which lie months apart.
 #[test]
 fn run_in_two_buckets_has_unknown_stationarity() {
     let totals = steady_totals(894);

@@ -7,7 +7,7 @@ use peernet_statistics::Summary;
 use crate::batches::{MAX_BATCHES, MIN_BATCH_VALUES, Series};
 use crate::order::{SortedValues, weighted_median};
 
-/// Minimum number of iterations in the first block of a run, which is its beginning.
+/// Minimum number of iterations in a block. The first block is the beginning of the run.
 const MIN_BEGINNING_VALUES: u64 = 20;
 /// Maximum number of blocks that a run is divided into.
 const MAX_BLOCKS: u64 = 200;
@@ -56,7 +56,7 @@ pub struct Beginning {
     /// as many values as the beginning.
     pub share_as_high: f64,
     /// Number of later blocks.
-    pub blocks: usize,
+    pub later_block_count: usize,
 }
 
 /// Values far above the others.
@@ -167,7 +167,7 @@ impl TimeSeries {
                     median,
                     rest: series.median(first.end..series.bucket_count())?,
                     share_as_high: count_as_high as f64 / later_medians.len() as f64,
-                    blocks: later_medians.len(),
+                    later_block_count: later_medians.len(),
                 })
             });
         Self { batches, halves, beginning, ..Self::default() }
@@ -223,7 +223,7 @@ mod tests {
         assert_eq!(exact.outliers.count, stored.outliers.count, "{:?} {:?}", exact.outliers, stored.outliers);
         assert!(near(exact.outliers.influence, stored.outliers.influence));
         let [exact, stored] = [exact, stored].map(|statistics| statistics.beginning.expect("long enough"));
-        assert_eq!((exact.count, exact.blocks, exact.share_as_high), (20, 59, 0.0));
+        assert_eq!((exact.count, exact.later_block_count, exact.share_as_high), (20, 59, 0.0));
         assert!(near(exact.median, stored.median) && near(exact.rest, stored.rest), "{exact:?} {stored:?}");
     }
 

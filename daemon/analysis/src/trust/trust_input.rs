@@ -119,12 +119,13 @@ impl TrustInput {
                 })
                 .collect(),
             accuracy: Accuracy::by_column(rows),
+            // `with_facts` adds the examples, which are facts of the run.
             unknown_labels: UnknownLabels::from_rows(rows, &[]),
             ..Self::default()
         }
     }
 
-    /// Adds the reason for the run's end.
+    /// Adds the reason for which the run broke off, if `reason` is a failure.
     #[must_use]
     pub fn with_end_reason(self, reason: Option<&EndReason>) -> Self {
         Self { failure: reason.and_then(EndReason::failure).map(str::to_owned), ..self }

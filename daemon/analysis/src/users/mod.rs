@@ -126,9 +126,11 @@ impl EdgeTotals for Summary {
     }
 }
 
-/// Returns the beginning and the end of the time in which all edges were measuring. An edge is given by the starts of
-/// its first and its last answered iteration after the warm-up, by number. The common time lasts from the latest of the
-/// first starts to the earliest of the last starts. `None` if there is no such time.
+/// Returns the beginning and the end of the time in which all edges were measuring. Each item of
+/// `edges` has the starts of an edge's first and last answered iteration after the warm-up, in the
+/// order of the iteration numbers; `None` for an edge without such iterations. The common time
+/// lasts from the latest of the first starts to the earliest of the last starts. Returns `None` if
+/// there is no such time.
 ///
 /// For a rate, the number of starts must equal the number of periods within the time. A start at the end of the time is
 /// therefore not counted.
@@ -192,7 +194,9 @@ impl Users {
         let position_of = |run: &usize| runs[*run].record.experiment.as_ref();
         let concurrent_groups = concurrent_groups(&indices, position_of, |run| &runs[*run].record.edge.name);
         let concurrent_groups = complete_groups(concurrent_groups, position_of);
-        concurrent_groups.iter().any(|edges| edges.len() > 1).then_some(())?;
+        if concurrent_groups.iter().all(|edges| edges.len() <= 1) {
+            return None;
+        }
         // The columns are those of the comparison of the same runs. Groups with equal labels are repeats of one
         // configuration, and concurrent edges have equal labels.
         let Configurations { axes, labels } = Configurations::from_runs(runs);

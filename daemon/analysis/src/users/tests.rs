@@ -132,6 +132,7 @@ fn different_models_are_separate_curves() {
     let lines: [(&[&str], usize); 2] = [(&["v2-s"], 1), (&["v2-m"], 2)];
     let found = curves(&["model"], &lines);
     assert_eq!(found, [("v2-s".to_owned(), vec![1]), ("v2-m".to_owned(), vec![2])]);
+    // The label `on` is shown as the name of the axis.
     let batches: [(&[&str], usize); 3] = [(&["off"], 1), (&["on"], 2), (&["none"], 3)];
     let names = curves(&["Batches"], &batches).into_iter().map(|(name, _)| name).collect::<Vec<_>>();
     assert_eq!(names, ["Batches off", "Batches", "Batches none"]);

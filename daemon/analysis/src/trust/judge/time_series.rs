@@ -107,7 +107,8 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
 
 fn judge_warm_up(total: &TimeSeries) -> Finding {
     let about = "warm-up";
-    let Some(beginning) = total.beginning.filter(|beginning| beginning.blocks >= MIN_LATER_BLOCKS) else {
+    let Some(beginning) = total.beginning.filter(|beginning| beginning.later_block_count >= MIN_LATER_BLOCKS)
+    else {
         return finding(about, Grade::Unknown, unknown_text(total, "the warm-up was long enough"));
     };
     let excess = relative_change(beginning.rest, beginning.median);
@@ -131,11 +132,11 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
         );
     }
     if excess > MAX_COLD_EXCESS {
-        let blocks_as_high = (beginning.share_as_high * beginning.blocks as f64).round();
+        let blocks_as_high = (beginning.share_as_high * beginning.later_block_count as f64).round();
         let text = format!(
             "{comparison}. Of {} later groups of {}, {} took as long or longer, so this is not more than chance: the \
              warm-up was long enough.",
-            beginning.blocks,
+            beginning.later_block_count,
             counted(beginning.count, "iteration"),
             fixed(blocks_as_high, 0)
         );

@@ -27,12 +27,12 @@ fn superseded_answers_are_counted_and_graded() {
 fn two_modes_of_answers_are_a_caveat() {
     let mut noise = SplitMix64::new(11);
     let mut rows = rows(steady_totals(1_005));
-    let mut tokens = |row: &mut Row| {
+    let mut add_answer_length = |row: &mut Row| {
         let middle = if row.iteration.is_multiple_of(4) { 400.0 } else { 30.0 };
         let length = (middle * (0.2 * noise.normal()).exp()).round();
         row.values.push(("inference_completion-tokens".into(), length));
     };
-    rows.change(&mut tokens);
+    rows.change(&mut add_answer_length);
     let report = report_on(&rows);
     let (grade, text) = about(&report, "two modes");
     assert!(
