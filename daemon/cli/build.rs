@@ -6,10 +6,12 @@ use std::path::PathBuf;
 use std::process::Command;
 
 /// Sources of the program, from the top of the repository. Tests and documents do not change the program.
-const SOURCES: [&str; 9] = [
+const SOURCES: [&str; 11] = [
     "Cargo.toml",
     "Cargo.lock",
     "daemon/*/Cargo.toml",
+    "daemon/*/build.rs",
+    "daemon/*/assets",
     "daemon/*/src",
     "migrations",
     "web/Cargo.toml",
@@ -21,7 +23,7 @@ const SOURCES: [&str; 9] = [
 fn main() {
     println!("cargo::rerun-if-env-changed=PEERNET_COMMIT");
     println!("cargo::rerun-if-changed=build.rs");
-    // A commit and a checkout change one of these files of git.
+    // Each new commit and each switch to another commit changes one of these files of git.
     for name in ["HEAD", "logs/HEAD"] {
         if let Some(path) = git(&["rev-parse", "--git-path", name]) {
             println!("cargo::rerun-if-changed={path}");
