@@ -41,7 +41,7 @@ impl Api {
     ///
     /// # Errors
     /// The same as for [`Self::get`].
-    pub(crate) fn compute<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
+    pub(crate) fn get_computed<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
         self.request(path, COMPUTED_TIMEOUT).map_err(|error| Failure::new(Exit::Unavailable, error))
     }
 
@@ -114,7 +114,7 @@ mod tests {
 
     #[test]
     fn silent_server_is_waited_for_until_timeout() {
-        // The system accepts the connection for the server.
+        // The operating system accepts the connection, but no program answers.
         let server = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
         let url = format!("http://{}", server.local_addr().expect("bound"));
         let error = Api { url }

@@ -14,8 +14,8 @@ pub fn system(identity: &str) -> io::Result<SharedClock> {
     Ok(Arc::new(SystemClock::new(ClockIdentity::from_system(identity)?)))
 }
 
-/// Returns `system_clock` itself without faults. With faults, returns a clock that has the errors of `[clock_fault]`
-/// from now on.
+/// Returns `system_clock` itself if `faults` is `None`. Otherwise returns a clock that has the
+/// errors of `[clock_fault]` from now on.
 ///
 /// # Errors
 /// When the kernel's boot id cannot be read.

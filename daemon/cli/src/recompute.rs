@@ -82,11 +82,11 @@ struct VerdictCount {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let path = format!("/api/v1/runs/{}/recomputed", arguments.run);
     if arguments.json {
-        let answer: Value = arguments.api.compute(&path)?;
+        let answer: Value = arguments.api.get_computed(&path)?;
         print_to_stdout(format_args!("{answer:#}"));
         return Ok(());
     }
-    let recomputed: Recomputed = arguments.api.compute(&path)?;
+    let recomputed: Recomputed = arguments.api.get_computed(&path)?;
     let run: Run = arguments.api.get(&format!("/api/v1/runs/{}", arguments.run))?;
     print_to_stdout(describe(arguments.run, &recomputed));
     if let Some(clock_fault) = clock_fault(&run.facts) {

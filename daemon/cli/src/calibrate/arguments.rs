@@ -10,7 +10,7 @@ use crate::address::{AddressError, DEFAULT_PORT, address};
 use crate::network::parse_network_kind;
 use crate::seconds::{SecondsError, seconds};
 
-/// Minimum of the maximum duration, seconds.
+/// Minimum value of `--seconds`.
 const MIN_SECONDS: f64 = 1.0;
 
 /// Arguments of `peernet calibrate`.
@@ -97,12 +97,12 @@ enum SizeError {
     OutOfRange,
 }
 
-/// Reads a size in bytes: a number, and one of the usual units in any case.
+/// Reads a size in bytes: a number and optionally one of the usual units, in upper or lower case.
 fn size(text: &str) -> Result<u64, SizeError> {
     let text = text.trim();
     let digits = text.trim_end_matches(|char: char| char.is_ascii_alphabetic() || char == ' ');
     let unit = text[digits.len()..].trim();
-    let unit = match unit.to_ascii_lowercase().as_str() {
+    let unit_bytes = match unit.to_ascii_lowercase().as_str() {
         "" | "b" => 1.0,
         "k" | "kb" => 1e3,
         "m" | "mb" => 1e6,
@@ -114,7 +114,7 @@ fn size(text: &str) -> Result<u64, SizeError> {
     };
     let number = digits.parse::<f64>();
     let number = number.map_err(|source| SizeError::NotANumber { digits: digits.to_owned(), source })?;
-    let bytes = (number * unit).round();
+    let bytes = (number * unit_bytes).round();
     if (1.0..=1e9).contains(&bytes) { Ok(bytes as u64) } else { Err(SizeError::OutOfRange) }
 }
 

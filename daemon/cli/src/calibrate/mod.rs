@@ -32,9 +32,10 @@ use plan::Plan;
 /// Studies the link, prints the study and writes its files.
 ///
 /// # Errors
-/// When the peer cannot be reached or fails (exit code 69), the study has no result (exit code 69), the configuration
-/// is wrong (exit code 78), the results cannot be written (exit code 73), or the user ended the calibration early (exit
-/// code 130).
+/// When the arguments are wrong or the folder for the results is not empty (exit code 64), the
+/// configuration cannot be read (exit code 66) or is wrong (exit code 78), the peer cannot be
+/// reached or fails (exit code 69), the study has no result (exit code 69), the results cannot be
+/// written (exit code 73), or the user ended the calibration early (exit code 130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     start_log(LogDestination::StandardError)?;
@@ -62,8 +63,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             Some(unavailable(anyhow!("{reason}")))
         }
     };
-    // A size that cannot be measured ends the sweep while each size is sent for the first time. The samples are then
-    // too few for a study.
+    // If a size cannot be measured, the sweep ends in its first round, in which each size is sent
+    // once. The samples are then too few for a study.
     if measurements.samples.is_empty() || matches!(end, AgentEnd::OwnReason(_)) {
         folder.discard();
         return match failure {
@@ -83,7 +84,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         version: VERSION.to_owned(),
         sizes_bytes: plan.sizes().to_vec(),
         repeats: arguments.repeats.get(),
-        // `interrupted` is true for every early end. `ended` is the reason, unless the user ended the sweep.
+        // `interrupted` is true for every early end. An end by the user has no `end_reason`.
         interrupted: end != AgentEnd::Finished,
         end_reason: match &end {
             AgentEnd::Failed(reason) => Some(reason.clone()),

@@ -13,9 +13,8 @@ use super::plan::Plan;
 use super::sweep::SweepDisplay;
 use crate::foreground::{AgentEnd, PeerWait, PipelineActivity, RunObserver};
 
-/// Time that is added to the remaining time of the sweep to get the timeout of an absent peer. It is also the shortest
-/// timeout.
-const ABSENCE_TIMEOUT: Span = Span::from_seconds(10);
+/// Minimum timeout for an absent peer. The time that remains of the sweep is added to the minimum.
+const MIN_ABSENCE_TIMEOUT: Span = Span::from_seconds(10);
 
 /// The peer cannot answer payloads of one of the sizes; the text names the size and the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -174,7 +173,7 @@ impl RunObserver for SweepObserver<'_> {
         // commands.
         let remaining =
             self.started_at + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
-        let timeout = (remaining + ABSENCE_TIMEOUT).clamp(ABSENCE_TIMEOUT, PeerWait::DEFAULT_TIMEOUT);
+        let timeout = (remaining + MIN_ABSENCE_TIMEOUT).clamp(MIN_ABSENCE_TIMEOUT, PeerWait::DEFAULT_TIMEOUT);
         let name = self.measurements.cloud.as_deref();
         let trouble = name.and_then(|name| self.peer_wait.describe_trouble(name, wait_reason, now, timeout));
         self.progress.show(&self.measurements.samples, now, trouble);

@@ -15,9 +15,9 @@ use serde_json::json;
 use super::Arguments;
 use crate::foreground::read_agent_tables;
 
-/// Maximum number of rounds that are shuffled. A round contains each size once. After these rounds the order repeats.
-/// The number is large enough that size and time are not correlated.
-const ROUNDS: u64 = 64;
+/// Maximum number of shuffled rounds. A round contains each size once. After the last round the
+/// order repeats. The number is large enough that size and time are not correlated.
+const MAX_ROUNDS: u64 = 64;
 /// Seed of the order. It is fixed, so that calibrations with equal sizes send them in the same order.
 const SEED: u64 = 1;
 /// Timeout of an answer in milliseconds: the largest payloads are slow over some links.
@@ -60,7 +60,7 @@ impl Plan {
         let peer = arguments.peer_address()?;
         // Shuffled, because with sorted sizes a slow change of the link would look like an effect of the size.
         let mut random = StdRng::seed_from_u64(SEED);
-        let rounds = arguments.repeats.get().saturating_add(arguments.warm_up).min(ROUNDS);
+        let rounds = arguments.repeats.get().saturating_add(arguments.warm_up).min(MAX_ROUNDS);
         let round = |_| {
             let mut round = sizes.clone();
             round.shuffle(&mut random);
@@ -160,11 +160,10 @@ mod tests {
             plan.order.chunks(4).map(|round| round[0]).collect();
         assert_eq!(first_sizes.len(), 4, "each size comes first in some round");
         assert_eq!((plan.payload(1), plan.payload(205)), (plan.order[0], plan.order[0]));
-        assert!(
-            super::Plan::new(
-                &Line::try_parse_from(["c", "cloud", "--sizes", "1,2,2"]).expect("reads").arguments
-            )
-            .is_err()
-        );
+    }
+
+    #[test]
+    fn fewer_than_three_different_sizes_are_refused() {
+        assert!(plan("cloud --sizes 1,2,2").is_err());
     }
 }

@@ -49,12 +49,10 @@ pub(crate) fn collect(
     // The experiments are found before the selection, because an experiment says which of its runs are finished.
     let experiments = Experiments::find(all);
     let mut selected = SelectedResults::new(&results, &experiments);
-    if let Some(baseline) =
-        // If all results of a baseline are selected at the named paths already, they keep their places. Otherwise the
-        // baseline is added in front.
-        baseline
-            .filter(|_| baseline_paths.iter().any(|path| !contains_same_path(&selected.paths, path)))
-    {
+    // If all results of a baseline are selected at the named paths already, they keep their places.
+    // Otherwise the baseline is added in front.
+    let is_unselected = |path: &PathBuf| !contains_same_path(&selected.paths, path);
+    if let Some(baseline) = baseline.filter(|_| baseline_paths.iter().any(is_unselected)) {
         results.insert(0, (baseline.to_owned(), baseline_paths.clone()));
         selected = SelectedResults::new(&results, &experiments);
     }

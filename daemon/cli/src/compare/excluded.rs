@@ -89,7 +89,7 @@ mod tests {
 
     const ID: &str = "285ef326-f4f1-4f29-bdd3-c62b42cfe2f4";
 
-    fn run(folder: &Path, id: Option<&str>) {
+    fn write_run(folder: &Path, id: Option<&str>) {
         fs::create_dir_all(folder).expect("made");
         fs::write(folder.join("data.csv"), "iteration,inference,warm-up,outcome\n1,0.1,0,ok\n")
             .expect("written");
@@ -106,12 +106,12 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let experiment_dir = folder.path().join("rates");
         let run_dir = |name: &str| experiment_dir.join("runs").join(name);
-        run(&run_dir("007-a"), Some(ID));
+        write_run(&run_dir("007-a"), Some(ID));
         // The copy comes before the original in the order of names.
-        run(&run_dir("000-copy"), Some(ID));
-        run(&run_dir("008-b"), Some("94e108fc-ef56-4bf8-8876-6288987521aa"));
+        write_run(&run_dir("000-copy"), Some(ID));
+        write_run(&run_dir("008-b"), Some("94e108fc-ef56-4bf8-8876-6288987521aa"));
         for name in ["unknown-1", "unknown-2"] {
-            run(&run_dir(name), None);
+            write_run(&run_dir(name), None);
         }
         let runs = json!([{ "folder": "007-a" }, { "folder": "008-b" }]);
         let states = json!([{ "stage": "finished" }, { "stage": "finished" }]);

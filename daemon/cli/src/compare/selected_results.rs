@@ -51,14 +51,12 @@ impl SelectedResults {
                 let is_selected =
                     |name: &str| selected_folders.contains(&experiment_dir.join(RUNS).join(name));
                 let other_runs = experiment.runs().filter(|(name, _)| !is_selected(name));
-                let without_runs = unfinished_runs_note(&experiment.name, other_runs)?;
+                let note = unfinished_runs_note(&experiment.name, other_runs)?;
                 let (named_path, command) =
                     (shorten_experiment_dir(named_path, experiment_dir), experiment.remedy());
-                let message = format!(
-                    "{} is shown {without_runs}; {command} completes these runs",
-                    named_path.display()
-                );
-                Some(UnselectedRuns { caveat: format!("Shown {without_runs}."), message })
+                let message =
+                    format!("{} is shown {note}; {command} completes these runs", named_path.display());
+                Some(UnselectedRuns { caveat: format!("Shown {note}."), message })
             });
         Self { unselected: unselected.collect(), paths }
     }
@@ -101,7 +99,7 @@ mod tests {
     use crate::experiment::RECORD;
 
     /// Writes the folder of an experiment with four runs: the first is finished, and the last has not begun.
-    fn experiment(experiment_dir: &Path) {
+    fn write_experiment(experiment_dir: &Path) {
         let names = ["001-a", "002-a", "003-b", "004-b"];
         let runs: Vec<_> = names.iter().map(|name| json!({ "folder": name })).collect();
         let states = json!([
@@ -134,7 +132,7 @@ mod tests {
     fn experiment_folder_selects_finished_runs_only() {
         let folder = tempfile::tempdir().expect("a folder");
         let experiment_dir = folder.path().join("all/rates");
-        experiment(&experiment_dir);
+        write_experiment(&experiment_dir);
         // The search may begin at the experiment's folder, below it or above it.
         for place in [experiment_dir.clone(), experiment_dir.join(RUNS), folder.path().to_owned()] {
             let found = collect(&[place], None, &|_| true).expect("one is done");
@@ -167,7 +165,7 @@ mod tests {
     fn runs_of_killed_experiment_count_as_on_dashboard() {
         let folder = tempfile::tempdir().expect("a folder");
         let experiment_dir = folder.path().join("rates");
-        experiment(&experiment_dir);
+        write_experiment(&experiment_dir);
         let run_dir = experiment_dir.join(RUNS).join("003-b");
         let is_compared = || {
             let found = collect(std::slice::from_ref(&experiment_dir), None, &|_| true).expect("one is done");
@@ -200,7 +198,7 @@ mod tests {
     fn unreadable_experiment_record_is_reported() {
         let folder = tempfile::tempdir().expect("a folder");
         let experiment_dir = folder.path().join("rates");
-        experiment(&experiment_dir);
+        write_experiment(&experiment_dir);
         let record = experiment_dir.join(RECORD);
         let whole = std::fs::read_to_string(&record).expect("written");
         let notes = || {
@@ -243,7 +241,7 @@ mod tests {
     fn excluded_runs_are_listed_with_advice() {
         let folder = tempfile::tempdir().expect("a folder");
         let experiment_dir = folder.path().join("rates");
-        experiment(&experiment_dir);
+        write_experiment(&experiment_dir);
         let found = vec![(
             folder.path().to_owned(),
             vec![experiment_dir.join("runs/001-a"), experiment_dir.join("runs/002-a")],

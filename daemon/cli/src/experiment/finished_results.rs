@@ -43,7 +43,7 @@ pub(crate) fn result_dirs(run_dir: &Path, users: u32) -> impl Iterator<Item = Pa
 /// Reads the results of a run that was measured to its end, and returns their record.
 ///
 /// # Errors
-/// When they are missing, cannot be read or are incomplete.
+/// When the results are missing, cannot be read, are incomplete or are those of an unfinished run.
 pub(crate) fn load_finished_results(folder: &Path) -> Result<RunRecord, UnusableResults> {
     if !folder.join("run.json").is_file() {
         return Err(UnusableResults::Missing);

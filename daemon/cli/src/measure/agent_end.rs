@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn exit_code_reports_result() {
+    fn run_end_determines_exit_code_and_message() {
         let answered = Rows::from_iter([row(1, Outcome::Ok)]);
         assert!(AgentEnd::Finished.failure(&answered, 0).is_none());
         let code = |end: AgentEnd| end.failure(&answered, 0).map(|failure| failure.exit);
