@@ -130,6 +130,8 @@ async fn read_to_end(mut stream: TcpStream) -> String {
     text
 }
 
+/// A request to `/wait`. The server closes its connection after the answer, so that
+/// [`read_to_end`] returns.
 const WAIT: &str = "GET /wait HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n";
 
 #[tokio::test]

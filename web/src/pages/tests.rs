@@ -15,6 +15,9 @@ use super::*;
 use crate::tests::samples::{self, HOSTILE, figures, host, incident, pipeline, placement, refused, snapshot};
 use crate::view::pipeline_table::{Cell, PipelineTable};
 
+/// Index of the window of 60 s. The windows of a pipeline have 1, 10 and 60 s.
+const MINUTE_WINDOW: usize = 2;
+
 /// Checks the HTML of a page: the security policy, escaping, closed elements and valid numbers.
 fn check(html: &str) {
     assert!(!html.contains(" style="), "inline styles are refused by the policy: {html}");
@@ -64,7 +67,7 @@ async fn pipeline_with_deadline_adds_column_of_miss_rates() {
     let with_pipelines = |pipelines| snapshot(vec![host("cam-1", "Orin")], pipelines);
     assert!(!overview_of(&with_pipelines(vec![live()]), Vec::new()).await.contains("missed"));
     let mut late = live();
-    late.windows[2].miss_rate = Some(0.012);
+    late.windows[MINUTE_WINDOW].miss_rate = Some(0.012);
     let html =
         overview_of(&with_pipelines(vec![late, pipeline("other", 30.0, 1.0, Verdict::Ok, &[])]), Vec::new())
             .await;
@@ -75,7 +78,8 @@ async fn pipeline_with_deadline_adds_column_of_miss_rates() {
 #[tokio::test]
 async fn spread_latencies_and_busy_processors_cause_notes() {
     let mut live = pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
-    for (_, statistics) in live.windows[2].values.iter_mut().filter(|(name, _)| name.as_str() == "total") {
+    let values = live.windows[MINUTE_WINDOW].values.iter_mut();
+    for (_, statistics) in values.filter(|(name, _)| name.as_str() == "total") {
         (statistics.p50, statistics.p99) = (0.018, Some(0.311));
     }
     let mut busy = host("cam-1", "Orin");
@@ -113,7 +117,7 @@ async fn long_lists_are_truncated_with_a_note() {
     let html = overview_of(&live_state, Vec::new()).await;
     assert_eq!(html.matches("class=\"chart live-chart").count(), 100);
     assert_eq!(html.matches("the first 100 of 2,000").count(), 2);
-    assert!(html.contains("2,000 pipelines running") || html.contains("2000 pipelines running"));
+    assert!(html.contains(">2000 pipelines running"));
 
     let (app, _folder) = samples::app().await;
     for update in [pipelines::update(&app, &live_state), hosts::update(&app, &live_state)] {
@@ -212,8 +216,9 @@ async fn unrelated_clocks_show_reason_and_exact_sum() {
 #[tokio::test]
 async fn huge_number_is_shown_with_all_digits() {
     let mut one = pipeline("line", 30_000.0, 5e6, Verdict::Ok, &[]);
-    one.windows[2].values.push((Name::from("gripper"), figures(1e300, 5)));
+    one.windows[MINUTE_WINDOW].values.push((Name::from("gripper"), figures(1e300, 5)));
     let html = overview_of(&snapshot(vec![host("cam-1", "Orin")], vec![one]), Vec::new()).await;
+    // The usual total of 16.04 ms, times 5e6.
     assert!(html.contains("80,200,000.0"), "{html}");
 }
 

@@ -37,7 +37,8 @@ async fn link_page_renders_for_each_verdict_and_range() {
         }
         let update = links::update(&app, &live_state_with_link(half, Verdict::Ok)).expect("renders");
         update.parts.iter().for_each(|(_, html)| check(html));
-        assert!(update.parts[1].1.contains(word) && update.parts[1].1.contains("/links/cam-1~rack-a"));
+        let (_, list) = &update.parts[1];
+        assert!(list.contains(word) && list.contains("/links/cam-1~rack-a"), "{list}");
     }
     for wrong in
         ["cam-1~rack-b/10min/removed", "cam-1/10min/removed", "cam-1~rack-a/1d/removed", "cam-1~rack-a"]

@@ -2,6 +2,7 @@
 //!
 //! The arguments of [`configuration`] are: index, placement, factor of the usual stage means, bytes of an upload. The
 //! last argument of [`render_comparison`] is the selected stage, and a run of the selected baseline.
+//! The last argument of [`totals`] is the number of means over time of each run.
 
 use std::sync::Arc;
 

@@ -1,5 +1,6 @@
 //! Tests of the panel *Response length against latency* of the page that compares runs.
 
+use peernet_logger::Name;
 use peernet_stream::PlacementKind::Remote;
 
 use super::super::compare::render_comparison;
@@ -49,8 +50,26 @@ async fn configurations_with_answers_of_varying_length_are_drawn() {
     assert!(panel.contains("500 of 900 iterations, evenly spread; histograms of all."), "{panel}");
     assert!(panel.contains("All 300 iterations.") && panel.contains("Each further token takes"), "{panel}");
     assert!(panel.len() < 60_000, "{}", panel.len());
-    let order = ["Throughput against payload", HEADING, "Accuracy against latency"];
-    let places: Vec<usize> = order.iter().filter_map(|text| html.find(text)).collect();
+}
+
+#[tokio::test]
+async fn panel_is_between_payload_and_accuracy() {
+    let with_accuracy = |at: usize, bytes: f64| {
+        let mut one = configuration(at, Remote, 1.0 + at as f64, bytes);
+        let mut top = one.stages[0].clone();
+        (top.stage, top.unit, top.statistics.mean) =
+            (Name::from("top-1"), String::new(), 0.7 + 0.14 * at as f64);
+        one.stages.push(top);
+        one
+    };
+    let html = page_of(vec![
+        with_accuracy(0, 1e5),
+        with_accuracy(1, 3e5),
+        answers_of_lengths(2, "completion-tokens", &sample_answers(300)),
+    ])
+    .await;
+    let panels = ["Throughput against payload", HEADING, "Accuracy against latency"];
+    let places = panels.map(|text| html.find(text).unwrap_or_else(|| panic!("{text} is missing: {html}")));
     assert!(places.is_sorted(), "{places:?}");
 }
 
