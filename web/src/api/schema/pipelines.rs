@@ -99,7 +99,7 @@ pub(crate) struct Window {
     pub bounds: Vec<Bound>,
 }
 
-/// Throughput and sizes of messages.
+/// Speed and traffic of each direction.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TransferRates {
     /// Direction from the edge to the cloud; null when nothing was sent.
@@ -228,10 +228,12 @@ impl Pipeline {
 }
 
 impl PipelineList {
-    /// Number of latest seconds of each pipeline in lists and events: more than one, so that a slow reader misses none.
+    /// Number of latest seconds of each pipeline in lists and events. Successive lists overlap, so
+    /// that a client that reads a list only every few seconds misses no second.
     pub(crate) const SECONDS: usize = 5;
 
-    /// Returns the list of all pipelines. `convert` converts one pipeline, with the requested parts.
+    /// Returns the list of all pipelines. `convert` converts one pipeline, and may omit the parts
+    /// that a client did not request.
     pub(crate) fn of(snapshot: &LiveState, convert: impl Fn(&PipelineSnapshot) -> Pipeline) -> Self {
         let pipelines = snapshot.pipelines.iter().map(|pipeline| convert(pipeline));
         Self { at: time(snapshot.at), pipelines: pipelines.collect() }
