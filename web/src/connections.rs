@@ -71,7 +71,7 @@ impl Limits {
             streams_per_address: MAX_STREAMS_PER_ADDRESS,
             header_timeout: Duration::from_secs(10),
             unread_timeout: Duration::from_secs(30),
-            // Shorter than the time that the whole process has for stopping.
+            // The whole process has 10 s for stopping (the default of `shutdown_deadline_s`).
             grace_period: Duration::from_millis(1_500),
         }
     }

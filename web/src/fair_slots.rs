@@ -1,7 +1,8 @@
 //! Slots that client addresses share. When all slots are taken, the address with the most slots loses its oldest slot.
 //!
 //! An address that holds slots without using them, because it sends nothing or reads slowly, therefore cannot exclude other addresses.
-//! If `n` addresses request slots, an address that requests at least `1/n` of the slots gets at least `1/n` (max-min fairness).
+//! If `n` addresses request slots, an address that requests at least `1/n` of the slots gets at
+//! least `1/n`, rounded down, up to the maximum of one address (max-min fairness).
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -28,8 +28,8 @@ impl Sample {
     }
 }
 
-/// Callback that receives the samples of a metric: the values of its labels, in the order of
-/// [`Metric::labels`], and the number.
+/// Callback that receives one sample of a metric at a time: the values of the labels, in the order
+/// of [`Metric::labels`], and the value of the sample.
 pub(super) type Sink<'a> = dyn FnMut(&[&str], Sample) + 'a;
 
 /// One metric. The full name is `peernet_<name>_<unit>` for a gauge, and `peernet_<name>_<unit>_total` for a counter.

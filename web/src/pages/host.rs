@@ -134,7 +134,7 @@ fn agent(description: &HostDescription) -> Pairs {
 }
 
 /// Returns the number of detected interruptions of the clock as text: steps, suspensions and excessive drifts.
-fn interruption_count(clock: &HostClock) -> String {
+fn interruption_count_text(clock: &HostClock) -> String {
     match clock.epoch {
         0 => "none since the agent started".to_owned(),
         1 => "1 since the agent started".to_owned(),
@@ -206,7 +206,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             ("Relation to the aggregator's clock", relation),
             ("Synchronised by", describe_synchronisation(&host.clock)),
             ("Reported error bound", reported_error_bounds(&host.clock)),
-            ("Clock interruptions", interruption_count(&host.clock)),
+            ("Clock interruptions", interruption_count_text(&host.clock)),
             (
                 "Clock fault",
                 host.clock.faults.as_ref().map_or_else(|| "none".to_owned(), ToString::to_string),

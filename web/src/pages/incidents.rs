@@ -1,4 +1,4 @@
-//! Page of incidents: occurrences beside the measurements.
+//! Page of incidents, such as lost connections, clock steps, gaps and failed pipelines.
 
 use askama::Template;
 use axum::Router;
@@ -37,7 +37,7 @@ const KINDS: [&str; 11] = [
     AggregatorIncidentKind::Storage.name(),
 ];
 
-/// Number of incidents on a page.
+/// Maximum number of incidents on a page.
 const MAX_ROWS: u32 = 100;
 
 /// Query parameters.

@@ -79,7 +79,9 @@ async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathReje
     page(&assemble(&app, &run, &detail))
 }
 
-/// Returns the title of the page: the duration, its ratio to the run's median, and the causes of a slow iteration.
+/// Returns the title of the page. For a successful iteration: the duration, its ratio to the run's
+/// median, and the causes if the iteration was slow. Otherwise: the outcome, and the duration and
+/// the reason if they are known.
 fn title(row: &IterationRow) -> String {
     let Some(total) = row.total.filter(|_| row.outcome == "ok") else {
         let reason = row.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));

@@ -125,6 +125,7 @@ pub(super) struct Link {
     pipelines: Vec<(String, String)>,
     clock_fault: Option<Chip>,
     same_clock: bool,
+    /// Heading of the chart.
     heading: &'static str,
     /// Address and name of each time range, and `true` for the selected one.
     ranges: Vec<(String, &'static str, bool)>,
@@ -135,7 +136,8 @@ pub(super) struct Link {
     rows: Vec<Row>,
     meanings: Vec<Meaning>,
     origin: Origin,
-    /// Conditions under which the bounds hold; `None` if both hosts read one clock.
+    /// Conditions under which the bounds hold; `None` if both hosts read one clock, or the
+    /// conditions are not known.
     promise: Option<String>,
     assumptions: Pairs,
     probes: Pairs,
@@ -292,6 +294,8 @@ fn facts(subject: &Subject<'_>, snapshot: &LiveState) -> Vec<String> {
     facts
 }
 
+/// Returns the page. The chart, its table and the incidents show `selected_series`; `None` if they
+/// show `recent_series`, like the rest of the page.
 pub(super) fn link_page(
     app: &AppState,
     snapshot: &LiveState,

@@ -156,7 +156,8 @@ impl<'a> ShownPipelines<'a> {
         Self { pipelines, current_count, hidden_ended_count: all_ended }
     }
 
-    /// Returns the beginning of a sentence about the pipelines that are not shown.
+    /// Returns the beginning of a sentence about the pipelines of ended hosts that are not shown;
+    /// `None` if there are none.
     fn ended_pipelines_note(&self) -> Option<String> {
         let verb = if self.hidden_ended_count == 1 { "is" } else { "are" };
         let pipelines = counted(self.hidden_ended_count as u64, "pipeline");

@@ -156,7 +156,8 @@ async fn runs(app: &AppState, pipeline: &PipelineSnapshot) -> Result<Vec<RunSumm
     Ok(AppState::empty_if_store_is_closed(app.store().runs(&filter).await)?)
 }
 
-/// Returns the title of the page: latency and longest stage.
+/// Returns the title of the page: latency and longest stage, or the reason why there is no
+/// latency.
 fn title(pipeline: &PipelineSnapshot, stack: &Stack) -> String {
     let name = &pipeline.pipeline;
     if let Some(reason) = state_reason(&pipeline.state) {

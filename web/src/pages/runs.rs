@@ -22,7 +22,7 @@ pub(super) const PAGE: PageRegistration = PageRegistration {
     topic: None,
 };
 
-/// Number of runs on a page.
+/// Maximum number of runs on a page.
 const MAX_ROWS: u32 = 50;
 
 /// Query parameters.
