@@ -1,4 +1,5 @@
-//! The clock offset of a link over time: the band of its bounds, the estimate in the band, and the intervals of other sources.
+//! The clock offset of a link over time: the band of its bounds, the estimate in the band, and the
+//! intervals of other sources.
 
 use peernet_analysis::offset_trend::OffsetTrend;
 use peernet_analysis::order::SortedValues;
@@ -10,7 +11,8 @@ use peernet_store::ClockPoint;
 use super::chart::{ChartInput, OffsetView, beyond, distance_from_top, reach};
 use super::tracks::Track;
 
-/// An interval of another source extends the scale only if it is at most this multiple of the band.
+/// If there are bands, an interval of another source extends the scale only if its size is at most
+/// this multiple of the size of the bands.
 const MAX_OTHER_RATIO: f64 = 4.0;
 /// The scale ends at the widest band, but at most at this multiple of the 90th percentile of all bands.
 const MAX_OUTLIER_RATIO: f64 = 1.5;
@@ -23,8 +25,8 @@ fn larger_end((lo, hi): Ends) -> f64 {
     lo.abs().max(hi.abs())
 }
 
-/// Returns the end of a scale that shows most bands. The bands right after a clock step are wide, and may exceed the
-/// scale.
+/// Returns the end of a scale that shows most bands, from the size of each band. The bands right
+/// after a clock step are wide, and may exceed the scale.
 fn usual_size(sizes: impl Iterator<Item = f64>) -> f64 {
     sizes.collect::<SortedValues>().scale_end(0.9, MAX_OUTLIER_RATIO).unwrap_or(0.0)
 }
@@ -56,19 +58,25 @@ pub(super) fn track(cloud: &str, input: &ChartInput<'_>, view: OffsetView) -> Tr
     let others = [DelaySource::Kernel, DelaySource::Chrony].map(|source| {
         (source, points.iter().filter_map(|point| interval_by(point, source)).collect::<Vec<Ends>>())
     });
+    // Without bands, the intervals of the other sources alone determine the scale.
     let scale = match view {
         OffsetView::DriftRemoved => {
             let own = usual_size(bands.iter().copied().map(larger_end));
             let sizes = others.iter().map(|(_, intervals)| reach(intervals.iter().copied().map(larger_end)));
-            let most = sizes.filter(|size| *size <= own * MAX_OTHER_RATIO).fold(own, f64::max);
+            let may_extend_scale = |size: &f64| bands.is_empty() || *size <= own * MAX_OTHER_RATIO;
+            let most = sizes.filter(may_extend_scale).fold(own, f64::max);
             let ticks = 6;
             Scale::linear((-most, most)).widened(ticks).signed()
         }
         OffsetView::Measured => {
-            let span = |(lo, hi): Ends, one: &Ends| (lo.min(one.0), hi.max(one.1));
-            let (lo, hi) = bands.iter().fold((f64::INFINITY, f64::NEG_INFINITY), span);
+            let drawn: Vec<Ends> = if bands.is_empty() {
+                others.iter().flat_map(|(_, intervals)| intervals.iter().copied()).collect()
+            } else {
+                bands.clone()
+            };
+            let hull = drawn.into_iter().reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
             let ticks = 5;
-            Scale::linear((lo, hi)).widened(ticks).signed()
+            Scale::linear(hull.unwrap_or_default()).widened(ticks).signed()
         }
     };
 

@@ -178,7 +178,12 @@ fn contradictory_offset_is_shown_without_value() {
             table.iter().all(|row| row.offset == "—" && row.bound == "—" && row.drift == "—"),
             "{table:?}"
         );
-        let picture = tracks(&subject, &time_series(&link), OffsetView::DriftRemoved, &[], Zone::Utc);
-        assert_eq!(super::chart::path(&picture.tracks[0], "band"), None);
+        for view in [OffsetView::DriftRemoved, OffsetView::Measured] {
+            let picture = tracks(&subject, &time_series(&link), view, &[], Zone::Utc);
+            let path = |class: &str| super::chart::path(&picture.tracks[0], class);
+            assert_eq!(path("band"), None);
+            // The interval of chrony, the second source, is drawn although there is no band.
+            assert_eq!(path("dashed").is_some(), sources == 2, "{view:?}");
+        }
     }
 }
