@@ -15,9 +15,11 @@ pub(super) struct DifferingSettings {
     pub(super) axes: Vec<String>,
     /// For each run its value on each axis.
     pub(super) axis_values: Vec<Vec<String>>,
-    /// Further settings that differ, and declared settings of an experiment that are equal for all runs. Each has a value per run.
+    /// Further settings that differ, and declared settings of an experiment that are equal for all
+    /// runs. Each has a value per run.
     pub(super) other_settings: Vec<Column>,
-    /// Names of further settings that differ, but whose values are too long for a table, such as hashes, paths and lists.
+    /// Names of further settings that differ, but whose values are too long for a table, such as
+    /// hashes, paths and lists.
     pub(super) names_of_long_settings: Vec<String>,
 }
 
@@ -25,10 +27,10 @@ impl DifferingSettings {
     /// Returns the axes of the experiment's file.
     pub(super) fn of_experiment(runs: &[RunDetail]) -> Self {
         let all = experiment_columns(&positions(runs)).unwrap_or_default();
-        // If no axis differs, there is a single configuration. All axes are shown then, because its declared values
-        // identify it.
-        let has_several = all.iter().any(Column::differs);
-        let (columns, settings) = all.into_iter().partition(|column| !has_several || column.differs());
+        // If no axis differs, the experiment has a single configuration. All axes are shown then,
+        // because the declared values identify this configuration.
+        let any_axis_differs = all.iter().any(Column::differs);
+        let (columns, settings) = all.into_iter().partition(|column| !any_axis_differs || column.differs());
         Self::from_columns(runs.len(), ChosenColumns { columns, rest: settings })
     }
 
@@ -116,7 +118,8 @@ mod tests {
         assert_eq!(settings.names_of_long_settings, ["Model files", "Model libraries"]);
     }
 
-    /// Returns the columns of a page and of `peernet compare` for two runs.
+    /// Returns the axes and the values on these axes for two runs: first those of a page, then
+    /// those of `peernet compare`. `change` sets the facts in which the two runs differ.
     fn columns_of_page_and_table(
         change: impl Fn(usize, &mut RunDetail),
     ) -> [(Vec<String>, Vec<Vec<String>>); 2] {
@@ -162,7 +165,8 @@ mod tests {
         assert_eq!(of_executions, [expected.clone(), expected]);
     }
 
-    /// Returns the names of runs of one experiment with the fields `where`, `resize` and `edges`, on the page and of `peernet compare`.
+    /// Returns the names of runs of one experiment: first those of a page, then those of
+    /// `peernet compare`. `labels` are each run's values of `where`, `resize` and `edges`.
     fn names_of_page_and_table(labels: &[[&str; 3]]) -> [Vec<String>; 2] {
         let position = |labels: &[&str; 3]| ExperimentPosition {
             name: "sizes".to_owned(),
@@ -199,7 +203,8 @@ mod tests {
     fn page_and_table_name_selected_runs_equally() {
         let one_field = [["cloud", "yes", "1"], ["cloud", "no", "1"]];
         assert_eq!(names_of_page_and_table(&one_field), [["resize", "no resize"]; 2]);
-        // The first field alone distinguishes the runs, but all fields that the author declared and that differ are named.
+        // The first field alone distinguishes the runs, but all fields that the author declared and
+        // that differ are named.
         let two_fields = [["cloud", "yes", "1"], ["local", "no", "1"]];
         assert_eq!(names_of_page_and_table(&two_fields), [["cloud, resize", "local, no resize"]; 2]);
         // In words, both labels would be `no resize`. The names have each label after its axis instead.

@@ -164,9 +164,9 @@ fn counted_values(name: &Name, values: &Summary) -> String {
     number::counted(values.count(), if IterationValues::has_one_value(name) { "iteration" } else { "value" })
 }
 
-/// Returns the distributions of the selected quantity. Without a selection, returns the distributions of all quantities if there are at
-/// most [`MAX_PICTURES`] distributions, else only those of the first measured quantity. `None` if nothing was measured and nothing is
-/// selected.
+/// Returns the distributions of the selected quantity. Without a selection, returns the
+/// distributions of all quantities if there are at most [`MAX_PICTURES`] distributions, else only
+/// those of the first measured quantity. `None` if nothing was measured and nothing is selected.
 ///
 /// # Errors
 /// Returns an error when the name of the quantity is not one of the usual names and no run has such a quantity.
@@ -176,8 +176,8 @@ pub(crate) fn distributions(
 ) -> Result<Option<Distributions>, WebError> {
     let mut offered = Quantity::usual();
     if let Some(name) = selected.filter(|name| offered.iter().all(|quantity| quantity.name != **name)) {
-        offered.push(Quantity { name: Name::from(name), title: name.to_owned() });
-        if offered.last().is_some_and(|quantity| quantity.run_count(comparison) == 0) {
+        let quantity = Quantity { name: Name::from(name), title: name.to_owned() };
+        if quantity.run_count(comparison) == 0 {
             let usual: Vec<String> =
                 Quantity::usual().iter().map(|quantity| quantity.name.to_string()).collect();
             let usual = usual.join(", ");
@@ -185,6 +185,7 @@ pub(crate) fn distributions(
                 "query parameter stage: none of the compared runs has {name:?}; ask for a stage that they have, such as {usual}"
             )));
         }
+        offered.push(quantity);
     }
     offered.retain(|quantity| quantity.run_count(comparison) > 0);
     let all_fit =

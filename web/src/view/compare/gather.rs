@@ -36,8 +36,9 @@ impl CompareSelection {
     /// Parses `runs=1,2&runs=3` or `experiment=ID`. Returns `None` without a selection.
     ///
     /// # Errors
-    /// Returns an error when a number is invalid, there are too many numbers, both parameters are given, or there is any other parameter. The
-    /// error about another parameter contains `parameters`, a list of the valid ones.
+    /// Returns an error when a number is invalid, there are too many numbers, both parameters are
+    /// given, or there is any other parameter. The error about another parameter contains
+    /// `parameters`, a list of the valid ones.
     pub(crate) fn parse(pairs: &[(String, String)], parameters: &str) -> Result<Option<Self>, WebError> {
         let bad_request = |text: String| Err(WebError::BadRequest(format!("query parameter {text}")));
         let (mut runs, mut experiment) = (Vec::<i64>::new(), None);
@@ -182,7 +183,8 @@ pub(crate) async fn load_comparison(
     })
 }
 
-/// Facts and reports from the details of the runs, by number of the run. A run that was deleted in the meantime is absent.
+/// Facts and reports from the details of the runs, by number of the run. A run that was deleted in
+/// the meantime is absent.
 struct JudgedRuns {
     /// Report on whether the run can be published.
     trust_by_run: HashMap<i64, Report>,

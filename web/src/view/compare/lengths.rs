@@ -110,9 +110,10 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
             is_whole: true,
         };
         for run in &varying_configuration.configuration.runs {
-            // The limit of `value_pairs` also counts warm-up and failed iterations. If the successful iterations of all
-            // runs fit into `max_read`, each run is therefore read with the larger limit `MAX_READ`, so that none of
-            // its successful iterations is omitted.
+            // The limit of `value_pairs` also counts warm-up and failed iterations. If the
+            // successful iterations of all runs fit into `max_read`, each run is therefore read
+            // with the larger limit `MAX_READ`, so that successful iterations are omitted only if
+            // the run has more than `MAX_READ` iterations of any kind.
             let limit = if all_answered <= max_read {
                 MAX_READ
             } else {

@@ -22,8 +22,8 @@ pub(super) static DELAY_OF_QUANTITY: [(Name, Name); 4] = [
 /// A median as a page shows it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Median {
-    /// Median with its unit, and the interval by the clock bounds. The text has only the interval if it is too wide for
-    /// a single value.
+    /// Median with its unit, and its interval by the clock bounds. If the verdict on the clock
+    /// bounds needs attention, the text has only the interval.
     pub text: String,
     /// Interval of the median by the clock bounds, in the SI unit; `None` without uncertainty.
     pub clock_interval: Option<(f64, f64)>,

@@ -60,7 +60,8 @@ pub(crate) struct Comparison {
     pub experiment: Option<(String, String)>,
     /// Names of the settings in which the configurations differ.
     pub axes: Vec<String>,
-    /// Further settings in which configurations differ, and settings that an experiment declares with one value for all configurations.
+    /// Further settings in which configurations differ, and settings that an experiment declares
+    /// with one value for all configurations.
     pub settings: Vec<Setting>,
     /// Names of further settings that differ but are too long for a table, such as hashes, paths and lists.
     pub long_settings: Vec<String>,
@@ -127,7 +128,7 @@ pub(crate) struct Configuration {
     pub bounds: Vec<DelayAccuracy>,
     /// All stored statistics of its runs together.
     pub mergeable: Arc<MergeableStatistics>,
-    /// `false` if its model is an echo model.
+    /// `false` if the model of at least one run is an echo model, which only returns its input.
     pub model_computes: bool,
 }
 
@@ -162,7 +163,8 @@ impl Configuration {
         Misses::sum(self.runs.iter().filter_map(|run| run.misses))
     }
 
-    /// Returns the deadline, seconds; `None` if not all runs have the same deadline.
+    /// Returns the deadline that all runs have, seconds; `None` if their deadlines differ, or a run
+    /// has none.
     pub(crate) fn deadline_s(&self) -> Option<f64> {
         let mut deadlines = self.runs.iter().map(|run| run.deadline_s);
         let first = deadlines.next()??;
@@ -184,7 +186,8 @@ impl Comparison {
         column_decimals(statistics.map(|statistics| statistics.std))
     }
 
-    /// Returns the index of the chosen baseline: the configuration of the run with the number `run`; `None` if no number is given.
+    /// Returns the index of the chosen baseline: the configuration of the run with the number
+    /// `run`; `None` if no number is given.
     ///
     /// # Errors
     /// Returns an error when the run is not one of the compared runs.

@@ -3,8 +3,9 @@
 use peernet_analysis::compare::readable_names;
 use peernet_store::RunSummary;
 
-/// Returns a unique name for each configuration from its value on each axis and its runs. The name has the values in words. It also has
-/// the number of the first run if there are no values or another configuration has the same values.
+/// Returns a unique name for each configuration from its value on each axis and its runs. The name
+/// has the values in words. It also has the number of the first run if there are no values or
+/// another configuration has the same values.
 pub(super) fn configuration_names<'a>(
     axes: &[String],
     configurations: impl Iterator<Item = (&'a [String], &'a [RunSummary])>,

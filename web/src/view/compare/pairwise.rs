@@ -1,4 +1,5 @@
-//! Distributions of pairwise differences: each iteration of a configuration minus each iteration of the baseline, on one axis.
+//! Distributions of pairwise differences: each iteration of a configuration minus each iteration of
+//! the baseline, on one axis.
 
 use peernet_analysis::compare::PairwiseDifference;
 use peernet_figures::drawing::BinnedAxis;

@@ -19,7 +19,7 @@ use crate::look;
 use crate::picture::Picture;
 use crate::view::place;
 
-/// Maximum number of hosts of one place that are named.
+/// Maximum number of edges of one route that are named.
 const MAX_NAMED_HOSTS: usize = 4;
 /// Maximum number of configurations of one place that are named.
 const MAX_NAMED_CONFIGURATIONS: usize = 3;
@@ -67,7 +67,8 @@ pub(crate) struct PlaceRow {
     pub spread: Picture,
 }
 
-/// Returns a bar of the mean stages of each configuration, all on one scale. The error bar is the standard deviation of the total.
+/// Returns a bar of the mean stages of each configuration, all on one scale. The error bar is the
+/// standard deviation of the total.
 pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<StackRow>, Axes) {
     let bars: Vec<(String, LatencyBar)> = comparison
         .configurations

@@ -55,7 +55,7 @@ pub(crate) struct Row {
     pub qualities: Vec<(String, Option<String>)>,
     /// Mean size of the payloads sent up, with its unit.
     pub sent: String,
-    /// Miss rate, percent, with the counts from which it is computed as the tooltip.
+    /// Miss rate, percent. The tooltip has the counts from which the rate is computed.
     pub missed: Cell,
     /// `true` for the best configuration of the ranking.
     pub is_best: bool,

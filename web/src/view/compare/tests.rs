@@ -183,7 +183,7 @@ pub(crate) fn measured_users(comparison: &Comparison) -> users::MeasuredUsers {
 }
 
 #[test]
-fn addresses_name_runs_or_an_experiment() {
+fn query_selects_runs_or_an_experiment() {
     let parse = |pairs: &[(&str, &str)]| {
         let pairs: Vec<_> = pairs.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
         CompareSelection::parse(&pairs, "runs")
@@ -237,8 +237,10 @@ fn title_says_which_is_fastest_by_how_much() {
     let text = title(&two, &found);
     assert!(text.starts_with("B is the fastest: 16.0\u{202f}ms, 8.0"), "{text}");
     assert!(text.contains(" less than A (95\u{202f}%: "), "{text}");
-    let of_stages = found.others[0].1[1].mean_difference.expect("both means are known");
-    assert_eq!(of_stages.interval, None, "the means of single stages over time are not given");
+    let (_, stages) = &found.others[0];
+    let inference = stages.iter().find(|one| one.name == stage::INFERENCE).expect("compared");
+    let difference = inference.mean_difference.expect("both means are known");
+    assert_eq!(difference.interval, None, "`totals` gives no means of single stages over time");
 
     let three = comparison_of_scales(&[2.0, 1.0, 3.0]);
     let text = |baseline| title_of(&three, &totals(&three, 20), baseline);
@@ -251,7 +253,7 @@ fn title_says_which_is_fastest_by_how_much() {
 }
 
 #[test]
-fn title_without_ranking_names_no_fastest() {
+fn title_without_significant_difference_names_no_fastest() {
     let equal = comparison_of_scales(&[1.5, 1.5, 1.5, 1.5, 9.0]);
     let text = title_of(&equal, &totals(&equal, 20), 0);
     assert_eq!(text, "A and B, C and 1 more do not differ by more than chance");
@@ -290,7 +292,7 @@ fn configuration_that_computes_nothing_is_not_ranked() {
 }
 
 #[test]
-fn title_ignores_unmeasured_configurations() {
+fn title_compares_only_measured_configurations() {
     let without = |failed: &[usize]| {
         let mut all = comparison_of_scales(&[1.0, 1.5, 2.0]);
         for at in failed {

@@ -32,8 +32,9 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         return format!("{} and {} do not differ by more than chance", best.name, join_names(all, &ties));
     }
     if !untested.is_empty() {
-        // If all these runs have enough iterations, only their buckets of whole seconds, which this page reads, are too
-        // few. The command reads single iterations and can therefore tell more.
+        // If all runs of the untested configurations and of the best one have enough iterations,
+        // then only the buckets of whole seconds that this page reads are too few.
+        // `peernet compare` reads single iterations and can therefore tell more.
         let mut untested_and_best_runs =
             untested.iter().chain([&ranking.best]).flat_map(|index| &all[*index].runs);
         let have_enough_iterations = untested_and_best_runs.all(|run| run.counts.ok >= MIN_VALUES as u64);
@@ -43,14 +44,14 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
                 format!("{} has the smallest mean of the {} configurations, {mean}", best.name, others + 1)
             }
         };
-        let configurations = match untested.len() < ranking.differences.len() {
-            true => format!(" of {}", join_names(all, &untested)),
-            false => String::new(),
-        };
+        // If no difference was tested, the sentence is about all configurations and names none.
+        let is_any_tested = untested.len() < ranking.differences.len();
+        let untested_names = is_any_tested.then(|| join_names(all, &untested));
         if !have_enough_iterations {
-            return format!("{statement}; too little is known{configurations} to tell more");
+            let of_untested = untested_names.map_or_else(String::new, |names| format!(" of {names}"));
+            return format!("{statement}; too little is known{of_untested} to tell more");
         }
-        let subject = match (configurations.strip_prefix(" of "), untested.as_slice()) {
+        let subject = match (untested_names, untested.as_slice()) {
             (None, _) => String::new(),
             (Some(names), [_]) => format!("{names} is "),
             (Some(names), _) => format!("{names} are "),
@@ -64,11 +65,17 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         return format!("{} is the fastest: {mean}", best.name);
     };
     let (lo, hi) = difference.interval.unwrap_or((difference.value, difference.value));
-    // The table of differences has the same decimals, if it shows this difference.
-    let shown = if index == differences.baseline { ranking.best } else { index };
-    let stages = differences.others.iter().find(|(other, _)| *other == shown);
-    let is_shown = [index, ranking.best].contains(&differences.baseline);
-    let decimals = match stages.filter(|_| is_shown) {
+    // The tables of differences compare each configuration with the baseline. If one of the two
+    // configurations of this difference is the baseline, the table of the other has this
+    // difference, and the title shows the same decimals.
+    let compared_with_baseline = if index == differences.baseline {
+        Some(ranking.best)
+    } else {
+        (ranking.best == differences.baseline).then_some(index)
+    };
+    let stages = compared_with_baseline
+        .and_then(|compared| differences.others.iter().find(|(other, _)| *other == compared));
+    let decimals = match stages {
         Some((_, stages)) => difference_decimals(stages),
         None => column_decimals([difference.margin()]),
     };
@@ -82,8 +89,9 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
     )
 }
 
-/// Returns the configuration with which the title compares the best one: the baseline, or the configuration with the
-/// next larger mean if the baseline is the best. `None` if no difference was tested.
+/// Returns the configuration with which the title compares the best one: the baseline, or the
+/// configuration with the next larger mean if the baseline is the best or is not ranked. `None` if
+/// no difference was tested.
 fn reference_configuration(ranking: &Ranking, baseline: usize) -> Option<(usize, Difference)> {
     let tested =
         || ranking.differences.iter().filter_map(|(index, difference)| Some((*index, (*difference)?)));
@@ -91,7 +99,7 @@ fn reference_configuration(ranking: &Ranking, baseline: usize) -> Option<(usize,
     tested().find(|(index, _)| *index == baseline).or_else(next)
 }
 
-/// Returns the names of configurations, of which at most [`MAX_NAMED`] are named.
+/// Returns the first [`MAX_NAMED`] names of these configurations, and the number of the others.
 fn join_names(all: &[Configuration], indexes: &[usize]) -> String {
     let names: Vec<&str> = indexes.iter().take(MAX_NAMED).map(|index| all[*index].name.as_str()).collect();
     match indexes.len() - names.len() {

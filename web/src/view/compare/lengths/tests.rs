@@ -118,30 +118,37 @@ fn sentence_has_numbers_of_drawn_and_all_iterations() {
     assert_eq!(amount(&one, &[], true), some_text("No iteration is stored any more; histograms of all 800."));
 }
 
+/// Returns the sentence about the slope for answers with these lengths in bytes and latencies in
+/// seconds.
+fn slope_sentence(points: &[(f64, f64)]) -> Result<String, NoLine> {
+    Growth::from_iterations(points).map(|growth| growth.describe_slope("download-bytes"))
+}
+
 #[test]
 fn too_few_or_flat_points_give_no_line() {
-    let sentence = |points: &[(f64, f64)]| {
-        Growth::from_iterations(points).map(|growth| growth.describe_slope("download-bytes"))
-    };
-    assert_eq!(sentence(&sample_answers(59)), Err(NoLine::TooFewAnswers(59)));
+    assert_eq!(slope_sentence(&sample_answers(59)), Err(NoLine::TooFewAnswers(59)));
     // One answer has the length 1, all others have the length 0.
     let nearly_equal_lengths: Vec<(f64, f64)> =
         sample_answers(60).iter().map(|(x, y)| (f64::from(*x > 30.0 && *x < 32.0), *y)).collect();
     assert_eq!(
-        sentence(&nearly_equal_lengths),
+        slope_sentence(&nearly_equal_lengths),
         Err(NoLine::EqualLengths(60)),
         "one answer of another length gives no line"
     );
     let flat: Vec<(f64, f64)> =
         (0..400).map(|n| (f64::from(n % 97), 0.1 + 0.01 * (f64::from(n) * 1.7).sin())).collect();
-    let text = sentence(&flat).expect("enough");
+    let text = slope_sentence(&flat).expect("enough");
     assert!(text.starts_with("Whether longer answers take longer cannot be told: \u{2212}"), "{text}");
     assert_eq!(
         Growth::from_iterations(&flat).and_then(|growth| growth.line()),
         Err(NoLine::InsignificantSlope(400))
     );
+}
+
+#[test]
+fn latency_that_falls_with_length_is_described_as_less() {
     let falling: Vec<(f64, f64)> = sample_answers(400).iter().map(|(x, y)| (320.0 - x, *y)).collect();
-    let text = sentence(&falling).expect("enough");
+    let text = slope_sentence(&falling).expect("enough");
     assert!(text.starts_with("Each further kB takes ") && text.contains("\u{202f}ms less (95"), "{text}");
 }
 
