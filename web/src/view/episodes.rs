@@ -12,7 +12,7 @@ pub(crate) fn episode_count_text(episodes: &Episodes) -> Option<String> {
         None if episodes.count > 1 => all,
         None => return None,
     };
-    // One border less than episodes: the first episode begins with the run.
+    // There is one border fewer than episodes, because the first episode begins with the run.
     let too_many = episodes.count > u64::from(Episodes::MAX_BORDERS) + 1;
     Some(format!("{text} began{}", if too_many { ", too many to mark" } else { "" }))
 }
@@ -77,8 +77,8 @@ mod tests {
         assert_eq!(failed_text(290, Some(0), 5_000, 900).as_deref(), Some(few_stored));
     }
 
-    /// Returns the text for a run with `lost` failed iterations after the warm-up, of which retention deleted the
-    /// iterations up to `last_deleted_iteration`.
+    /// Returns the text for a run with `lost` failed iterations after the warm-up. Retention has
+    /// deleted all iterations of the run up to `last_deleted_iteration`.
     fn failed_text(
         marks: usize,
         failed_in_warm_up: Option<u64>,

@@ -53,6 +53,7 @@ impl Health {
             1 => "1 pipeline".to_owned(),
             many => format!("{many} pipelines"),
         };
+        // `2 pipelines running`, but `No pipeline is running`.
         let (present_verb, past_verb) = if running > 1 {
             ("", "were ")
         } else if running == 1 {

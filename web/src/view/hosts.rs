@@ -25,7 +25,7 @@ pub(crate) struct HostLine {
     /// Chip of a host whose agent said goodbye before it stopped; `None` for any other host.
     pub ended: Option<Chip>,
     /// Accelerator of the host, or the processor of a host without an accelerator.
-    pub kind: String,
+    pub hardware: String,
     /// Busy share of the cores, percent.
     pub cpu: String,
     /// Curve of `cpu` over the last ten minutes.
@@ -120,9 +120,11 @@ pub(crate) fn hardware_name(hardware: &Hardware) -> String {
         .join(" ")
 }
 
-/// Describes a host's wall clock relative to the wall clock of the aggregator. Returns a text for the table, and an explanation. Processes
-/// of one machine report the same boot id, but copies of a virtual machine do so, too. A clock that differs by a second or more is
-/// therefore described as a different clock.
+/// Describes a host's wall clock relative to the wall clock of the aggregator. Returns a text for
+/// the table, and an explanation.
+///
+/// Processes of one machine report the same boot id, but copies of a virtual machine do so, too. A
+/// clock that differs by a second or more is therefore described as a different clock.
 pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: Span) -> (String, String) {
     if theirs == ours {
         return ("the aggregator's".to_owned(), "it reads the same clock as the aggregator".to_owned());
@@ -178,7 +180,7 @@ impl HostLine {
             remark,
             away: (!host.connected).then(|| zone.moment(host.last_seen)),
             ended: host.has_left.then_some(ENDED),
-            kind: hardware_name(&host.description.hardware),
+            hardware: hardware_name(&host.description.hardware),
             cpu: percent(metrics.cpu),
             cpu_spark: spark("CPU", |metrics| metrics.cpu),
             memory: metrics.memory_used_bytes.map_or_else(|| NONE.to_owned(), gigabytes),

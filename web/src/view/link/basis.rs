@@ -18,8 +18,9 @@ const fn clocks_subject(clocks: RelatedClocks) -> &'static str {
     }
 }
 
-/// Returns a sentence with the conditions under which the intervals contain the true delays. README.md and docs/clocks.md have the same
-/// sentence with default values; this sentence has the values of a link.
+/// Returns a sentence with the conditions under which the intervals contain the true delays.
+/// README.md and docs/clocks.md have the same sentence with default values; this sentence has the
+/// values of a link.
 pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
     let clocks = clocks_subject(assumptions.clocks);
     let drift = assumptions.max_drift_ppm.map_or_else(
@@ -86,8 +87,8 @@ pub(crate) fn brief_words(assumptions: &DelayAssumptions) -> String {
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the panel about assumptions: the assumed limits, the drift that the exchanges prove, and other information that narrows a
-/// bound. The panel is empty if both hosts read one clock.
+/// Returns the panel about assumptions: the assumed limits, the drift that the exchanges prove, and
+/// other information that narrows a bound. The panel is empty if both hosts read one clock.
 pub(crate) fn pairs(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Pairs {
     let Some(assumptions) = &subject.assumptions else { return Pairs::new() };
     let newest = NewestBasis::of(subject, time_series);
@@ -177,7 +178,8 @@ fn describe_proven_drift(
     }
 }
 
-/// Describes the window of exchanges. `oldest_exchange_age` is its length if it is longer than configured.
+/// Describes the window of exchanges. `oldest_exchange_age` is the length of the window if the
+/// window is longer than configured.
 fn window_text(oldest_exchange_age: Option<Span>) -> String {
     oldest_exchange_age.map_or_else(
         || "no exchange older than [clock] window_s bounds a delay".to_owned(),
@@ -232,13 +234,13 @@ mod tests {
             brief_words(&RAW).replace(SPACE, " "),
             "by free-running clocks, ρ 200 ppm, κ 1.00 ppm/s, probes authenticated"
         );
-        let earlier = DelayAssumptions {
+        let of_earlier_release = DelayAssumptions {
             clocks: RelatedClocks::Wall,
             max_drift_change_ppm_per_s: None,
             claims_trusted: None,
             probes_authenticated: None,
             ..RAW
         };
-        assert_eq!(brief_words(&earlier).replace(SPACE, " "), "by wall clocks, ρ 200 ppm");
+        assert_eq!(brief_words(&of_earlier_release).replace(SPACE, " "), "by wall clocks, ρ 200 ppm");
     }
 }

@@ -76,8 +76,6 @@ impl ChartInput<'_> {
 
     /// Returns the result of `value_of` for the position and the data of each point. `None` separates two points with a
     /// gap or a clock step between them.
-    // If a clock was set back, the times of two relation periods overlap, so the points of each relation period are
-    // drawn separately.
     pub(super) fn with_breaks<T>(
         &self,
         points: &[ClockPoint],
@@ -85,6 +83,8 @@ impl ChartInput<'_> {
     ) -> Vec<Option<T>> {
         let mut values = Vec::with_capacity(points.len() + self.gaps.len());
         let mut previous: Option<&ClockPoint> = None;
+        // If a clock was set back, the times of two relation periods overlap, so the points of each
+        // relation period are drawn separately.
         let mut periods: Vec<u64> = Vec::new();
         for point in points {
             if !periods.contains(&point.relation_period) {
@@ -123,8 +123,8 @@ pub(super) fn beyond(values: impl Iterator<Item = f64>, scale: &Scale, unit: &st
     Some(format!("{} beyond {}{SPACE}{unit} ↑", count(number), end.trim_start_matches('+')))
 }
 
-/// Returns the distance of a value from the top of its track, as a share of the height. A value beyond the scale lies slightly outside
-/// the track.
+/// Returns the distance of a value from the top of its track, as a share of the height. A value
+/// beyond the scale lies slightly outside the track.
 pub(super) fn distance_from_top(scale: &Scale, value: f64) -> f64 {
     1.0 - scale.at_or_outside(value)
 }
@@ -315,6 +315,7 @@ fn range(values: impl Iterator<Item = f64>) -> Option<String> {
     lo.is_finite().then(|| format!("{} to {}{SPACE}ms", figure(lo * 1e3), figure(hi * 1e3)))
 }
 
+/// Returns the description of the whole chart in words, for its label.
 fn finding(subject: &Subject<'_>, input: &ChartInput<'_>, incidents: usize) -> String {
     let time_series = input.time_series;
     let mut text = format!("{} over {}.", subject.route(), long_duration(time_series.seconds()));

@@ -34,8 +34,8 @@ pub(crate) struct Route {
     pub words: String,
 }
 
-/// Returns the rows of each connection. Each direction has a row with the counts of the edge, and a row with the counts of the cloud if
-/// the cloud reported any.
+/// Returns the rows of each connection. Each direction has a row with the counts of the edge, and a
+/// row with the counts of the cloud if the cloud reported any.
 pub(crate) fn rows(subject: &Subject<'_>) -> Vec<DirectionRow> {
     let (edge, cloud) = (subject.edge.as_str(), subject.cloud.as_str());
     let of_connection = |connection: &Connection| {

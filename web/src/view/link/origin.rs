@@ -111,7 +111,8 @@ impl Origin {
     }
 }
 
-/// Returns the offset that follows from the present claims of both hosts' time daemons, if no delay depends on these claims.
+/// Returns the row of the offset that follows from the present claims of both hosts' time daemons;
+/// `None` if delays depend on claims, or a host reports no claim.
 fn unused_claims(subject: &Subject<'_>, offset: &Offset) -> Option<SourceRow> {
     let (claim_source, interval) = claimed_offset(subject)?;
     let is_unused = offset.sources.iter().all(|(source, _)| *source == DelaySource::InBand);
@@ -134,8 +135,8 @@ const TRUST_KEY: &str = "[clock] trust_time_daemons";
 /// Explanation and advice for sources that exclude each other.
 const CONTRADICTING_SOURCES: (&str, &str) = (
     "The sources above exclude each other: at least one of them is wrong, and which one cannot be told from here. The \
-     exchanges hold whatever the clocks show, as long as neither host lies; a time daemon is wrong about its clock \
-     when its servers are, or when the clock is not the one it keeps.",
+     exchanges are valid whatever the clocks show, as long as neither host reports wrong stamps. A time daemon is \
+     wrong about its clock if its servers are wrong, or if it steers a different clock than the one that stamps messages.",
     "see on both hosts what the time daemon follows (chronyc sources, chronyc tracking) and compare both with a third \
      clock; look for a clock that clock fault injection, a container or libfaketime changes without its daemon's knowledge",
 );
@@ -158,6 +159,8 @@ fn explain_bound(offset: &Offset, time_series: &LinkTimeSeries) -> Vec<String> {
         let best = min / 2.0;
         let smallest = format!("The smallest probe round trip took {}{SPACE}ms", trip_ms(min));
         let general = "A round trip cannot tell how its time splits between the directions.".to_owned();
+        // A deviation of less than 30 % from the width that the smallest round trip gives needs no
+        // explanation.
         why.push(if half > best * 1.3 {
             format!(
                 "{general} {smallest}, so at best the bounds of the offset are that far apart; since then they move apart with \
