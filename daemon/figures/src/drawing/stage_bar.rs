@@ -61,7 +61,7 @@ pub struct StageBar<'a> {
     /// Mean and standard deviation of the total, seconds; `None` if they are not shown. A whisker extends by one
     /// standard deviation to both sides of the mean.
     pub mean_and_std: Option<(f64, f64)>,
-    /// 95th and 99th percentile of the total, seconds.
+    /// 95th and 99th percentile of the total, seconds; `None` for a percentile that is not shown.
     pub quantiles: [Option<f64>; 2],
     /// Place of the bar. A bar with values, clock bounds or percentiles must be alone in its picture and horizontal,
     /// because their positions do not depend on this place.
@@ -125,7 +125,8 @@ impl<'a> StageBar<'a> {
     fn value_label(&self, (name, from, to): (&str, f64, f64)) -> Label {
         let (begin, end) = (self.scale.at(from), self.scale.at(to));
         let (middle, value) = (f64::midpoint(begin, end), to - from);
-        let value_text = if (1.0..9.95).contains(&value) { fixed(value, 1) } else { figure(value) };
+        // From 1 to 10 ms, `figure` would give a second decimal, for which a label has little room.
+        let value_text = if (1.0..10.0).contains(&value) { fixed(value, 1) } else { figure(value) };
         let short_name = if name == BOTH_DIRECTIONS { "up + down" } else { name };
         let label = Label::new(At::new(middle, 0.5), value_text, stage(name).text()).anchored(Anchor::Middle);
         let label = label.with_prefix(format!("{short_name} ")).with_max_width(end - begin);

@@ -8,7 +8,7 @@ use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::Name;
 use peernet_statistics::number;
 
-use super::columns::{count_note, too_large_note};
+use super::columns::{excluded_note, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, rows_in_statistics};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
@@ -31,19 +31,27 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let mut bars: Vec<(String, LatencyBar)> = groups.iter().filter_map(bar).collect();
     let (bar_count, omitted_groups) = (bars.len(), groups.len() - bars.len());
     bars.truncate(MAX_BARS);
+    // The iterations of configurations without a bar do not count in the notes on the values of the
+    // bars.
+    let shown_groups: Vec<&Vec<&Loaded>> = groups
+        .iter()
+        .map(|(_, runs)| runs)
+        .filter(|runs| rows_in_statistics(runs).next().is_some())
+        .take(MAX_BARS)
+        .collect();
+    let shown_rows = || shown_groups.iter().flat_map(|runs| rows_in_statistics(runs));
     let mut notes = vec![format!(
         "configurations: {} · parts: means · whisker and numbers: mean ± standard deviation of the {}",
         axes.join(", "),
         total.description()
     )];
     let mut left_out = Vec::new();
-    let rows = runs.iter().flat_map(|run| &run.rows);
-    let counts_per_bar = groups.iter().map(|(_, runs)| rows_in_statistics(runs).count() as u64);
-    let counts_per_bar: Vec<u64> = counts_per_bar.filter(|count| *count > 0).collect();
-    notes.push(with_count_per_bar(&count_note(&rows, all_rows().count()), &counts_per_bar));
+    let counts: Vec<u64> = shown_groups.iter().map(|runs| rows_in_statistics(runs).count() as u64).collect();
+    let excluded = excluded_note(&runs.iter().flat_map(|run| &run.rows));
+    notes.push(std::iter::once(bar_counts_note(&counts)).chain(excluded).collect::<Vec<_>>().join(" · "));
     let names: Vec<Name> = part_order().collect();
     let columns: Vec<&str> = names.iter().map(Name::as_str).chain([total.name()]).collect();
-    notes.extend(too_large_note(all_rows(), &columns));
+    notes.extend(too_large_note(shown_rows(), &columns));
     if bars.iter().any(|(_, bar)| bar.part(LATENESS).is_some()) {
         notes.push(
             "late start: from the intended start to the actual start · rest of unattributed: unattributed without the late start".to_owned(),
@@ -53,7 +61,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let configurations = number::counted(omitted_groups as u64, "configuration");
         left_out.push(format!("left out: {configurations} without a successful iteration after the warm-up"));
     }
-    notes.extend(unknown_delays_note(all_rows));
+    notes.extend(unknown_delays_note(shown_rows));
     if bar_count > MAX_BARS {
         left_out.push(format!(
             "shown: the first {MAX_BARS} of {} configurations",
@@ -65,23 +73,23 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     Ok(vec![Drawing::new("stacked", AnyFigure::Stacked(stacked)).with_left_out(left_out)])
 }
 
-/// Adds the range of the numbers of iterations per bar to a [`count_note`]: `n = 88 (44 each)`, `n = 120 (10 to 110
-/// each)`. With a single bar, returns the note unchanged.
-fn with_count_per_bar(count_note: &str, counts: &[u64]) -> String {
-    let (Some(each), true) = (number::range_of_counts(counts.iter().copied()), counts.len() > 1) else {
-        return count_note.to_owned();
-    };
-    let (n, rest) = count_note.split_once(" · ").map_or((count_note, None), |(n, rest)| (n, Some(rest)));
-    let rest = rest.map_or_else(String::new, |rest| format!(" · {rest}"));
-    format!("{n} ({each} each){rest}")
+/// Returns the note on the numbers of iterations of all bars together and of each bar:
+/// `n = 88 (44 each)`, `n = 120 (10 to 110 each)`. `counts` has the number of each bar. The note on
+/// a single bar has one number: `n = 44`.
+fn bar_counts_note(counts: &[u64]) -> String {
+    let n = format!("n = {}", number::count(counts.iter().sum()));
+    match number::range_of_counts(counts.iter().copied()) {
+        Some(each) if counts.len() > 1 => format!("{n} ({each} each)"),
+        _ => n,
+    }
 }
 
 /// Returns a note on the number of unknown delays of each direction; `None` if all delays are known.
-fn unknown_delays_note<'a, I: Iterator<Item = RowRef<'a>>>(all_rows: impl Fn() -> I) -> Option<String> {
+fn unknown_delays_note<'a, I: Iterator<Item = RowRef<'a>>>(rows: impl Fn() -> I) -> Option<String> {
     let counts: Vec<String> = DIRECTIONS
         .into_iter()
         .filter_map(|direction| {
-            let count = all_rows().filter(|row| row.has_unknown_delay(direction)).count();
+            let count = rows().filter(|row| row.has_unknown_delay(direction)).count();
             (count > 0).then(|| format!("{} of {direction}", number::count(count as u64)))
         })
         .collect();

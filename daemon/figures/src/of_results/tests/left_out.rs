@@ -113,6 +113,17 @@ fn different_counts_of_bars_are_noted_as_range() {
 }
 
 #[test]
+fn configurations_beyond_maximum_are_noted_not_counted() {
+    let models: Vec<String> = (0..101).map(|number| format!("m{number}")).collect();
+    let runs: Vec<Loaded> = models.iter().map(|model| placed(model, "local", 20.0)).collect();
+    let drawings = stacked::drawings(&runs).expect("bars");
+    let AnyFigure::Stacked(figure) = &drawings[0].figure else { panic!("bars") };
+    assert_eq!(figure.bars.len(), 100);
+    assert!(figure.notes[1].starts_with("n = 4,400 (44 each) · left out: "), "{:?}", figure.notes);
+    assert_eq!(drawings[0].left_out, ["shown: the first 100 of 101 configurations"]);
+}
+
+#[test]
 fn throughput_of_noisy_delays_is_noted_not_drawn() {
     let noisy = run(300, |number| {
         let size_index = number as usize % 4;
