@@ -144,14 +144,12 @@ fn figure_files_have_column_width_and_resolution() {
     let figure = bars::histogram(millis((0..100).map(f64::from)));
     let [png, svg, pdf, txt] = export::write(&figure.figure(), folder.path(), "some-time").expect("written");
     let bytes = std::fs::read(&png).expect("a PNG");
-    let density = bytes.windows(4).position(|name| name == b"pHYs").expect("the chunk with the resolution");
+    // The chunk `pHYs` has its name, the horizontal and the vertical resolution, and their unit: 1
+    // for pixels per metre.
+    let chunk = bytes.windows(4).position(|name| name == b"pHYs").expect("the chunk with the resolution");
     let per_metre = |at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
-    let per_inch = [4, 8].map(|offset| (f64::from(per_metre(density + offset)) * 0.0254).round());
-    assert_eq!(
-        (per_inch, bytes[density + 12]),
-        ([480.0; 2], 1),
-        "the unit of the resolution is not the metre"
-    );
+    let per_inch = [4, 8].map(|offset| (f64::from(per_metre(chunk + offset)) * 0.0254).round());
+    assert_eq!((per_inch, bytes[chunk + 12]), ([480.0; 2], 1));
     let picture = image::open(&png).expect("a picture");
     assert_eq!((picture.width(), picture.height()), (1_680, 1_260));
     let svg = std::fs::read_to_string(svg).expect("read");

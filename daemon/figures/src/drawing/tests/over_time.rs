@@ -49,19 +49,21 @@ fn figure_of_100000_iterations_is_small_file() {
     let figure = time_series((0..100_000).map(|i| (f64::from(i) * 1e-2, latency(i))).collect());
     let svg = figure.svg();
     assert!(svg.len() < 100_000, "{}", svg.len());
+    // All latencies except the stall of 500 ms are below 60 ms.
     assert!(texts(&svg).iter().any(|text| text.starts_with("1 beyond 6")), "{:?}", texts(&svg));
     assert_valid_file(&svg);
 }
 
 #[test]
 fn single_stall_does_not_hide_the_run() {
-    let stalled = |at: u32, value: f64| (f64::from(at) / 10.0, if at == 300 { 12.0 } else { value });
+    // Returns the time and the latency of an iteration, seconds. The iteration 300 takes 12 s.
+    let time_and_latency = |at: u32, value: f64| (f64::from(at) / 10.0, if at == 300 { 12.0 } else { value });
     let figure = TimeSeries {
         stages: vec![Line {
             name: "inference".to_owned(),
-            values: (0..600).map(|at| stalled(at, 5e-3)).collect(),
+            values: (0..600).map(|at| time_and_latency(at, 5e-3)).collect(),
         }],
-        ..time_series((0..600).map(|at| stalled(at, 6e-3 + f64::from(at % 7) * 1e-5)).collect())
+        ..time_series((0..600).map(|at| time_and_latency(at, 6e-3 + f64::from(at % 7) * 1e-5)).collect())
     };
     let svg = figure.svg();
     assert!(texts(&svg).iter().any(|text| text.starts_with("1 beyond 6.")), "{:?}", texts(&svg));

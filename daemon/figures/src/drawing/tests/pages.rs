@@ -6,6 +6,8 @@ use crate::plot::{Anchor, At, Item, Label};
 use crate::render::page;
 use crate::scale::Scale;
 
+/// Asserts that the HTML has no inline style and no colour, because both come from the style sheet,
+/// and that all numbers in the HTML are finite.
 fn assert_valid_for_page(html: &str) {
     for forbidden in [" style=", "fill=\"", "stroke=\"", "#", "NaN", "\"inf"] {
         assert!(!html.contains(forbidden), "{forbidden} is in {html}");

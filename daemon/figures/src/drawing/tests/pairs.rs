@@ -80,14 +80,17 @@ fn shape_with_narrow_peaks_is_complete() {
     let figure = paired(vec![vec![values]]);
     let picture = export::ParsedFigure::of(&figure.svg()).and_then(|parsed| parsed.pixels()).expect("drawn");
     let row_bytes = picture.width as usize * 3;
-    // Pixels around the vertical middle line of the shape are examined.
+    // Twenty pixels on each side of the vertical middle line of the shape are examined. A pixel has
+    // three bytes.
     let area = file::areas(&figure.figure())[0];
     let middle = (area.left + area.width / 2.0) / file::WIDTH;
     let from = (middle * f64::from(picture.width)) as usize * 3;
+    // The fill of the shape (#b4b8be) is dark in this sense. The grid is not.
     let is_dark = |row: &[u8]| {
         row[from - 60..from + 60].chunks_exact(3).any(|pixel| pixel.iter().all(|channel| *channel < 0xc8))
     };
-    // The examined rows begin below the caption.
+    // The examined rows lie in the plot: below the title of its vertical axis and above its
+    // horizontal axis.
     let rows: Vec<usize> = (250..picture.height as usize - 170)
         .filter(|y| is_dark(&picture.rgb[y * row_bytes..(y + 1) * row_bytes]))
         .collect();
@@ -144,9 +147,12 @@ fn count_of_values_above_does_not_touch_highest_point() {
         "the value at 40 ms must be drawn: {:?}",
         texts(&svg)
     );
+    // The first placement has 31 points in the first group and, without the value at 90 ms, 30
+    // points in the second.
     let discs = Elements::of(&svg, "circle").with("fill", &series(0).fill.to_string()).numbers("cy");
     assert_eq!(discs.len(), 31 + 30, "{discs:?}");
     let highest_of_second = discs[31..].iter().copied().fold(f64::INFINITY, f64::min);
+    // The radius of a point is 1.8.
     assert!(text_y(&svg, "+1") <= highest_of_second - 1.8, "{} {highest_of_second}", text_y(&svg, "+1"));
 }
 

@@ -161,6 +161,7 @@ fn numbers_of_coinciding_points_do_not_overlap() {
             |text: &str| text.split(&format!("{attribute}=\"")).nth(1)?.split('"').next()?.parse().ok();
         texts.filter_map(value).collect::<Vec<f64>>()
     };
+    // The numbers in the plot come first, then the numbers in the table.
     let places: Vec<(f64, f64)> = coordinates("x").into_iter().zip(coordinates("y")).take(9).collect();
     assert_eq!(places.len(), 9, "{svg}");
     for (index, (x, y)) in places.iter().enumerate() {
