@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::of_messages::{MessageFigures, MessageSeries};
+use crate::of_messages::{LinkMessages, MessageSeries};
 use crate::render::export;
 use peernet_analysis::WriteError;
 use peernet_analysis::calibration::Study;
@@ -24,11 +24,11 @@ pub fn draw_calibration(study: &Study, folder: &Path) -> Result<Vec<PathBuf>, Wr
 }
 
 /// Returns the messages of a calibration.
-pub(crate) fn messages(study: &Study) -> MessageFigures {
+pub(crate) fn messages(study: &Study) -> LinkMessages {
     let directions = study.directions().into_iter();
     let directions =
         directions.map(|direction| MessageSeries::new(direction.name(), direction.sizes.clone())).collect();
-    MessageFigures { link_name: String::new(), directions, notes: Vec::new() }
+    LinkMessages { link_name: String::new(), directions, notes: Vec::new() }
 }
 
 #[cfg(test)]
@@ -41,7 +41,8 @@ mod tests {
     use super::*;
 
     /// Returns the passage of a message that takes 60 µs plus 1 ns for each byte plus up to 6 µs. The bounds are 50 µs
-    /// below and 50 µs above the true delay.
+    /// below and 50 µs above the true delay. The difference of the clocks' readings is 1 s longer
+    /// than the true delay, because the clocks differ.
     fn passage(payload_bytes: u64, number: u64) -> Passage {
         let true_delay = 60e-6 + 1e-9 * payload_bytes as f64 + (number % 7) as f64 * 1e-6;
         let span = Span::from_seconds_f64;

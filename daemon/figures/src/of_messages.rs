@@ -22,7 +22,7 @@ pub(crate) struct MessageSeries {
 
 /// Messages over one link, from which the figures of latency and of throughput are drawn.
 #[derive(Clone, Debug)]
-pub(crate) struct MessageFigures {
+pub(crate) struct LinkMessages {
     /// Name of the link in the titles; empty if the titles need no name.
     pub link_name: String,
     /// Directions that are drawn.
@@ -34,7 +34,7 @@ pub(crate) struct MessageFigures {
 /// Returns the figures of latency and of throughput against payload.
 pub fn payload_figures(study: &PayloadStudy) -> [Scaling; 2] {
     let series = |direction: &DirectionMessages| MessageSeries::new(direction.name, direction.sizes.clone());
-    let messages = MessageFigures {
+    let messages = LinkMessages {
         link_name: study.link_name.clone(),
         directions: study.directions.iter().map(series).collect(),
         notes: study.all_notes(),
@@ -108,7 +108,7 @@ impl MessageSeries {
     }
 }
 
-impl MessageFigures {
+impl LinkMessages {
     /// Returns the figure of delay against size, with the fitted lines.
     pub(crate) fn latency(&self) -> Scaling {
         let explanations =

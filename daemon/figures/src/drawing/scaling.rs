@@ -101,8 +101,8 @@ impl Scaling {
         self.series.iter().flat_map(|series| &series.values).filter(|value| value.value > 0.0)
     }
 
-    /// Returns the lowest and the highest of all values, ends of bars and bounds, SI units. A bound that is far from
-    /// its value is replaced by a nearer number.
+    /// Returns the lowest and the highest of all values, ends of bars and bounds, SI units. A bound
+    /// or a 5th percentile that is far from its value is replaced by a nearer number.
     fn heights(&self) -> Option<(f64, f64)> {
         let extent = |value: &Value| {
             let (lo, hi) = value.p5_and_p95.unwrap_or((value.value, value.value));
@@ -110,7 +110,8 @@ impl Scaling {
             // Bounds that are far from the value, such as a lower bound near zero, would squeeze everything else.
             let top = whisker.and_then(|bounds| bounds.1).map_or(hi, |bound| bound.min(value.value * 10.0));
             let bottom = whisker.map_or(lo, |bounds| bounds.0.max(value.value / 4.0));
-            // So would a 5th percentile near zero. A logarithmic axis cannot show zero or less.
+            // A 5th percentile near zero would squeeze everything else, too. A logarithmic axis
+            // cannot show numbers that are not above zero at all.
             (bottom.min(lo).max(value.value / 100.0), top.max(hi))
         };
         self.values().map(extent).reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
@@ -186,10 +187,12 @@ impl Scaling {
             Key::new(Swatch::Curve(line, series.mark, mark), series.name.clone())
         };
         let plots = self.empty_plot().map(|mut plot| {
-            // Twice the mean index of the series, so that the offsets of all series are symmetric.
-            let middle = self.series.len() as f64 - 1.0;
+            // The offsets are symmetric, because twice the mean index is subtracted from twice the
+            // index.
+            let twice_mean_index = self.series.len() as f64 - 1.0;
             for (index, series) in self.series.iter().enumerate() {
-                let items = self.series_items(&plot, series, HALF_DISTANCE * (2.0 * index as f64 - middle));
+                let dx = HALF_DISTANCE * (2.0 * index as f64 - twice_mean_index);
+                let items = self.series_items(&plot, series, dx);
                 plot.items.extend(items);
             }
             plot

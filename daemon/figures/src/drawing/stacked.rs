@@ -154,10 +154,12 @@ impl Stacked {
     /// Lays the figure out.
     pub fn figure(&self) -> Figure {
         let key = |name: &String| Key::new(Swatch::Area(stage(name).area()), label(name));
-        let plots = match self.is_upright() {
-            _ if self.bars.is_empty() => Vec::new(),
-            true => vec![self.upright_plot()],
-            false => vec![self.horizontal_plot()],
+        let plots = if self.bars.is_empty() {
+            Vec::new()
+        } else if self.is_upright() {
+            vec![self.upright_plot()]
+        } else {
+            vec![self.horizontal_plot()]
         };
         let legend = self.stages.iter().map(key).collect();
         Figure { title: self.title.clone(), legend, notes: self.notes.clone(), plots, ..Figure::default() }

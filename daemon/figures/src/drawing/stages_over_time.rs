@@ -73,16 +73,17 @@ pub struct StagesOverTime {
 }
 
 impl StagesOverTime {
-    /// Returns the largest latency that the axis must show: the largest median or 95th percentile of a bucket. If no
-    /// bucket has enough samples for a 95th percentile, the 95th percentile of the whole run takes its place. If the
-    /// run has too few samples, too, the largest mean of a bucket takes its place.
+    /// Returns the largest latency that the axis must show: the largest median or 95th percentile of
+    /// a bucket. If no bucket has enough samples for a 95th percentile, the 95th percentile of the
+    /// whole run takes its place. If even the whole run has too few samples, the largest mean of a
+    /// bucket takes its place.
     fn largest_latency(&self) -> f64 {
         let largest = |latency: fn(&StageBucket) -> Option<f64>| {
             self.buckets.iter().filter_map(latency).reduce(f64::max)
         };
-        let largest_p95 =
+        let p95_or_mean =
             largest(|bucket| bucket.p95).or(self.p95).or_else(|| largest(|bucket| Some(bucket.mean_total())));
-        largest_p95.into_iter().chain(largest(|bucket| Some(bucket.median))).fold(0.0, f64::max)
+        p95_or_mean.into_iter().chain(largest(|bucket| Some(bucket.median))).fold(0.0, f64::max)
     }
 
     fn has_p95(&self) -> bool {
@@ -239,7 +240,8 @@ impl OverTimeAxes {
         Scale::linear((0.0, self.top * 1e3))
     }
 
-    /// Returns the number of buckets of a run whose mean is above the upper end of the axis.
+    /// Returns the number of a run's buckets in which the mean of the total is above the upper end
+    /// of the vertical axis.
     pub fn beyond(&self, run: &StagesOverTime) -> usize {
         run.buckets.iter().filter(|bucket| bucket.mean_total() > self.top).count()
     }

@@ -2,7 +2,7 @@
 
 use peernet_analysis::slowness::REST_OF_UNATTRIBUTED;
 
-use super::colour::{INK, LINE_STRONG, ON_DARK, ON_PALE, Rgb, Token, WHITE};
+use super::colour::{INK, INK_3, LINE_STRONG, ON_DARK, ON_PALE, Rgb, Token, WHITE};
 use super::hatch::Hatch;
 use super::style::{Fill, Style, TextStyle};
 
@@ -104,14 +104,8 @@ const NON_STAGES: [Stage; 7] = [
 ];
 
 /// Look of every stage that custom code defines.
-const CUSTOM_STAGE: Stage = Stage {
-    name: "",
-    class: "other",
-    colour: Token::new("ink-3", 0x62_6b78, 0x8e_98a6),
-    edge: None,
-    hatch: Hatch::Plain,
-    line: None,
-};
+const CUSTOM_STAGE: Stage =
+    Stage { name: "", class: "other", colour: INK_3, edge: None, hatch: Hatch::Plain, line: None };
 
 /// Returns the label of a stage, or of a part of a stage, in legends, tables and sentences. The label is the name,
 /// except for [`LATENESS`].
@@ -149,7 +143,7 @@ impl Stage {
             UNATTRIBUTED => ("o-unattributed", ON_PALE),
             _ => ("o-other", ON_DARK),
         };
-        TextStyle { class, colour, halo: false }
+        TextStyle { class, colour, has_halo: false }
     }
 
     /// Returns the style of the stage's area in a stack.

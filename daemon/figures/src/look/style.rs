@@ -130,7 +130,7 @@ impl Style {
         Self::line("halo", WHITE, 2.0)
     }
 
-    /// Returns the style of a narrower rim, for lines over bars.
+    /// Returns the style of a rim that is narrower than [`halo`](Self::halo), for lines over bars.
     pub fn rim() -> Self {
         Self::line("rim", WHITE, 1.8)
     }
@@ -179,20 +179,20 @@ pub struct TextStyle {
     /// Colour in a file.
     pub colour: Rgb,
     /// True if a rim in the colour of the background separates the text from the shapes behind it.
-    pub halo: bool,
+    pub has_halo: bool,
 }
 
 impl TextStyle {
     /// Label of an axis. The style sheet of pages selects such a label by its position, so the class is empty.
-    pub const AXIS: Self = Self { class: "", colour: INK_2.light, halo: false };
+    pub const AXIS: Self = Self { class: "", colour: INK_2.light, has_halo: false };
     /// Name of a category at an axis.
-    pub const NAME: Self = Self { class: "", colour: INK.light, halo: false };
+    pub const NAME: Self = Self { class: "", colour: INK.light, has_halo: false };
     /// Text at a mark in a plot.
-    pub const MARK: Self = Self { class: "marktext", colour: INK.light, halo: true };
+    pub const MARK: Self = Self { class: "marktext", colour: INK.light, has_halo: true };
     /// Count of values beyond an axis.
-    pub const BEYOND: Self = Self { class: "beyond", colour: INK_2.light, halo: true };
+    pub const BEYOND: Self = Self { class: "beyond", colour: INK_2.light, has_halo: true };
     /// Text on a pale fill.
-    pub const ON_PALE: Self = Self { class: "", colour: ON_PALE, halo: false };
+    pub const ON_PALE: Self = Self { class: "", colour: ON_PALE, has_halo: false };
 }
 
 /// Look of one of several series: runs, placements, configurations.

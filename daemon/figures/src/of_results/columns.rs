@@ -77,6 +77,8 @@ pub(super) fn undrawn_rows_note<'a>(
 pub(super) fn excluded_note<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> Option<String> {
     // The note does not mention iterations without a row, so their number is given as 0.
     let counts = Counts::from_rows(rows.clone(), 0);
+    // All rows in the statistics count as shown, so that the note mentions only rows that are not
+    // in the statistics.
     left_out_note(&counts, counts.ok)
 }
 

@@ -65,13 +65,13 @@ fn notes(rows: &Rows, columns: &[&str], values: &SortedValues) -> Vec<String> {
 /// such as the total, in ink.
 fn curve(name: &str, values: SortedValues, mark_index: usize) -> CumulativeCurve {
     let look = look(name);
-    let (line, mark) = if !look.has_colour() {
+    let (line, mark) = if look.has_colour() {
+        (look.line(LINE_WIDTH), (Mark::OF_SERIES[mark_index % Mark::OF_SERIES.len()], look.mark()))
+    } else {
         (
             Style::line("strong", INK.light, TOTAL_LINE_WIDTH),
             (Mark::Cross, Style::line("strong", INK.light, LINE_WIDTH)),
         )
-    } else {
-        (look.line(LINE_WIDTH), (Mark::OF_SERIES[mark_index % Mark::OF_SERIES.len()], look.mark()))
     };
     CumulativeCurve { name: name.to_owned(), line, mark, values }
 }

@@ -99,8 +99,8 @@ pub enum MissingData {
     /// No run had several edges.
     #[error("it needs runs of an experiment with several edges at the same time: set experiment.users")]
     Users,
-    /// In no run did all edges measure at the same time. A figure against the number of edges shows only iterations
-    /// from such a time.
+    /// No run has a time at which all of its edges measured. A figure against the number of edges
+    /// shows only iterations from such a time.
     #[error(
         "the edges of each run measured at different times, so no iteration counts for `total`; run the \
          edges at the same time"

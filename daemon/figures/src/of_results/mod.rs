@@ -138,11 +138,11 @@ impl Columns {
             let Some(name) = name else { return Ok(None) };
             let columns: BTreeSet<&str> = runs.iter().flat_map(|run| run.rows.columns_named(name)).collect();
             let mut columns: Vec<String> = columns.into_iter().map(str::to_owned).collect();
+            // If a run has a column with exactly this name, the name is not ambiguous, even if the
+            // column of another run has a longer name.
             if columns.len() > 1 && !columns.contains(name) {
                 return Err(MissingData::AmbiguousColumn { name: name.clone(), columns });
             }
-            // If a run has a column with exactly this name, the name is not ambiguous, even if the column of another
-            // run has a longer name.
             Ok(Some(if columns.len() == 1 { columns.swap_remove(0) } else { name.clone() }))
         };
         Ok(Self { x: resolve(&self.x)?, y: resolve(&self.y)? })

@@ -32,13 +32,13 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
             runs.iter().flat_map(|run| values(&runs_with_values[*run].rows, column).values().to_vec());
         values.collect()
     };
-    let is_replayed = |run: &usize| is_replayed(&runs_with_values[*run].record);
+    let is_run_replayed = |run: &usize| is_replayed(&runs_with_values[*run].record);
     let runs_at_placement = |placement: usize| models.iter().flat_map(move |(_, runs)| &runs[placement]);
     // If all latencies at a placement are replayed, the name of the placement is marked. Otherwise, the names of the
     // models that have replayed latencies at the placement are marked.
     let replayed_placements: Vec<bool> = (0..placements.len())
         .map(|placement| {
-            runs_at_placement(placement).next().is_some() && runs_at_placement(placement).all(is_replayed)
+            runs_at_placement(placement).next().is_some() && runs_at_placement(placement).all(is_run_replayed)
         })
         .collect();
     let group = |(name, runs): &(String, Vec<Vec<usize>>)| Group {
@@ -46,7 +46,7 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
             name,
             runs.iter()
                 .zip(&replayed_placements)
-                .any(|(runs, is_placement_marked)| !is_placement_marked && runs.iter().any(is_replayed)),
+                .any(|(runs, is_placement_marked)| !is_placement_marked && runs.iter().any(is_run_replayed)),
         ),
         values: runs.iter().map(values_of).collect(),
     };
@@ -67,8 +67,8 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
     let shown_runs = models.iter().flat_map(|(_, runs)| runs.iter().flatten());
     let rows = shown_runs.flat_map(|run| &runs_with_values[*run].rows);
     let value_count = groups.iter().flat_map(|group| &group.values).map(SortedValues::len).sum();
-    let undrawn_rows = undrawn_rows_note(&rows, value_count).map(|note| format!("{note} · "));
-    let reading_note = format!("{}black: median, bar: middle half", undrawn_rows.unwrap_or_default());
+    let undrawn_text = undrawn_rows_note(&rows, value_count).map(|note| format!("{note} · "));
+    let reading_note = format!("{}black: median, bar: middle half", undrawn_text.unwrap_or_default());
     let quantity = heading(column);
     let paired = Paired {
         title: format!("{quantity} by model"),

@@ -27,15 +27,15 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
             values: values.filter(|(at, value)| is_drawable(*at) && is_drawable(*value)).collect(),
         }
     };
-    let total = Some(line(TotalColumn::from_rows(rows).name())).filter(|line| !line.values.is_empty());
     let total_column = TotalColumn::from_rows(rows).name();
+    let total = line(total_column);
+    if total.values.is_empty() {
+        return Err(MissingData::Total);
+    }
     let has_total =
         |row: &RowRef<'_>| is_drawable(time(*row)) && row.value(total_column).is_some_and(is_drawable);
     let failed_rows = rows.iter().filter(|row| row.outcome() != Outcome::Ok);
     let failure_times = failed_rows.map(&time).filter(|at| is_drawable(*at)).collect();
-    let Some(total) = total else {
-        return Err(MissingData::Total);
-    };
     let stages = LongestStages::new(rows);
     let episode_start =
         |(previous, row): (RowRef<'_>, RowRef<'_>)| (previous.episode() != row.episode()).then(|| time(row));
@@ -45,7 +45,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         x_title: x_title.to_owned(),
         unit: Unit::milliseconds("Latency"),
         notes: std::iter::once(count_and_warm_up_note(successful().filter(has_total)))
-            .chain(too_large_note(rows.iter(), &[total.name.as_str()]))
+            .chain(too_large_note(rows.iter(), &[total_column]))
             .chain(stages.shorter_note())
             .collect(),
         total,
@@ -57,8 +57,10 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
 }
 
-/// Returns the note on the iterations that are shown: how many are in the statistics, and how many are warm-up:
-/// `n = 54 and 5 warm-up · lines: medians`. Each line joins the medians of short intervals of time.
+/// Returns the note on the iterations that are shown, such as
+/// `n = 54 and 5 warm-up · lines: medians`. The note has the number of iterations in the statistics
+/// and the number of warm-up iterations, and says that each line joins the medians of short
+/// intervals of time.
 fn count_and_warm_up_note<'a>(shown: impl Iterator<Item = RowRef<'a>>) -> String {
     // The note does not mention iterations without a row, so their number is given as 0.
     let Counts { ok, warm_up, .. } = Counts::from_rows(shown, 0);

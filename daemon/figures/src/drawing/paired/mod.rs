@@ -238,7 +238,8 @@ impl Paired {
         }
         let above = self.count_above(values);
         if let Some(largest) = largest_drawn.filter(|_| above > 0) {
-            // The label must not touch the highest point. With the shift 0, its baseline lies at its place.
+            // The label must not touch the highest point. The shift 0 puts the baseline of the
+            // label, instead of its middle, 3 points above the centre of this point.
             let at = At::new(middle, y(largest)).offset_by(0.0, -3.0);
             let label = Label::new(at, format!("+{}", fixed(above as f64, 0)), TextStyle::BEYOND);
             items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, 0.0)));
@@ -306,21 +307,20 @@ impl Paired {
         let x = Axis::new(Scale::linear((0.0, 1.0)), "", "").marked(Marks::Names(ticks.collect()));
         let mut plot = Plot::new(x, self.unit.axis(self.scale(shown)).with_grid());
         for (index, group) in self.groups.iter().enumerate() {
-            // A twentieth of the width of a group stays free on each side.
+            // A twentieth (0.05) of the width of a group stays free on each side.
             let placement_width = step * PLACEMENTS_SHARE / group.values.len().max(1) as f64;
             for (placement, values) in group.values.iter().enumerate() {
                 let middle = step * (index as f64 + 0.05) + placement_width * (placement as f64 + 0.5);
-                let items = self.distribution_items(
-                    &plot,
-                    values,
-                    placement,
-                    (middle, (placement_width * 0.4).min(MAX_HALF_WIDTH)),
-                );
+                // A distribution takes at most 80 % of its width, so that neighbouring
+                // distributions do not touch.
+                let half_width = (placement_width * 0.4).min(MAX_HALF_WIDTH);
+                let items = self.distribution_items(&plot, values, placement, (middle, half_width));
                 plot.items.extend(items);
                 if !count_line.is_empty() && !values.is_empty() {
                     let at = At::new(middle, 1.0).offset_by(0.0, COUNT_DISTANCE);
                     let label = Label::new(at, count_text(values), TextStyle::AXIS).anchored(Anchor::Middle);
-                    // With the shift 0, the baseline of the label lies at its place.
+                    // The shift 0 puts the baseline of the label, instead of its middle, at the
+                    // place.
                     plot.items.push(Item::Text(label.shifted(0.0, 0.0)));
                 }
             }

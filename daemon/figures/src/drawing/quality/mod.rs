@@ -135,6 +135,8 @@ impl QualityAgainstLatency {
     /// Returns the room of the vertical axis beyond the lowest and the highest end of the intervals.
     fn margin(&self, (low, high): (f64, f64)) -> f64 {
         if self.quality == Quality::Return {
+            // The room is a tenth of the range. If the range is empty, 1 % of the value takes its
+            // place.
             (high - low).max(low.abs() * 0.01).max(1e-9) * 0.1
         } else {
             AXIS_MARGIN

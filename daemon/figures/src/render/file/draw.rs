@@ -80,7 +80,7 @@ fn draw_label(svg: &mut Writer, label: &Label, area: &Area) {
     let (x, y) = (x + label.shift.0 * SMALL, y + label.shift.1 * SMALL);
     let element = svg.element(Tag::Text).set("x", x).set("y", y).set("font-size", SMALL);
     let mut element = element.set("fill", label.style.colour);
-    if label.style.halo {
+    if label.style.has_halo {
         element = element.set("stroke", WHITE).set("stroke-width", RIM).set("stroke-linejoin", "round");
         // The rim is painted first, so that it does not cover the letters.
         element = element.set("paint-order", "stroke");
