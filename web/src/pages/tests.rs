@@ -57,6 +57,9 @@ async fn overview_shows_running_pipeline_without_warnings() {
     assert!(html.contains("cam-1 → rack-a · zmq-tcp"));
     assert!(html.contains(">upload </tspan>6.3"));
     assert!(html.contains(">12:01:07</time>"));
+    let label =
+        "Stages of line over the last 10 minutes. In the 10 seconds before the page was loaded: Median ";
+    assert!(html.contains(label), "{html}");
     let entry = html.split("data-stage=\"encode\"").nth(1).expect("a key");
     assert!(entry.split("</button>").next().is_some_and(|entry| entry.ends_with("encode, ipc")), "{entry}");
 }

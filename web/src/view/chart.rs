@@ -161,7 +161,7 @@ impl ChartCard {
             href: place::pipeline_href(&host, &name),
             route: place::route(&host, &pipeline.placement),
             finding: format!(
-                "Stages of {name} over the last 10 minutes. {}",
+                "Stages of {name} over the last 10 minutes. In the 10 seconds before the page was loaded: {}",
                 stack.description((None, None))
             ),
             minutes: minutes(&pipeline.series, &columns, zone),
@@ -187,6 +187,7 @@ impl ChartData {
     fn new(pipeline: &PipelineSnapshot, snapshot: &LiveState, host: String) -> Self {
         let series = &pipeline.series;
         let from = series.first().map_or(0, |second| second.at);
+        // The live state keeps the last 600 seconds, so the limit removes none of them.
         let length = series.last().map_or(0, |second| (second.at - from + 1).clamp(0, 600)) as usize;
         let mut data = Self {
             key: format!("{host}/{}", pipeline.pipeline),
@@ -237,7 +238,7 @@ impl ChartData {
     }
 }
 
-/// Returns the means per minute, newest first, weighted by the iterations of each second.
+/// Returns the means per minute, newest first, weighted by the successful iterations of each second.
 fn minutes(series: &[std::sync::Arc<LiveSecond>], columns: &[&'static str], zone: Zone) -> Vec<Minute> {
     let mut by_minute: BTreeMap<i64, Vec<&LiveSecond>> = BTreeMap::new();
     for second in series {

@@ -21,7 +21,8 @@ pub(crate) struct ClockCell {
     pub title: &'static str,
 }
 
-/// Returns the verdict on the delays of one direction; `None` without delays. A verdict on few delays is ignored.
+/// Returns the verdict on the delays of one direction; `None` without delays. Bad verdicts on less than 5 % of the
+/// delays are ignored ([`Verdict::summarise`]).
 pub(crate) fn verdict(bound: &DelayAccuracy) -> Option<Verdict> {
     Verdict::summarise(bound.verdicts.iter().copied())
 }
@@ -41,8 +42,8 @@ pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
             "sound, but the interval is wider than half the delay: read it as an interval, not as a figure"
         }
         Verdict::Stale => {
-            "too few exchanges at that time: fewer than three since the link came up or a clock was stepped, or none lately; the \
-             interval holds, but is wide"
+            "too few exchanges at that time (fewer than three since the link came up or a clock was stepped, or none lately), so \
+             the interval is wide; or the newest exchanges contradicted the others, as they do after a clock has jumped"
         }
         Verdict::Unsynchronised => {
             "nothing related the two hosts' clocks at that time, so the directions cannot be told apart; their sum is exact"
@@ -65,9 +66,9 @@ impl ClockCell {
             return Self { bound: None, chip: None, words: "one host", title };
         }
         let verdict = Verdict::worst(bounds.iter().filter_map(verdict));
-        let width = bounds.iter().filter_map(DelayAccuracy::median_half_width).max_by(f64::total_cmp);
+        let half_width = bounds.iter().filter_map(DelayAccuracy::median_half_width).max_by(f64::total_cmp);
         let chip = verdict.map(Chip::verdict);
-        match (width, verdict) {
+        match (half_width, verdict) {
             (_, None) => Self {
                 bound: None,
                 chip,
@@ -75,9 +76,9 @@ impl ClockCell {
                 title: "no one-way delay was measured in this time",
             },
             (None, Some(verdict)) => Self { bound: None, chip, words: "", title: meaning(verdict) },
-            (Some(width), Some(verdict)) => {
-                let title = if is_exact(width) { "both hosts read one clock" } else { meaning(verdict) };
-                Self { bound: Some(bound_ms(width)), chip, words: "", title }
+            (Some(half_width), Some(verdict)) => {
+                let title = if is_exact(half_width) { "both hosts read one clock" } else { meaning(verdict) };
+                Self { bound: Some(bound_ms(half_width)), chip, words: "", title }
             }
         }
     }
@@ -106,8 +107,11 @@ mod tests {
         assert_eq!(cell.bound, None);
         assert_eq!(cell.chip.map(|chip| chip.word), Some("unsynchronised"));
         assert!(cell.title.contains("nothing related"));
+    }
+
+    #[test]
+    fn cell_without_delays_states_the_reason() {
         assert_eq!(ClockCell::of(PlacementKind::Local, &[]).words, "one host");
-        // A finished pipeline has no recent delays, and does not wait for any.
         assert_eq!(ClockCell::of(PlacementKind::Remote, &[]).words, "no delays");
     }
 }
