@@ -77,8 +77,8 @@ pub(crate) struct StageDelay {
 }
 
 impl StageDelay {
-    /// Returns the iteration's delay of a stage. `None` if the stage occurs several times: its value is then the sum of several delays,
-    /// and no single delay describes the accuracy of the sum.
+    /// Returns the iteration's delay of a stage. `None` if the stage has no delay, or if it occurs several times: the
+    /// stage's value is then the sum of several delays, and no single delay describes the accuracy of the sum.
     pub(crate) fn find(row: &store::IterationRow, stage: &Name) -> Option<Self> {
         let mut delays_of_stage = row.delays.iter().filter(|delay| delay.stage == *stage);
         let delay = delays_of_stage.next().filter(|_| delays_of_stage.next().is_none())?;
@@ -159,9 +159,12 @@ pub(crate) struct Iteration {
     pub tree: serde_json::Value,
     /// Names of the hosts of the tree's anchors.
     pub hosts: Vec<Option<String>>,
-    /// Rank among the slowest, from 1.
+    /// Rank among the slowest successful iterations of the run, from 1; null beyond the 1,000 slowest, and for an
+    /// iteration that the statistics exclude.
     pub rank: Option<u64>,
+    /// Number of the previous stored iteration.
     pub previous: Option<u64>,
+    /// Number of the next stored iteration.
     pub next: Option<u64>,
     /// Figures of the whole run, for comparison.
     pub run_figures: Vec<NodeFigures>,

@@ -5,7 +5,7 @@ use peernet_stream::{self as stream, DelayPoint, DelaySecond, ProbeCounts};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// Offset between the two related clocks at one time: cloud minus edge. `clocks` names the clocks.
+/// Offset between the two related clocks at one time: cloud minus edge. The field `clocks` beside it names the clocks.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ClockOffset {
     /// Best estimate, seconds. Null, like the bounds, when the verdict is `inconsistent`.
@@ -18,7 +18,8 @@ pub(crate) struct ClockOffset {
     pub sources: Vec<Source>,
     /// `ok`, `stale` or `inconsistent`.
     pub verdict: &'static str,
-    /// Rate at which the offset grows, parts per million; null before there are enough exchanges.
+    /// Rate at which the offset grows, parts per million; null before there are enough exchanges, and when the verdict
+    /// is `inconsistent`.
     pub skew_ppm: Option<f64>,
     /// Number of exchanges since the relation period began.
     pub exchanges: u64,
@@ -107,7 +108,7 @@ pub(crate) struct MedianDelay {
     pub hi_s: f64,
     /// Size of the message with this delay in bits, divided by `value_s`. The delays include messages of all pipelines of the link, so use
     /// `transfers` of a pipeline for its speed. If the verdict is `limited`, only an interval is known: the size divided by `hi_s` and by
-    /// `lo_s`.
+    /// `lo_s`. Null if the size is unknown.
     pub bits_per_second: Option<f64>,
 }
 

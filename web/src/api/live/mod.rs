@@ -93,7 +93,8 @@ struct Query {
     topics: Option<String>,
     /// Id of the last event of an earlier stream, like the header `Last-Event-ID`, which a script cannot set on a new `EventSource`.
     /// The first `picture` then has an entry for each second since that event, and for the five seconds before it. It has at most 600
-    /// entries for each pipeline, and only the newest five if there are too many pipelines. All other parts are sent as they are now.
+    /// entries for each pipeline, and only the newest five if the entries of all pipelines would exceed 10,000. All other parts are sent as
+    /// they are now.
     #[param(pattern = "^-?[0-9]+$")]
     last_event_id: Option<String>,
 }

@@ -23,7 +23,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Recomputed {
     pub run: i64,
-    /// Stored clock samples that were used.
+    /// Number of stored clock samples that were used.
     pub samples: u64,
     /// Clocks whose stamps the recomputation used: `raw`, `raw-to-wall` (the free-running clock of the edge, the wall clock of the cloud), or
     /// `wall` for runs that were recorded before release 0.3.0, whose delays depend on steps and slews of wall clocks. Empty if no delay was

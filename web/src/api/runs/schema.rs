@@ -19,7 +19,7 @@ pub(crate) struct RunList {
 /// One pipeline configuration executed for many iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Run {
-    /// Number of the run, for display.
+    /// Number of the run on pages and in addresses: `{run}` in the paths of this API.
     pub number: i64,
     pub id: String,
     /// Name of the edge host.
