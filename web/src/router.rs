@@ -58,7 +58,8 @@ pub(crate) fn build_router(app: App) -> Router {
         .layer(header(X_FRAME_OPTIONS, "DENY"))
         .layer(header(REFERRER_POLICY, "same-origin"))
         .layer(header(HeaderName::from_static("cross-origin-opener-policy"), "same-origin"))
-        // `WebError` logs failures. An answer of 503 is not always a failure: /readyz returns it while events are not being stored.
+        // This layer logs no failures. `WebError` logs them, and an answer of 503 is not always a failure: /readyz
+        // returns it while events are not being stored.
         .layer(TraceLayer::new_for_http().on_failure(()))
         .with_state(app)
 }

@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ip_addresses_and_configured_names_are_accepted() {
+    fn only_ip_addresses_and_own_names_are_accepted() {
         let names = ServerNames::new(&["Dash.example.org".to_owned()]);
         for host in [
             "127.0.0.1",

@@ -165,16 +165,17 @@ impl Timeline {
         timeline
     }
 
-    /// Sorts the nodes below the root by start. Children stay with their parents, and a node without a start stays behind the
-    /// node before it.
+    /// Sorts the children of the root by start. Their descendants stay behind them, and a child without a start stays
+    /// behind the child before it.
     fn sort(&mut self) {
-        let mut parent_start = f64::NEG_INFINITY;
+        // Start of the child of the root that the node belongs to.
+        let mut group_start = f64::NEG_INFINITY;
         let mut keyed: Vec<(f64, PlacedNode)> = Vec::with_capacity(self.nodes.len());
         for node in self.nodes.drain(..) {
             if node.depth == 0 {
-                parent_start = node.start.unwrap_or(parent_start);
+                group_start = node.start.unwrap_or(group_start);
             }
-            keyed.push((parent_start, node));
+            keyed.push((group_start, node));
         }
         keyed.sort_by(|(a, _), (b, _)| a.total_cmp(b));
         self.nodes = keyed.into_iter().map(|(_, node)| node).collect();

@@ -106,7 +106,7 @@ fn unrelated_clocks_leave_sum_exact_and_position_uncertain() {
 }
 
 #[test]
-fn wall_clock_step_during_visit_moves_no_node() {
+fn measured_sum_places_answer_despite_wall_clock_step() {
     let mut detail = offloaded(Span::ZERO, |raw, _| OneWayDelay::stepped(raw, DelaySource::None));
     // The edge's clock was set back by five seconds while the sample was on the cloud. Only the answer, which arrives
     // 27 ms after the start, is stamped after that.
@@ -142,7 +142,7 @@ fn lost_message_gives_timeline_without_visit() {
 }
 
 #[test]
-fn visit_is_placed_despite_edge_clock_step() {
+fn raw_stamps_place_answer_despite_wall_clock_step() {
     let true_delay = |_, truth: Span| OneWayDelay {
         // An arbitrary difference of stamps. No node is placed by it.
         raw: truth + Span::from_seconds(5_000),
@@ -153,8 +153,9 @@ fn visit_is_placed_despite_edge_clock_step() {
     };
     let mut detail = offloaded(Span::from_seconds(77), true_delay);
     let raw = |millis: i64| RawTime::from_nanos(millis * 1_000_000);
-    // The request is sent at 2 ms and arrives at 22 ms, the answer is sent at 26 ms and arrives at 27 ms. Meanwhile the
-    // edge's wall clock is set back by an hour.
+    // The request is sent at 2 ms and arrives at 22 ms, the answer is sent at 26 ms and arrives at 27 ms. At the start,
+    // the edge's free-running clock reads 1 s, and that of the cloud 6,001 s. Before the answer arrives, the edge's
+    // wall clock is set back by an hour.
     let (up, down) = ((raw(1_002), raw(6_001_022)), (raw(6_001_026), raw(1_027)));
     let ids: Vec<NodeId> = (0..detail.tree.nodes().len() as u32).map(NodeId).collect();
     let mut stamps = [up, down].into_iter();

@@ -82,7 +82,8 @@ const MEANS: [(&str, f64); 11] = [
     ("unattributed", 0.0001),
 ];
 
-/// Returns the transfers of messages of 150 kB. Each upload takes `upload` seconds; `None` for an unknown delay.
+/// Returns the transfers of `messages` uploads of 150 kB each, without downloads. Each upload takes `upload` seconds;
+/// `None` for an unknown delay.
 fn transfers(messages: u64, upload: Option<f64>) -> Transfers {
     Transfers::from_statistics(|name| match name.as_str() {
         "upload-bytes" => (messages > 0).then_some((messages, 149_625.0)),
@@ -94,8 +95,8 @@ fn transfers(messages: u64, upload: Option<f64>) -> Transfers {
 /// Half the width of the clock bounds, seconds.
 const HALF_WIDTH: f64 = 0.00065;
 
-/// Returns a window of `seconds` seconds with `hz` iterations per second, whose means are `scale` times the usual
-/// values.
+/// Returns a window of `seconds` seconds with `hz` iterations per second. Its means are `scale` times [`MEANS`]. All
+/// delays have the verdict `verdict`; delays that are `Unsynchronised` have no values.
 pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Window {
     let successes = (f64::from(seconds) * hz) as u64;
     let is_transit = |name: &str| matches!(name, "upload" | "download");
@@ -196,7 +197,7 @@ fn host_id() -> HostId {
     HostId::from_bytes([7; 16])
 }
 
-/// Returns a connected host. `hardware` is the text of its processor, and of its version.
+/// Returns a connected host. `hardware` is both the name of its processor and the version of its agent.
 pub(crate) fn host(name: &str, hardware: &str) -> HostSnapshot {
     let metrics =
         HostMetrics { cpu: Some(0.31), memory_used_bytes: Some(4_100_000_000), ..HostMetrics::default() };
@@ -322,7 +323,7 @@ pub(crate) fn clock_sample(at: WallTime, relation_period: u64, half: Option<f64>
     }
 }
 
-/// Returns the sample as a point of a history.
+/// Returns [`clock_sample`] as a point of a history.
 pub(crate) fn clock_point(at: WallTime, relation_period: u64, half: Option<f64>) -> ClockPoint {
     let sample = clock_sample(at, relation_period, half);
     ClockPoint {

@@ -56,9 +56,9 @@ fn statistics_of_name<'a>(
 impl ByteRow {
     /// Returns a row for each direction in which a payload was sent.
     pub(crate) fn of_directions(detail: &IterationDetail) -> Vec<Self> {
-        let measured_rows =
+        let measured_directions =
             DIRECTIONS.into_iter().filter(|(_, payload, ..)| counted_value(detail, payload).is_some());
-        let byte_rows = measured_rows.map(|(delay_name, payload, metadata, throughput_name)| {
+        let byte_rows = measured_directions.map(|(delay_name, payload, metadata, throughput_name)| {
             let size = |name: &str| {
                 counted_value(detail, name).map_or_else(|| NONE.to_owned(), |size| bytes(size).to_string())
             };

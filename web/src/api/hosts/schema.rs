@@ -327,15 +327,20 @@ mod tests {
 
     #[test]
     fn missing_events_include_those_that_only_aggregator_found() {
-        let missing_events = |dropped: u64, missing: u64, missing_before: u64| {
+        let missing_events = |dropped: u64, missing: u64, in_other_database: u64| {
             let mut host = samples::host("edge", "robot");
             host.accounting.dropped = dropped;
-            (host.stored.missing, host.stored.in_other_database) = (missing, missing_before);
+            (host.stored.missing, host.stored.in_other_database) = (missing, in_other_database);
             Host::from(&host).missing_events
         };
         // Both counts include the gaps that the agent reported, so the counts are not added.
         assert_eq!([missing_events(0, 849, 0), missing_events(1_050, 50, 0)], [849, 1_050]);
         assert_eq!(missing_events(0, 849, 849), 0, "another database has them");
+    }
+
+    #[test]
+    fn gap_of_unknown_size_makes_missing_events_incomplete() {
+        // The events of one of the gaps are stored in another database.
         let is_incomplete = |unknown_gaps: u64| {
             let mut host = samples::host("edge", "robot");
             (host.stored.unknown_gaps, host.stored.unknown_gaps_in_other_database) = (unknown_gaps, 1);

@@ -42,11 +42,12 @@ async fn each_run_is_drawn_with_episodes_and_losses() {
     );
     for picture in [&first, &second] {
         let path = |class: &str| picture.split(&format!("class=\"{class}\" d=\"")).nth(1).expect("a path");
-        assert_eq!(path("border").split('"').next().expect("its end").matches('M').count(), 3);
+        let borders = path("border").split('"').next().expect("its end");
+        assert_eq!(borders.matches('M').count(), 3, "one between each two of the 4 episodes: {borders}");
         let median = path("median").split('"').next().expect("its end");
         assert_eq!(median.matches('M').count(), 2, "nothing is drawn over the gap: {median}");
         assert!(picture.contains("class=\"f-upload\""), "{picture}");
-        assert_eq!(picture.matches("class=\"warm-up\"").count(), 2, "parts of episodes 1 and 3: {picture}");
+        assert_eq!(picture.matches("class=\"warm-up\"").count(), 2, "in episodes 1 and 3: {picture}");
     }
     assert!(panel.contains("to a little above the largest p95, over seconds since the first"), "{panel}");
     assert!(panel.contains("encode, ipc</li>"), "{panel}");

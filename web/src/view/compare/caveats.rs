@@ -98,6 +98,7 @@ pub(crate) fn commands(comparison: &Comparison, host: &str) -> Option<String> {
     let host =
         Some(host).filter(|host| !host.is_empty() && host.chars().all(is_plain)).unwrap_or(DEFAULT_ADDRESS);
     let files: Vec<String> = runs.iter().map(|run| format!("run-{run}.csv")).collect();
+    // curl replaces `#1` in the name of the file by the number of the run.
     Some(format!(
         "curl -sSf \"http://{host}/api/v1/runs/{{{}}}/export\" -o \"run-#1.csv\"\npeernet compare {}",
         runs.join(","),
