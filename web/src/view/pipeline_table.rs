@@ -177,9 +177,9 @@ impl PipelineRow {
         let (p95, p95_cell) = quantile(total, MIN_VALUES_FOR_P95, |total| total.p95);
         let (p99, p99_cell) = quantile(total, MIN_VALUES_FOR_P99, |total| total.p99);
         let part = |name: &str| stack.parts.iter().find(|part| part.name == name);
-        let column = stack.duration_format();
+        let format = stack.duration_format();
         let mean = |name: &&'static str| {
-            part(name).map_or_else(|| NONE.to_owned(), |part| column.duration(part.seconds))
+            part(name).map_or_else(|| NONE.to_owned(), |part| format.duration(part.seconds))
         };
         Self {
             name: pipeline.pipeline.to_string(),
@@ -209,7 +209,7 @@ impl PipelineRow {
             traffic: speed::traffic(pipeline.placement.kind, window),
             clock: ClockCell::of(pipeline.placement.kind, &window.bounds),
             stages: columns.iter().map(mean).chain([mean(&"unattributed")]).collect(),
-            total: stack.total.map_or_else(|| NONE.to_owned(), |total| column.duration(total.mean)),
+            total: stack.total.map_or_else(|| NONE.to_owned(), |total| format.duration(total.mean)),
         }
     }
 }

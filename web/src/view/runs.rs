@@ -87,8 +87,9 @@ pub(crate) struct RunLine {
     pub experiment: Option<ExperimentLabels>,
 }
 
-/// Returns the reason why iterations are deleted: `after 7 days`.
+/// Returns when or why iterations are deleted, as the end of a sentence: `after 7 days`.
 fn deletion_reason(retention: &RetentionConfig) -> String {
+    // The value 0 of either setting is no limit.
     match (retention.nodes_days, retention.size_limit_bytes) {
         (1, 0) => "after 1 day".to_owned(),
         (days, 0) if days > 0 => format!("after {} days", count(days.into())),
@@ -149,13 +150,13 @@ pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
         let subject = format!("{} of this run", missing.sentence_start());
         let [from, to] = [from, to].map(|at| zone.moment(at).time_of_day());
         // One row may combine several gaps.
-        let gaps: u64 = gaps_of_reason().map(|gap| gap.gaps).sum();
-        let gaps = counted(gaps, "gap");
+        let gap_count: u64 = gaps_of_reason().map(|gap| gap.gaps).sum();
+        let gap_count = counted(gap_count, "gap");
         Some(Note {
             chip: Chip::new(Tone::Warn, "gap", "gap"),
             subject,
             href: String::new(),
-            text: format!("{was} not recorded: {reason} (from {from} to {to}, in {gaps})."),
+            text: format!("{was} not recorded: {reason} (from {from} to {to}, in {gap_count})."),
             link: None,
         })
     });
@@ -214,6 +215,7 @@ mod tests {
         let partly_known = [gap(0, 849, "no room"), gap(60, 0, "no room")];
         let subject = "At least 849 events";
         assert_eq!(gap_notes(&partly_known, Zone::Utc)[0].subject, format!("{subject} of this run"));
+        // The trust report of the run has the same subject.
         let missing = partly_known
             .iter()
             .map(|gap| MissingEvents { count: gap.count, reason: gap.reason.clone() })

@@ -106,7 +106,7 @@ pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: NetworkDirec
     let verdict = bound_of(&window.bounds, direction).and_then(clocks::verdict);
     let why = find_obstacle(verdict, window.counts.ok);
     match text(&window.transfers, &window.bounds, direction, window.value(direction.delay_name())) {
-        // Without a verdict the speed is known, so `why` does not apply.
+        // If the speed is known although no delay was judged, `why` would claim that nothing was sent.
         Some(text) => Cell { text, title: verdict.and(why).map(str::to_owned) },
         None => Cell::none(why.unwrap_or("the sizes or the delays are not known")),
     }

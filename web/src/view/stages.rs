@@ -46,26 +46,26 @@ pub(crate) struct BoundCell {
     pub title: &'static str,
 }
 
-/// Reason why a quantile is missing.
+/// Reason why a quantile is missing. The numbers are `MIN_VALUES_FOR_P95` and `MIN_VALUES_FOR_P99`.
 pub(crate) const TOO_FEW: &str = "too few iterations: p95 needs 60, p99 needs 300";
 
 impl StageRow {
     fn new(
-        column: DurationFormat,
+        format: DurationFormat,
         name: &str,
         statistics: Option<&QuantityStatistics>,
         bound: Option<&DelayAccuracy>,
         share: Option<f64>,
     ) -> Self {
         let text = |number_of: fn(&QuantityStatistics) -> Option<f64>| {
-            statistics.and_then(number_of).map_or_else(|| NONE.to_owned(), |value| column.duration(value))
+            statistics.and_then(number_of).map_or_else(|| NONE.to_owned(), |value| format.duration(value))
         };
         Self {
             look: look::class(name),
             depth: u8::from(matches!(name, "capture" | "transform" | look::LATENESS)),
             occurrence: None,
             mean: text(|statistics| Some(statistics.mean)),
-            std: statistics.and_then(|statistics| statistics.std).map(|std| column.number(std)),
+            std: statistics.and_then(|statistics| statistics.std).map(|std| format.number(std)),
             p50: text(|statistics| Some(statistics.p50)),
             p95: text(|statistics| statistics.p95),
             p99: text(|statistics| statistics.p99),
@@ -98,14 +98,13 @@ impl StageRow {
     }
 
     /// Returns the row of the sum of both directions.
-    fn network(column: DurationFormat, part: &StagePart, share: Option<f64>) -> Self {
+    fn network(format: DurationFormat, part: &StagePart, share: Option<f64>) -> Self {
         let (statistics, bound) = (None, None);
-        let title =
-            "independent of the clock offset: the round trip on this host minus the time on the other host";
+        let title = "independent of the clock offset: the round trip on the edge minus the time on the cloud";
         Self {
-            mean: column.duration(part.seconds),
+            mean: format.duration(part.seconds),
             bound: BoundCell { text: EXACT.to_owned(), sign: None, title },
-            ..Self::new(column, &part.name, statistics, bound, share)
+            ..Self::new(format, &part.name, statistics, bound, share)
         }
     }
 
@@ -119,12 +118,12 @@ impl StageRow {
                 && stage.stage != look::LATENESS
         };
         let stack = Stack::of_run(stages, bounds);
-        let column = stack.duration_format();
+        let format = stack.duration_format();
         let mut rows: Vec<Self> = stages
             .iter()
             .filter(is_listed_first)
             .map(|stage| {
-                Self::new(column, &stage.stage, Some(&stage.statistics), stage.bound.as_ref(), stage.share)
+                Self::new(format, &stage.stage, Some(&stage.statistics), stage.bound.as_ref(), stage.share)
             })
             .collect();
         let index_of = |rows: &[Self], name: &str| {
@@ -134,14 +133,14 @@ impl StageRow {
         // the delays.
         for bound in bounds.iter().filter(|bound| stages.iter().all(|stage| stage.stage != bound.stage)) {
             let (statistics, share) = (None, None);
-            let row = Self::new(column, &bound.stage, statistics, Some(bound), share);
+            let row = Self::new(format, &bound.stage, statistics, Some(bound), share);
             rows.insert(index_of(&rows, &bound.stage), row);
         }
         // Only if neither direction has a known delay, the sum of both directions has a row, before `upload` as in the
         // bar.
         if let Some(network) = stack.parts.iter().find(|part| part.name == look::NETWORK) {
             let share = stack.split.share_of_mean_total(network.seconds);
-            let row = Self::network(column, network, Some(share));
+            let row = Self::network(format, network, Some(share));
             rows.insert(index_of(&rows, &stage::UPLOAD), row);
         }
         let has = |name: &str| stages.iter().any(|stage| stage.stage == *name);
@@ -150,7 +149,7 @@ impl StageRow {
                 |name| {
                     let stage = stages.iter().find(|stage| stage.stage == *name)?;
                     Some(Self::new(
-                        column,
+                        format,
                         name,
                         Some(&stage.statistics),
                         None,
@@ -167,7 +166,7 @@ impl StageRow {
     /// Returns the rows of a live window.
     pub(crate) fn of_window(window: &Window) -> Vec<Self> {
         let stack = Stack::of_window(window);
-        let column = stack.duration_format();
+        let format = stack.duration_format();
         let count_and_mean_of =
             |name: &str| window.value(name).map(|statistics| (statistics.count, statistics.mean));
         let sent = DelayAccuracy::sent_messages(&window.bounds);
@@ -180,12 +179,12 @@ impl StageRow {
         let order = order.filter(|name| *name != look::LATENESS).chain([look::LATENESS, "total"]);
         for name in order {
             if let Some(network) = network.filter(|_| name == look::NETWORK) {
-                rows.push(Self::network(column, network, share(look::NETWORK)));
+                rows.push(Self::network(format, network, share(look::NETWORK)));
             }
             let bound = window.bounds.iter().find(|bound| bound.stage == *name);
             let statistics = window.value(name);
             if statistics.is_some() || bound.is_some_and(|bound| !bound.verdicts.is_empty()) {
-                rows.push(Self::new(column, name, statistics, bound, share(name)));
+                rows.push(Self::new(format, name, statistics, bound, share(name)));
             }
         }
         Self::with_occurrences(rows, |name| window.value(name).map(|statistics| statistics.count))

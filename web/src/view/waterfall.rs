@@ -81,13 +81,13 @@ pub(crate) fn rows(
     hosts: &[String],
     scale: &Scale,
 ) -> Vec<Row> {
-    let column = timeline.duration_format();
+    let format = timeline.duration_format();
     let is_cause = |name: &str| detail.row.causes.iter().any(|cause| cause.name == *name);
     let row = |node: &PlacedNode| {
         let is_cause = node.is_counted && is_cause(node.name.as_str());
         // Only the bar of a cause has a mark at the median.
         let has_median = is_cause;
-        Row::of(node, hosts, is_cause, bars::row(node, timeline, scale, has_median), column)
+        Row::of(node, hosts, is_cause, bars::row(node, timeline, scale, has_median), format)
     };
     let is_lateness = |node: &&PlacedNode| node.depth == 0 && node.name == *look::LATENESS;
     let mut rows: Vec<Row> = timeline.nodes.iter().filter(|node| !is_lateness(node)).map(row).collect();
@@ -105,14 +105,14 @@ pub(crate) fn rows(
             // The sum of network and unattributed time has no median.
             let median = medians.both_ways().filter(|_| name == look::NETWORK);
             let bar = bars::blank(scale);
-            let mut row = Row::without_node(name, "network".to_owned(), (seconds, median), bar, column);
+            let mut row = Row::without_node(name, "network".to_owned(), (seconds, median), bar, format);
             row.is_cause = is_cause(name);
             rows.insert(index, row);
         }
         if let Some(rest) = unaccounted.unattributed {
             let median = medians.median(&stage::UNATTRIBUTED);
             let bar = bars::blank(scale);
-            let mut row = Row::without_node("unattributed", edge.clone(), (rest, median), bar, column);
+            let mut row = Row::without_node("unattributed", edge.clone(), (rest, median), bar, format);
             // If starts are late, the cause has the second name.
             row.is_cause = is_cause("unattributed") || is_cause(REST_OF_UNATTRIBUTED);
             rows.push(row);
@@ -123,7 +123,7 @@ pub(crate) fn rows(
             edge,
             (total, medians.median(&stage::TOTAL)),
             bars::total(total, scale),
-            column,
+            format,
         );
         total_row.class = "total";
         rows.push(total_row);
@@ -147,7 +147,7 @@ fn name_hosts_once(rows: &mut [Row]) {
 }
 
 impl Row {
-    fn of(node: &PlacedNode, hosts: &[String], is_cause: bool, bar: Picture, column: DurationFormat) -> Self {
+    fn of(node: &PlacedNode, hosts: &[String], is_cause: bool, bar: Picture, format: DurationFormat) -> Self {
         let (host, class) = match node.location {
             NodeLocation::Network => ("network".to_owned(), "net"),
             NodeLocation::Host(0) => (hosts.first().cloned().unwrap_or_default(), ""),
@@ -155,7 +155,7 @@ impl Row {
         };
         let bounds = node.delay.and_then(|delay| delay.bounds);
         let difference =
-            node.length.zip(node.median).map(|(length, median)| column.difference(length - median));
+            node.length.zip(node.median).map(|(length, median)| format.difference(length - median));
         Self {
             group: None,
             span: 1,
@@ -164,16 +164,16 @@ impl Row {
             look: look::class(&node.name),
             depth: node.depth,
             host,
-            value: or_dash(node.length.map(|length| format_duration(length, bounds, column))),
+            value: or_dash(node.length.map(|length| format_duration(length, bounds, format))),
             bound: bounds.map(clocks::interval_text),
             chip: node.delay.map(|delay| Chip::verdict(delay.verdict)),
             difference: or_dash(difference),
             is_cause,
             bar,
-            start: or_dash(node.start.map(|start| column.number(start))),
+            start: or_dash(node.start.map(|start| format.number(start))),
             lo: or_dash(bounds.map(|(lo, hi)| ends_ms(lo, hi)[0].clone())),
             hi: or_dash(bounds.map(|(lo, hi)| ends_ms(lo, hi)[1].clone())),
-            median: or_dash(node.median.map(|median| column.duration(median))),
+            median: or_dash(node.median.map(|median| format.duration(median))),
         }
     }
 
@@ -184,7 +184,7 @@ impl Row {
         host: String,
         (seconds, median): (f64, Option<f64>),
         bar: Picture,
-        column: DurationFormat,
+        format: DurationFormat,
     ) -> Self {
         Self {
             group: None,
@@ -194,28 +194,29 @@ impl Row {
             look: look::class(name),
             depth: 0,
             host,
-            value: column.duration(seconds),
+            value: format.duration(seconds),
             bound: (name == look::NETWORK || name == NETWORK_AND_REST).then(|| EXACT.to_owned()),
             chip: None,
-            difference: or_dash(median.map(|median| column.difference(seconds - median))),
+            difference: or_dash(median.map(|median| format.difference(seconds - median))),
             is_cause: false,
             bar,
             start: NONE.to_owned(),
             lo: NONE.to_owned(),
             hi: NONE.to_owned(),
-            median: or_dash(median.map(|median| column.duration(median))),
+            median: or_dash(median.map(|median| format.duration(median))),
         }
     }
 }
 
-/// Formats a duration in ms, with the digits that its bounds support; without bounds, with the digits of its column.
-fn format_duration(seconds: f64, bounds: Option<(f64, f64)>, column: DurationFormat) -> String {
-    bounds.map_or_else(|| column.number(seconds), |bounds| within_ms(seconds, bounds))
+/// Formats a duration in ms with the digits that its bounds support. Without bounds, uses `format`, which is the
+/// format of the column.
+fn format_duration(seconds: f64, bounds: Option<(f64, f64)>, format: DurationFormat) -> String {
+    bounds.map_or_else(|| format.number(seconds), |bounds| within_ms(seconds, bounds))
 }
 
 /// Returns the computation of each one-way delay.
 pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayRow]) -> Vec<DelayRow> {
-    let column = timeline.duration_format();
+    let format = timeline.duration_format();
     let nodes_with_delay = timeline.nodes.iter().filter_map(|node| Some((node, node.delay?)));
     let rows = nodes_with_delay.map(|(node, delay)| {
         let bounds = delay.bounds;
@@ -226,12 +227,12 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
         };
         DelayRow {
             name: node.name.to_string(),
-            raw: format_duration(delay.raw, bounds, column),
+            raw: format_duration(delay.raw, bounds, format),
             offset: or_dash(delay.value.map(|value| match bounds {
                 Some(bounds) => signed_within_ms(delay.raw - value, bounds),
-                None => column.difference(delay.raw - value),
+                None => format.difference(delay.raw - value),
             })),
-            value: or_dash(delay.value.map(|value| format_duration(value, bounds, column))),
+            value: or_dash(delay.value.map(|value| format_duration(value, bounds, format))),
             lo: or_dash(interval_end(0)),
             hi: or_dash(interval_end(1)),
             source: source_words(delay.source),
@@ -250,8 +251,8 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
 /// not see the picture.
 pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     let Some(visit) = timeline.visit() else { return String::new() };
-    let column = timeline.duration_format();
-    let at = |seconds: f64| format!("{}{SPACE}ms", column.duration(seconds));
+    let format = timeline.duration_format();
+    let at = |seconds: f64| format!("{}{SPACE}ms", format.duration(seconds));
     let answer = visit.answer_times.map_or_else(
         || "no answer came back".to_owned(),
         |(_, received_at)| format!("the answer is back at {}", at(received_at)),

@@ -25,7 +25,8 @@ pub(crate) struct HostRow {
     pub clock_fault: Option<String>,
 }
 
-/// Returns the bounds of the clock's error that a time daemon claims, in words: `within ±0.42 ms of true time`, `+4,001.08 ms from true time, ±0.04 ms`.
+/// Returns the bounds of the clock's error that a time daemon claims, in words: `within ±0.42 ms of true
+/// time`, `+4,001.08 ms from true time, ±0.04 ms`.
 pub(crate) fn reported_error_bounds(clock: &HostClock) -> String {
     let Some(claim) = clock.claim else { return NONE.to_owned() };
     let (lo, hi) = (claim.error.lo.seconds(), claim.error.hi.seconds());
@@ -38,8 +39,8 @@ pub(crate) fn reported_error_bounds(clock: &HostClock) -> String {
 
 /// Clock sources that read the counter of the processor.
 const PROCESSOR_COUNTERS: [&str; 2] = ["tsc", "arch_sys_counter"];
-/// Clock sources that read another counter of a machine or of its kernel. With any other clock source, the hypervisor
-/// supplies the time. It may change the rate of a clock that is free-running from the view of the guest.
+/// Clock sources that read another counter of a machine or of its kernel. A clock source in neither list counts as
+/// one of a hypervisor, which may change the rate of a clock that the guest considers free-running.
 const OTHER_COUNTERS: [&str; 4] = ["hpet", "acpi_pm", "jiffies", "refined-jiffies"];
 
 /// Describes how a clock is synchronised, and whether the hypervisor supplies it.

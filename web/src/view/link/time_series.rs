@@ -25,8 +25,8 @@ pub(crate) struct LinkTimeSeries {
 }
 
 impl LinkTimeSeries {
-    /// Returns the last `seconds` seconds of a live link, with one point for every two seconds. The time series ends at a multiple of two
-    /// seconds, so a chart of it changes only when a point is complete.
+    /// Returns the last `seconds` seconds of a live link, with one point for every two seconds. The time series ends
+    /// at a multiple of two seconds, so a chart of it changes only when a point is complete.
     pub(crate) fn live(history: &[Arc<ClockPoint>], end: WallTime, seconds: i64) -> Self {
         let (from, to) = live_range(end, seconds);
         let recent =
@@ -73,8 +73,9 @@ impl LinkTimeSeries {
         between.chain(last).filter(|(from, to)| *to - *from > max_distance).collect()
     }
 
-    /// Converts a time of the cloud's wall clock to the edge's wall clock, with the offset that was measured nearest to that time. An offset
-    /// of free-running clocks says nothing about wall clocks. Without an offset of wall clocks, returns the time unchanged.
+    /// Converts a time of the cloud's wall clock to the edge's wall clock, with the offset that was measured nearest
+    /// to that time. An offset of free-running clocks says nothing about wall clocks. Without an offset of wall
+    /// clocks, returns the time unchanged.
     pub(crate) fn edge_time_at(&self, at: WallTime) -> WallTime {
         let of_wall_clocks = self.points.iter().filter(|point| point.clocks == RelatedClocks::Wall);
         let offsets = of_wall_clocks.filter_map(|point| point.offset.as_ref());

@@ -1,3 +1,5 @@
+//! Tests of the view of a stored run.
+
 use peernet_analysis::rows::{Outcome, Row, Rows};
 use peernet_analysis::summary::Summary;
 use peernet_analysis::trust::StartTimes;
@@ -100,7 +102,11 @@ fn page_and_summary_show_equal_numbers() {
         starts: Starts::default(),
     };
     let table = peernet_results::summary::markdown(&summary);
-    for (other, (name, expected)) in stored.other_statistics().iter().zip([
+    let other_statistics = stored.other_statistics();
+    // The rows after these are the speed and the traffic of the download.
+    let names: Vec<&str> = other_statistics.iter().take(3).map(|other| other.name.as_str()).collect();
+    assert_eq!(names, ["download-bytes", "episode-return", "grip-force"]);
+    for (other, (name, expected)) in other_statistics.iter().zip([
         ("Download Size", ["44", "B"]),
         ("episode-return", ["2.50", ""]),
         ("grip-force", ["0.00123", ""]),

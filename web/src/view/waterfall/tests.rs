@@ -1,3 +1,5 @@
+//! Tests of the rows of an iteration's page.
+
 use peernet_analysis::slowness::{Cause, IterationTimes};
 use peernet_clock::{DelaySource, OneWayDelay, Span, WallTime};
 use peernet_logger::{Measure, Name, NodeId, Transit, stage};

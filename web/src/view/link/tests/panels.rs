@@ -30,12 +30,16 @@ fn no_clock_is_ahead_if_bounds_contain_zero() {
     let line = |name: &str| stats.iter().find(|stat| stat.name == name).expect("a figure").line.clone();
     assert_eq!(line("Clock offset"), "neither clock is known to be ahead, ±0.004\u{202f}ms");
     assert_eq!(line("Drift"), "both run equally fast");
-    // The estimate is seldom in the middle of its bounds. Here the estimate is 5.6 ms, and the bounds are 5.5 and 6.5
-    // ms.
-    let offset = level.live.latest_sample.offset.as_mut().expect("known");
+}
+
+#[test]
+fn clock_is_ahead_if_bounds_exclude_zero() {
+    let mut ahead = link(Some(0.000_004), &[]);
+    // The estimate is not in the middle of its bounds: the true offset is up to 0.1 ms below or 0.9 ms above it.
     let [lo, estimate, hi] = [5_500, 5_600, 6_500].map(Span::from_micros);
+    let offset = ahead.live.latest_sample.offset.as_mut().expect("known");
     (offset.estimate, offset.bounds) = (estimate, Interval { lo, hi });
-    let stats = stats::all(&Subject::live(&level), &time_series(&level));
+    let stats = stats::all(&Subject::live(&ahead), &time_series(&ahead));
     let stat = stats.iter().find(|stat| stat.name == "Clock offset").expect("a figure");
     assert_eq!(stat.number, "+5.60");
     assert!(stat.line.ends_with("is ahead, ±0.90\u{202f}ms"), "{}", stat.line);
