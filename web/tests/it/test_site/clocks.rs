@@ -12,6 +12,7 @@ use peernet_stream::{
     TransportRoundTrip,
 };
 
+use super::pipeline::ANSWER_BYTES;
 use super::{Clocks, TestPipeline, slug};
 
 /// The rack's wall clock minus a camera's, middle of the reported bounds.
@@ -41,22 +42,22 @@ pub(super) fn host_clock(has_clock_fault: bool, since: WallTime) -> HostClock {
 }
 
 /// Returns the delays of data in one direction within a second.
-fn delays(pipeline: &TestPipeline, name: &str, numbers: &mut SplitMix64) -> DelaySecond {
+fn delays(pipeline: &TestPipeline, name: &str, random: &mut SplitMix64) -> DelaySecond {
     let mean =
         pipeline.stages.iter().find(|(known, ..)| known == name).map_or(0.001, |(_, mean, _)| mean / 1e3);
-    let value = mean * (1.0 + 0.03 * numbers.normal());
+    let value = mean * (1.0 + 0.03 * random.normal());
     let bound = match pipeline.clocks {
         Clocks::Within(bound) => bound,
         Clocks::Shared | Clocks::Unrelated => 0.0,
     };
-    let bits = if name == stage::UPLOAD.as_str() { pipeline.bytes * 8.0 } else { 412.0 * 8.0 };
+    let bytes = if name == stage::UPLOAD.as_str() { pipeline.bytes } else { ANSWER_BYTES };
     let is_known = pipeline.clocks != Clocks::Unrelated;
     DelaySecond {
         count: pipeline.hz as u32,
         median: is_known.then(|| DelayPoint {
             value: seconds(value),
             bounds: Interval { lo: seconds((value - bound).max(0.0)), hi: seconds(value + bound) },
-            bits_per_second: Some(bits / value),
+            bits_per_second: Some(bytes * 8.0 / value),
         }),
         verdict: Verdict::from_name(pipeline.verdict(&name.to_owned().into())).expect("a verdict"),
     }
@@ -69,7 +70,7 @@ pub(super) fn sample(
     rack: HostId,
     at: WallTime,
     ago: i64,
-    numbers: &mut SplitMix64,
+    random: &mut SplitMix64,
 ) -> ClockSample {
     let at = WallTime::from_unix_nanos(at.unix_seconds() * 1_000_000_000);
     let bound = match pipeline.clocks {
@@ -77,7 +78,7 @@ pub(super) fn sample(
         Clocks::Shared => Some(0.0),
         Clocks::Unrelated => None,
     };
-    // The network was slow for half a minute. A clock was stepped a minute ago, and the bounds were wider for a few
+    // The network was slow for 35 seconds. A clock was stepped a minute ago, and the bounds were wider for a few
     // seconds after the step.
     let slowdown = if (140..175).contains(&ago) { 1.9 } else { 1.0 };
     let (relation_period, stepped) = if ago > 60 { (11, seconds(-0.0182)) } else { (12, Span::ZERO) };
@@ -88,8 +89,8 @@ pub(super) fn sample(
     };
     let widening = if (55..=60).contains(&ago) { 2.5 } else { 1.0 };
     let offset = bound.map(|bound| {
-        let half = bound * slowdown * widening * (1.0 + 0.04 * numbers.unit());
-        let estimate = truth + seconds(bound * 0.08 * numbers.normal());
+        let half = bound * slowdown * widening * (1.0 + 0.04 * random.unit());
+        let estimate = truth + seconds(bound * 0.08 * random.normal());
         let bounds = Interval { lo: truth - seconds(half), hi: truth + seconds(half) };
         let claimed = Interval { lo: truth - seconds(0.0039), hi: truth + seconds(0.0037) };
         let shared = pipeline.clocks == Clocks::Shared;
@@ -110,8 +111,8 @@ pub(super) fn sample(
         }
     });
     let trip = bound.filter(|bound| *bound > 0.0).map(|bound| {
-        let min = 2.0 * bound * slowdown * (1.0 + 0.01 * numbers.unit());
-        RoundTrip { min: seconds(min), median: seconds(min * (1.3 + 0.1 * numbers.unit())) }
+        let min = 2.0 * bound * slowdown * (1.0 + 0.01 * random.unit());
+        RoundTrip { min: seconds(min), median: seconds(min * (1.3 + 0.1 * random.unit())) }
     });
     let exchange = trip.map(|trip| {
         let way = seconds(trip.min.seconds() / 2.0);
@@ -142,8 +143,8 @@ pub(super) fn sample(
             _ => ExchangeCounts { accepted: 61_207, impossible: 2, outliers: 5, stepped: 3, restarts: 1 },
         },
         round_trip: trip,
-        up: Some(delays(pipeline, "upload", numbers)),
-        down: Some(delays(pipeline, "download", numbers)),
+        up: Some(delays(pipeline, "upload", random)),
+        down: Some(delays(pipeline, "download", random)),
         network: NetworkName::default(),
         basis: bound.filter(|bound| *bound > 0.0).map(|_| EstimateBasis {
             clocks: RelatedClocks::Wall,

@@ -25,13 +25,13 @@ use peernet_stream::{
 pub(crate) struct TestSite {
     /// The pipelines, each on its own camera.
     pub(crate) pipelines: Vec<TestPipeline>,
-    /// Agents of the cameras, in the order of the pipelines, and of the rack.
+    /// Agents of the cameras in the order of the pipelines, then the agent of the rack.
     pub(crate) agents: Vec<Agent>,
     /// Time since which the second agent catches up with a backlog and the third has a failing disk; `None` for agents
     /// without these problems.
     pub(crate) backlog: Option<WallTime>,
     clock: SharedClock,
-    numbers: SplitMix64,
+    random: SplitMix64,
 }
 
 fn slug(name: &str) -> peernet_logger::Slug {
@@ -73,7 +73,7 @@ impl TestSite {
         for agent in &mut agents {
             agent.wait_until_connected().await;
         }
-        Self { pipelines, agents, backlog: None, clock, numbers: SplitMix64::new(7) }
+        Self { pipelines, agents, backlog: None, clock, random: SplitMix64::new(7) }
     }
 
     fn rack_id(&self) -> HostId {
@@ -164,6 +164,7 @@ impl TestSite {
             for (index, camera_pipeline) in original.iter().enumerate().take(*users) {
                 // All users have equal pipelines, and wait for one another in the queue of the model.
                 let pipeline = TestPipeline::resized();
+                // Each of the other users occupies the model for one inference, 3.5 ms.
                 let queue = |(name, mean, spread): &(Name, f64, f64)| {
                     let waits = if *name == stage::QUEUE { 3.5 * (*users as f64 - 1.0) } else { 0.0 };
                     (name.clone(), mean + waits, *spread)
@@ -270,13 +271,13 @@ impl TestSite {
         })];
         let mut at = started;
         for number in 1..=iterations {
-            // One of 4,001 iterations is lost, and one times out.
+            // Of every 4,001 iterations, one is lost and one times out.
             let outcome = match number {
                 n if n % 4_001 == 900 => Outcome::Lost("the connection to rack-a closed".into()),
                 n if n % 4_001 == 1_700 => Outcome::Timeout(String::new()),
                 _ => Outcome::Ok,
             };
-            let stages = pipeline.draw(&mut self.numbers, number as f64 / iterations as f64);
+            let stages = pipeline.draw(&mut self.random, number as f64 / iterations as f64);
             let tree = tree::build_tree(pipeline, &stages, (edge, rack), at, outcome == Outcome::Ok);
             let warm_up = number <= 20;
             events.push(Event::Iteration(Iteration {
@@ -301,7 +302,7 @@ impl TestSite {
             let pipeline = &self.pipelines[index];
             let samples = (0..seconds).rev().map(|ago| {
                 let at = now - Span::from_seconds(ago);
-                Event::Clock(Box::new(clocks::sample(pipeline, rack, at, ago, &mut self.numbers)))
+                Event::Clock(Box::new(clocks::sample(pipeline, rack, at, ago, &mut self.random)))
             });
             let samples: Vec<Event> = samples.collect();
             self.agents[index].offer(samples);
@@ -352,7 +353,7 @@ impl TestSite {
                 let pipeline = &self.pipelines[index];
                 // An update has the newest second first.
                 let seconds = chunk.iter().filter(|at| !pipeline.is_silent(to.unix_seconds() - **at)).rev();
-                let seconds = seconds.map(|at| pipeline.second(*at, to, &mut self.numbers)).collect();
+                let seconds = seconds.map(|at| pipeline.second(*at, to, &mut self.random)).collect();
                 let pipeline = PipelineLive {
                     pipeline: slug(pipeline.name),
                     state: PipelineState::Running,
@@ -390,11 +391,11 @@ impl TestSite {
         let link = pipeline.zip(second).map(|(pipeline, second)| {
             let at = WallTime::from_unix_nanos(second * 1_000_000_000);
             let ago = sent.unix_seconds() - second;
-            clocks::live(pipeline, clocks::sample(pipeline, rack, at, ago, &mut self.numbers))
+            clocks::live(pipeline, clocks::sample(pipeline, rack, at, ago, &mut self.random))
         });
         let has_clock_fault = self.pipelines.get(index).is_some_and(|pipeline| pipeline.has_clock_fault);
         let clock = clocks::host_clock(has_clock_fault, sent);
-        let mut vary = |size: f64| size * (1.0 + 0.1 * self.numbers.normal());
+        let mut vary = |size: f64| size * (1.0 + 0.1 * self.random.normal());
         let metrics = HostMetrics {
             cpu: Some(vary(load).clamp(0.0, 1.0)),
             memory_used_bytes: Some(4_300_000_000 + index as u64 * 700_000_000),

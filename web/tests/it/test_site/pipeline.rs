@@ -5,6 +5,9 @@ use peernet_logger::{Name, RunId, stage};
 use peernet_statistics::{SplitMix64, Summary};
 use peernet_stream::{OutcomeCounts, Placement, PlacementKind, Second, bound_names};
 
+/// Length of an answer in bytes. Only the stored iterations of a pipeline with varying answers have other lengths.
+pub(super) const ANSWER_BYTES: f64 = 412.0;
+
 /// Relation of the clocks of a pipeline's two hosts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Clocks {
@@ -129,7 +132,7 @@ impl TestPipeline {
             hz: 30.0,
             clocks,
             bytes,
-            answer_bytes: (412.0, 412.0),
+            answer_bytes: (ANSWER_BYTES, ANSWER_BYTES),
             stages: stages.collect(),
             run: None,
             has_clock_fault: false,
@@ -138,13 +141,13 @@ impl TestPipeline {
 
     /// Draws the stage durations of one iteration, seconds. `when` is its position in the run, 0 to 1. The network is
     /// slow for a part of the run, and a few iterations take much longer.
-    pub(crate) fn draw(&self, numbers: &mut SplitMix64, when: f64) -> Vec<(Name, f64)> {
+    pub(crate) fn draw(&self, random: &mut SplitMix64, when: f64) -> Vec<(Name, f64)> {
         let slow = if (0.42..0.45).contains(&when) { 1.9 } else { 1.0 };
-        let is_outlier = numbers.unit() < 0.001;
+        let is_outlier = random.unit() < 0.001;
         let stages = self.stages.iter().map(|(name, mean, spread)| {
-            let mut value = mean + spread * numbers.normal();
+            let mut value = mean + spread * random.normal();
             if *name == stage::UPLOAD {
-                value *= slow * if is_outlier { 3.0 + 2.0 * numbers.unit() } else { 1.0 };
+                value *= slow * if is_outlier { 3.0 + 2.0 * random.unit() } else { 1.0 };
             } else if *name == stage::INFERENCE && is_outlier && !self.is_remote {
                 value *= 2.0;
             }
@@ -190,7 +193,7 @@ impl TestPipeline {
 
     /// Returns the data of the second that begins at the Unix time `at`; of the current second only the part before
     /// `now`.
-    pub(crate) fn second(&self, at: i64, now: WallTime, numbers: &mut SplitMix64) -> Second {
+    pub(crate) fn second(&self, at: i64, now: WallTime, random: &mut SplitMix64) -> Second {
         let elapsed = (now - WallTime::from_unix_nanos(at * 1_000_000_000)).seconds().clamp(0.0, 1.0);
         let ok = (self.hz * elapsed).round() as u64;
         let mut values: Vec<(Name, Summary)> = Vec::new();
@@ -210,7 +213,7 @@ impl TestPipeline {
         // `draw` treats each ten minutes as one run, so that each ten minutes contain a slow part.
         let when = (at % 600) as f64 / 600.0;
         for _ in 0..ok {
-            let stages = self.draw(numbers, when);
+            let stages = self.draw(random, when);
             let sum: f64 = stages.iter().map(|(_, value)| value).sum();
             let unattributed = 0.000_11;
             for (name, value) in stages {
@@ -222,7 +225,7 @@ impl TestPipeline {
                     record(stage::UPLOAD_THROUGHPUT, self.bytes * 8.0 / value);
                 } else if name == stage::DOWNLOAD && self.name == "offload-full" {
                     // The other pipelines lack this quantity, so that pages are tested with it and without it.
-                    record(stage::DOWNLOAD_THROUGHPUT, 412.0 * 8.0 / value);
+                    record(stage::DOWNLOAD_THROUGHPUT, ANSWER_BYTES * 8.0 / value);
                 }
                 if let Some(names) = bound_names(&name) {
                     for (name, end) in names.into_iter().zip([value - half_width, value + half_width]) {
@@ -240,7 +243,7 @@ impl TestPipeline {
             record(stage::UNATTRIBUTED, unattributed);
             if self.is_remote {
                 record(stage::UPLOAD_BYTES, self.bytes);
-                record(stage::DOWNLOAD_BYTES, 412.0);
+                record(stage::DOWNLOAD_BYTES, ANSWER_BYTES);
                 half_widths.record(half_width);
             }
         }

@@ -110,12 +110,12 @@ pub(super) fn build_tree(
         }
     }
     if answered && pipeline.is_remote {
-        let mut add_sizes = |names: [Name; 3], bytes: f64, metadata: f64, delay: Option<Span>| {
+        let mut add_sizes = |names: [Name; 3], bytes: f64, logger_bytes: f64, delay: Option<Span>| {
             let transfer_time = (pipeline.clocks != Clocks::Unrelated).then_some(delay).flatten();
-            let value = transfer_time.map(|delay| (bytes + metadata) * 8.0 / delay.seconds());
+            let value = transfer_time.map(|delay| (bytes + logger_bytes) * 8.0 / delay.seconds());
             let [size, logger_size, throughput] = names;
             nodes.add(0, size, 0, edge_time, Measure::Value(bytes, Unit::BYTES));
-            nodes.add(0, logger_size, 0, edge_time, Measure::Value(metadata, Unit::BYTES));
+            nodes.add(0, logger_size, 0, edge_time, Measure::Value(logger_bytes, Unit::BYTES));
             let bounds = value.map(|value| (value * 0.6, value * 1.8));
             nodes.add(0, throughput, 0, edge_time, Measure::Throughput(Rate { value, bounds }));
         };
