@@ -58,7 +58,7 @@ async fn openapi_describes_every_route() {
         let id = document["paths"][route]["get"]["operationId"].as_str().unwrap_or_default().to_owned();
         assert!(
             !id.is_empty() && operations.insert(id.clone()),
-            "{route}: {id:?} names another operation, too"
+            "{route}: the id {id:?} is empty or of another operation, too"
         );
         let operation = &document["paths"][route]["get"];
         assert!(!operation["summary"].as_str().unwrap_or_default().is_empty(), "{route} has no summary");
@@ -338,8 +338,7 @@ async fn runs_with_clock_fault_are_marked_in_lists() {
         runs["runs"].as_array().expect("runs").iter().map(|run| &run["rehearsed"]).collect();
     assert_eq!(marks, [&json!(true), &json!(false)]);
     assert_eq!(dashboard.get("/api/v1/runs/2").await.json()["rehearsed"], json!(true));
-    let page = dashboard.get("/runs").await;
-    let page = page.text();
+    let page = dashboard.get("/runs").await.text().to_owned();
     let row = |number: u32| {
         let begin = page.find(&format!("\"/runs/{number}\"")).expect("a row");
         let rest = &page[begin..];

@@ -29,8 +29,8 @@ async fn run_page_states_trust_and_reasons() {
     let page = dashboard.get("/runs/1").await;
     assert!(page.text().contains("Can this run be published?"), "{}", page.text());
     assert!(page.text().contains("CPU governor (performance)"), "{}", page.text());
-    let upload = dashboard.get("/api/v1/runs/2/trust").await;
-    assert!(upload.text().contains("Of the delays of `upload`"), "{}", upload.text());
+    let remote_run = dashboard.get("/api/v1/runs/2/trust").await;
+    assert!(remote_run.text().contains("Of the delays of `upload`"), "{}", remote_run.text());
 
     // Three gaps of 974 events.
     site.store_gaps(0, 3).await;
@@ -193,9 +193,13 @@ async fn repeats_of_an_experiment_are_combined() {
     assert!(run.text().contains("On cam-1, CPU governor: schedutil"), "{}", run.text());
     assert!(dashboard.get("/runs").await.text().contains(">pictures</a>"));
     assert!(dashboard.get("/compare").await.text().contains(">pictures</a>"));
+}
 
+#[tokio::test]
+async fn sizes_are_sorted_by_value_or_file_order() {
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::resized()]).await;
     let without_index = [600e3, 30e3, 2_000e3, 150e3].map(|bytes| (bytes, None));
-    site.store_sizes(2, 100, &without_index).await;
+    site.store_sizes(0, 100, &without_index).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
@@ -212,7 +216,7 @@ async fn repeats_of_an_experiment_are_combined() {
     assert!(dashboard.get("/runs").await.text().contains("size = 2000 kB, repeat 1"));
 
     let with_index = [(600e3, Some(1)), (30e3, Some(2)), (150e3, Some(0))];
-    site.store_sizes(2, 100, &with_index).await;
+    site.store_sizes(0, 100, &with_index).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
@@ -235,7 +239,12 @@ async fn many_users_count_as_one_configuration() {
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     assert!(page.text().contains("Latency against the number of edges"), "{}", page.text());
     assert!(page.text().contains(">3</td>") && page.text().contains("at 3 edges"), "{}", page.text());
+}
 
+#[tokio::test]
+async fn baseline_can_be_any_of_fifty_configurations() {
+    let (dashboard, mut site) =
+        TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     site.store_grid(30, 50).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
@@ -331,6 +340,7 @@ async fn difference_of_two_runs_states_its_significance() {
     assert_eq!((&total["configuration"], &reversed["configuration"]), (&"B".into(), &"A".into()));
     assert!(page.text().contains("http://127.0.0.1:8040/api/v1/runs/{1,2}/export"), "{}", page.text());
     assert!(page.text().contains("peernet compare run-1.csv run-2.csv"), "{}", page.text());
+    // A run that is given twice is compared once.
     let again = dashboard.get("/api/v1/compare?runs=1,1").await.json();
     assert_eq!(
         (&again["best"], again["configurations"].as_array().map(Vec::len)),
@@ -371,7 +381,8 @@ async fn run_files_and_store_give_same_comparison() {
         runs.push(ResultFolder::open(&file).expect("a file of results"));
     }
     let of_files = Comparison::new(&runs);
-    let differences = Differences::between_lines(&of_files, &runs, 0, 1, 1);
+    let (baseline, other, seed) = (0, 1, 1);
+    let differences = Differences::between_lines(&of_files, &runs, baseline, other, seed);
     let of_store = dashboard.get("/api/v1/compare?runs=1,2").await.json();
     for (at, line) in of_files.lines.iter().enumerate() {
         for name in ["sensing", "inference", "total"] {

@@ -26,7 +26,7 @@ async fn documented_controller_decides_by_known_values() {
         TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
     let mut answer = dashboard.get("/api/v1/pipelines?window=10&stage=total").await.json();
     for pipeline in answer["pipelines"].as_array_mut().expect("pipelines") {
-        // A slow machine may have reported another state by now.
+        // On a slow test machine, the state may no longer be `running` by now.
         pipeline["state"] = json!("running");
     }
     let name = |at: usize| json!([answer["pipelines"][at]["host"], answer["pipelines"][at]["name"]]);

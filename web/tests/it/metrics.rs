@@ -149,9 +149,11 @@ async fn metric_lines_are_valid_and_counters_grow() {
     assert_eq!(by_edge, by_cloud);
     let retransmitted = &first["peernet_link_cloud_retransmitted_datagrams"].samples;
     assert!(!retransmitted.keys().any(|series| series.contains("\"upload\"")), "{retransmitted:?}");
-    let unknown = &first["peernet_pipeline_stage_seconds"].samples;
+    let stage_seconds = &first["peernet_pipeline_stage_seconds"].samples;
     assert!(
-        !unknown.keys().any(|series| series.contains("offload-unrelated") && series.contains("\"upload\"")),
+        !stage_seconds
+            .keys()
+            .any(|series| series.contains("offload-unrelated") && series.contains("\"upload\"")),
         "an unknown delay has a sample"
     );
 

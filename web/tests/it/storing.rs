@@ -80,7 +80,6 @@ async fn damaged_database_errors_match_readiness() {
         problem.contains("is damaged") && reason.contains(problem),
         "{detail} is not what readiness says: {reason}"
     );
-    drop(connection);
 }
 
 #[tokio::test]

@@ -47,7 +47,7 @@ impl EventReader {
         }
     }
 
-    /// Waits for the next event with a name, and returns its data.
+    /// Waits for the next event with the name `name`, and returns its data.
     async fn wait_until(&mut self, name: &str) -> Value {
         loop {
             let (event, data) = self.next().await.expect("the stream goes on");

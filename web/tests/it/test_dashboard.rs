@@ -14,7 +14,7 @@ use tower::ServiceExt;
 
 use crate::test_site::{TestPipeline, TestSite};
 
-/// Iterations of each stored run.
+/// Number of iterations of each stored run.
 pub(crate) const ITERATIONS: u64 = 400;
 
 /// An aggregator with its pages and API, without a web port: tests call the router.
