@@ -25,7 +25,7 @@ use crate::check::{Problem, check, remarks};
 use crate::conditions::InspectionSettings;
 use crate::config::{AgentConfig, PipelineConfig, StartMode};
 use crate::error::StartError;
-use crate::event_queue::EventTap;
+use crate::event_queue::{EventTap, MissedEvents};
 use crate::host::{EventSinks, Host};
 use crate::identity::{StateLock, host_id, host_secret};
 use crate::incidents::{IncidentSubject, Incidents};
@@ -326,9 +326,9 @@ impl RunningAgent {
         })
     }
 
-    /// Returns the number of events that did not fit into the tap of [`Agent::start_with_tap`].
-    pub fn events_missed_by_tap(&self) -> u64 {
-        self.tap.as_ref().map_or(0, EventTap::missed_events)
+    /// Returns the numbers of events that did not fit into the tap of [`Agent::start_with_tap`].
+    pub fn events_missed_by_tap(&self) -> MissedEvents {
+        self.tap.as_ref().map(EventTap::missed_events).unwrap_or_default()
     }
 
     /// Returns the current live update. It contains every pipeline with the one-second summaries that the aggregator

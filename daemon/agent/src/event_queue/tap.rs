@@ -10,24 +10,46 @@ use tokio::sync::mpsc;
 #[derive(Clone, Debug)]
 pub(crate) struct EventTap {
     sender: mpsc::Sender<Event>,
-    missed_events: Arc<AtomicU64>,
+    missed_counters: Arc<MissedCounters>,
+}
+
+/// Counters of [`MissedEvents`].
+#[derive(Debug, Default)]
+struct MissedCounters {
+    iterations: AtomicU64,
+    others: AtomicU64,
+}
+
+/// Numbers of events that did not fit into the channel to the program that runs the agent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MissedEvents {
+    /// Number of iterations.
+    pub iterations: u64,
+    /// Number of events that are not iterations, such as clock samples and incidents.
+    pub others: u64,
 }
 
 impl EventTap {
     pub(crate) fn new(sender: mpsc::Sender<Event>) -> Self {
-        Self { sender, missed_events: Arc::default() }
+        Self { sender, missed_counters: Arc::default() }
     }
 
     /// Sends an event, or counts it as missed if the channel is full.
     pub(super) fn offer(&self, event: Event) {
+        let MissedCounters { iterations, others } = &*self.missed_counters;
+        let counter = if matches!(event, Event::Iteration(_)) { iterations } else { others };
         if self.sender.try_send(event).is_err() {
-            self.missed_events.fetch_add(1, Ordering::Relaxed);
+            counter.fetch_add(1, Ordering::Relaxed);
         }
     }
 
-    /// Returns the number of events that did not fit into the channel.
-    pub(crate) fn missed_events(&self) -> u64 {
-        self.missed_events.load(Ordering::Relaxed)
+    /// Returns the numbers of events that did not fit into the channel.
+    pub(crate) fn missed_events(&self) -> MissedEvents {
+        let MissedCounters { iterations, others } = &*self.missed_counters;
+        MissedEvents {
+            iterations: iterations.load(Ordering::Relaxed),
+            others: others.load(Ordering::Relaxed),
+        }
     }
 }
 
@@ -36,8 +58,8 @@ mod tests {
     use std::sync::Arc;
 
     use peernet_clock::{ClockIdentity, ManualClock, WallTime};
-    use peernet_logger::RunId;
-    use peernet_stream::{EndReason, RunEnded};
+    use peernet_logger::{HostId, Recorder, RunId};
+    use peernet_stream::{EndReason, Iteration, Outcome, RunEnded};
 
     use super::super::EventQueue;
     use super::*;
@@ -45,6 +67,13 @@ mod tests {
     fn run_ended() -> Event {
         let ended = WallTime::from_unix_nanos(1);
         Event::RunEnded(RunEnded { run: RunId::random(), ended, reason: EndReason::Finished })
+    }
+
+    fn iteration(number: u64) -> Iteration {
+        let clock = ManualClock::new(WallTime::from_unix_nanos(1), ClockIdentity::new("boot", "system"));
+        let tree = Recorder::new(Arc::new(clock), HostId::random()).finish();
+        let (run, outcome) = (RunId::random(), Outcome::Ok);
+        Iteration { run, number, episode: 0, step: 0, warm_up: false, outcome, tree }
     }
 
     #[test]
@@ -55,9 +84,25 @@ mod tests {
         let (first, second) = (run_ended(), run_ended());
         event_queue.push_event(None, first.clone());
         event_queue.push_event(None, second.clone());
-        assert_eq!((listener.try_recv().ok(), tap.missed_events()), (Some(first), 1));
+        let missed = MissedEvents { iterations: 0, others: 1 };
+        assert_eq!((listener.try_recv().ok(), tap.missed_events()), (Some(first), missed));
         event_queue.push_event(None, second.clone());
-        assert_eq!((listener.try_recv().ok(), tap.missed_events()), (Some(second), 1));
+        assert_eq!((listener.try_recv().ok(), tap.missed_events()), (Some(second), missed));
+    }
+
+    #[test]
+    fn missed_iterations_are_counted_separately() {
+        let (sender, _listener) = mpsc::channel(1);
+        let tap = EventTap::new(sender);
+        let event_queue = EventQueue::discarding().with_tap(Some(tap.clone()));
+        let pipeline = "line".parse().expect("a name");
+        // The first event fills the channel.
+        event_queue.push_event(None, run_ended());
+        for number in [1, 2] {
+            event_queue.push_iteration(&pipeline, iteration(number));
+        }
+        event_queue.push_event(None, run_ended());
+        assert_eq!(tap.missed_events(), MissedEvents { iterations: 2, others: 1 });
     }
 
     #[test]

@@ -51,7 +51,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let folder = Folder::make(arguments, &plan.peer, started)?;
 
     let mut observer = SweepObserver::new(&plan, ready_agent.clock.clone(), arguments.quiet);
-    let AgentResult { end, name: edge, missed_events } = ready_agent.watch(&mut observer)?;
+    let AgentResult { end, name: edge, missed_iterations } = ready_agent.watch(&mut observer)?;
     let measurements = observer.measurements;
     let failure = match &end {
         AgentEnd::Finished => None,
@@ -102,11 +102,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     })?;
     let names: Vec<_> = written_files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     print_to_stdout(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
-    if missed_events > 0 {
-        let verb = if missed_events == 1 { "was" } else { "were" };
+    if missed_iterations > 0 {
+        let verb = if missed_iterations == 1 { "was" } else { "were" };
         print_to_stderr(format_args!(
             "{} {verb} not recorded: this machine is too busy",
-            counted(missed_events, "iteration")
+            counted(missed_iterations, "iteration")
         ));
     }
     match failure {

@@ -37,8 +37,9 @@ use crate::exit::{Exit, Failure};
 use crate::output::print_to_stderr;
 use crate::{VERSION, clock};
 use anyhow::{Context, anyhow};
-use peernet_agent::{Agent, AgentConfig, IdentityError, RunningAgent, StartError};
+use peernet_agent::{Agent, AgentConfig, IdentityError, REMARK_LOG_TARGET, RunningAgent, StartError};
 use peernet_clock::SharedClock;
+use peernet_statistics::number::counted;
 use peernet_stream::Event;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
@@ -86,8 +87,8 @@ pub(crate) struct AgentResult<OwnReason> {
     pub(crate) end: AgentEnd<OwnReason>,
     /// The agent's name.
     pub(crate) name: String,
-    /// Number of events that did not fit into the channel.
-    pub(crate) missed_events: u64,
+    /// Number of iterations that did not fit into the channel of events.
+    pub(crate) missed_iterations: u64,
 }
 
 /// Longest wait for threads that block, when the program ends.
@@ -187,6 +188,14 @@ async fn watch<O: RunObserver>(
     stop.cancel();
     // Read before the end, because joining consumes the agent.
     let missed_events = running.events_missed_by_tap();
+    if missed_events.others > 0 {
+        // Missed iterations are missing measurements. The command reports them with its results.
+        tracing::warn!(
+            target: REMARK_LOG_TARGET,
+            "{} other than iterations did not arrive here: this machine is too busy",
+            counted(missed_events.others, "event")
+        );
+    }
     tokio::select! {
         result = running.join() => result.map_err(|error| Failure::new(Exit::Software, error))?,
         _ = signals.next() => print_to_stderr("work in progress was abandoned"),
@@ -195,5 +204,5 @@ async fn watch<O: RunObserver>(
     while let Ok(event) = events.try_recv() {
         observer.handle_event(event, None);
     }
-    Ok(AgentResult { end, name, missed_events })
+    Ok(AgentResult { end, name, missed_iterations: missed_events.iterations })
 }

@@ -85,8 +85,8 @@ pub(crate) fn measure(
     let mut config = request.agent.clone();
     state_dir.configure(&mut config)?;
     let mut ready = ReadyAgent::new(config)?;
-    // A trial runs without the actuator of the later runs. The actuator is only created here, so that an error of the
-    // actuator ends the trial.
+    // A trial runs without the actuator of the later runs. The actuator is created here and dropped
+    // at once, so that an error of its creation ends the trial.
     if let Some(actuator) = &request.tried_actuator {
         actuator.try_build(&ready.clock).map_err(|error| {
             Failure::new(Exit::Unavailable, anyhow!("the actuator cannot be created: {error}"))
@@ -104,7 +104,7 @@ pub(crate) fn measure(
     let result = ready.watch(&mut recorder);
     let recorded = recorder.finish();
     progress_display.wait_for_other_edges();
-    let (AgentResult { end, name, missed_events }, recorded) = match (result, recorded) {
+    let (AgentResult { end, name, missed_iterations }, recorded) = match (result, recorded) {
         (Ok(result), recorded) => (result, recorded),
         (Err(failure), recorded) if recorded.rows.is_empty() => {
             results.discard();
@@ -112,7 +112,11 @@ pub(crate) fn measure(
         }
         // The agent failed after iterations were recorded, so the run has results.
         (Err(failure), recorded) => (
-            AgentResult { end: AgentEnd::Failed(failure.to_string()), name: String::new(), missed_events: 0 },
+            AgentResult {
+                end: AgentEnd::Failed(failure.to_string()),
+                name: String::new(),
+                missed_iterations: 0,
+            },
             recorded,
         ),
     };
@@ -120,7 +124,7 @@ pub(crate) fn measure(
         results.discard();
         return Err(end.failure_without_rows());
     }
-    let mut record = record::run_record(request, &recorded, &end, name, missed_events);
+    let mut record = record::run_record(request, &recorded, &end, name, missed_iterations);
     record.trust = Some(Report::new(&TrustInput::from_run(&record, &recorded.rows)));
     let WrittenFiles { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);
     let is_written = !files.is_empty();

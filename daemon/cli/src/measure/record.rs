@@ -27,7 +27,7 @@ pub(super) fn run_record(
     recorded: &RecordedRun,
     end: &AgentEnd,
     edge: String,
-    missed_events: u64,
+    missed_iterations: u64,
 ) -> RunRecord {
     let description = recorded.description.as_ref();
     let facts = description.map(|run| run.facts.clone()).unwrap_or_default();
@@ -87,7 +87,7 @@ pub(super) fn run_record(
         peer_timeout_s: Some(request.peer_timeout().seconds()),
         seeds: seeds(&config),
         warm_up: request.warm_up.clone(),
-        counts: Counts::from_rows(&recorded.rows, missed_events),
+        counts: Counts::from_rows(&recorded.rows, missed_iterations),
         deadline_s: pipeline.and_then(PipelineConfig::deadline).map(|deadline| deadline.as_secs_f64()),
         misses: Misses::from_rows(&recorded.rows),
         actuator: ActuatorResults::from_rows(&recorded.rows),
