@@ -80,9 +80,11 @@ impl ReplayedLatencies {
         };
         let distributions: BTreeSet<String> = runs.iter().map(without_seed).collect();
         let distributions: Vec<String> = distributions.into_iter().collect();
+        let with_seeds: BTreeSet<&str> = runs.iter().map(|run| run.distribution.as_str()).collect();
         let distribution = match distributions.as_slice() {
-            _ if runs.iter().all(|run| run.distribution == first.distribution) => first.distribution.clone(),
-            [shared] => format!("{shared}, a seed of its own for each run"),
+            _ if with_seeds.len() == 1 => first.distribution.clone(),
+            [shared] if with_seeds.len() == runs.len() => format!("{shared}, a seed of its own for each run"),
+            [shared] => format!("{shared}, {} different seeds in {} runs", with_seeds.len(), runs.len()),
             several => several.join(" or "),
         };
         let mean = |value: fn(&Self) -> Option<f64>| mean(runs.iter().filter_map(value));
@@ -128,6 +130,10 @@ mod tests {
         assert_eq!(description_of(&[]), None);
         assert_eq!(description_of(&[("x, seed 3", 0.0), ("x, seed 3", 0.0)]).as_deref(), Some("x, seed 3"));
         assert_eq!(description_of(&[("y, seed 3", 0.0), ("x, seed 3", 0.0)]).as_deref(), Some("x or y"));
+        assert_eq!(
+            description_of(&[("x, seed 3", 0.0), ("x, seed 3", 0.0), ("x, seed 4", 0.0)]).as_deref(),
+            Some("x, 2 different seeds in 3 runs")
+        );
         assert_eq!(
             description_of(&[("x, seed 3", 0.0), ("x, seed 4", 0.004)]).as_deref(),
             Some(
