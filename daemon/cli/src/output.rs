@@ -59,7 +59,8 @@ fn with_short_values(mut error: clap::Error) -> clap::Error {
     error
 }
 
-/// Prints the error, if any, and returns the exit code: 73 on success if the result could not be written.
+/// Returns the exit code. After an error it is the code of the error, which this function prints.
+/// After success it is 0, or 73 if a part of the result could not be written.
 pub fn report_result(result: Result<(), Failure>) -> Exit {
     match result {
         Ok(()) => with_output_errors(Exit::Ok),

@@ -1,4 +1,5 @@
-//! `peernet recompute`
+//! `peernet recompute`: shows the one-way delays of a stored run, as stored and as computed again
+//! from the exchanges during the run and after it.
 
 use crate::exit::Failure;
 use crate::output::print_to_stdout;
@@ -145,8 +146,8 @@ fn wall_clocks() -> Vec<String> {
 
 /// Describes the clocks by which delays were judged again.
 fn describe_clocks(clocks: &[String]) -> String {
-    let phrases = clocks.iter().map(|clocks| match RelatedClocks::from_name(clocks) {
-        Some(clocks @ (RelatedClocks::Raw | RelatedClocks::RawToWall)) => format!("by {}", clocks.words()),
+    let phrases = clocks.iter().map(|name| match RelatedClocks::from_name(name) {
+        Some(related @ (RelatedClocks::Raw | RelatedClocks::RawToWall)) => format!("by {}", related.words()),
         _ => format!("by {}, whose steps and slews change these delays,", RelatedClocks::Wall.words()),
     });
     phrases.collect::<Vec<_>>().join(" and ")

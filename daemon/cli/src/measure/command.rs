@@ -22,7 +22,8 @@ pub(crate) struct Arguments {
     request: PathBuf,
 }
 
-/// Measures the requested run. Prints its progress as lines of JSON objects, and output of custom code as JSON texts.
+/// Measures the requested run. Prints each progress report as a line with a JSON object, and each
+/// line of the log, which contains the output of custom code, as a line with a JSON string.
 ///
 /// # Errors
 /// Those of [`measure`]. Also when the request cannot be read (exit code 66) or parsed (exit code 78), `PEERNET_LOG` is
@@ -53,8 +54,8 @@ fn with_indented_lines(failure: Failure) -> Failure {
     Failure::new(failure.exit, anyhow!("{}", text.trim_start()))
 }
 
-/// Ends this process if its parent, the experiment, ends. Otherwise this process could write into a folder that a
-/// later run uses.
+/// Requests that the kernel kills this process when its parent, the experiment, ends. Otherwise
+/// this process could write into a folder that a later run uses.
 fn exit_with_parent() {
     if let Err(error) = set_parent_process_death_signal(Some(Signal::KILL)) {
         print_to_stderr(format_args!("this run may outlive its experiment: {error}"));
@@ -74,7 +75,7 @@ fn read(file: &Path) -> anyhow::Result<String> {
         .with_context(|| format!("cannot read the description of the measurement from {}", file.display()))
 }
 
-/// Display that prints the state to standard output.
+/// Display that prints the progress as JSON to standard output.
 struct JsonProgress {
     /// `true` if the parent sent the request, and closes standard input when no edge of the run measures any more.
     is_from_parent: bool,

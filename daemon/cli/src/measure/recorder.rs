@@ -69,6 +69,7 @@ impl RunProgress {
 
     fn add(&mut self, row: &Row) {
         self.counts.add(row.outcome, row.warm_up);
+        // `at` is 0 if the start was not recorded.
         if !row.warm_up && row.at > 0.0 {
             self.starts.add(row.iteration, row.at);
         }

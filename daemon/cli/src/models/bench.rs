@@ -1,4 +1,4 @@
-//! `peernet models bench`
+//! `peernet models bench`: measures the duration of each stage of a model, and its memory.
 
 use std::num::NonZeroU64;
 use std::path::PathBuf;
@@ -55,6 +55,7 @@ struct BenchResults {
     device: String,
     input: String,
     load_s: f64,
+    /// Durations of each stage, and of the whole call under the name `all`.
     stages: Vec<(&'static str, SortedValues)>,
     /// Memory of the whole process before the model was loaded, and at the end.
     memory: [Option<u64>; 2],

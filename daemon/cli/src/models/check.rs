@@ -1,4 +1,4 @@
-//! `peernet models check`
+//! `peernet models check`: loads a model and compares its answers with the labels of test pictures.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `peernet models list`
+//! `peernet models list`: lists the models in the searched folders.
 
 use crate::exit::Failure;
 use crate::output::{print_to_stderr, print_to_stdout};

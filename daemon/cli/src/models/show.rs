@@ -1,4 +1,4 @@
-//! `peernet models show`
+//! `peernet models show`: shows a model's card and the hash of its file.
 
 use crate::exit::Failure;
 use crate::output::print_to_stdout;

@@ -113,7 +113,8 @@ fn print_results(measured: &MeasuredRun) {
     print_to_stdout(format_args!("\n{}: {}", printable_line(&folder), files.join(", ")));
 }
 
-/// Prints where the streamed run can be seen, and which events still wait for an aggregator, of this run or of others.
+/// Prints where the streamed run can be seen, and the numbers of events that still wait for an
+/// aggregator. Events of earlier runs of this host may be among them.
 fn print_streaming_state(
     agent: &HostConfig,
     arguments: &Arguments,

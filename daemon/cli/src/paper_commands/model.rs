@@ -18,7 +18,8 @@ const DEFAULT_DEVICE: &str = "cuda:0";
 /// Returns the model's configuration after checking its files and its device.
 ///
 /// # Errors
-/// When the model does not exist (exit code 66), or cannot run on this device (exit code 69).
+/// When the model does not exist (exit code 66), the name of the object or the device is invalid
+/// (exit code 64), or the model cannot run on this device (exit code 69).
 pub(super) fn from_arguments(
     arguments: &Arguments,
     runtime: &OnnxRuntimeConfig,
@@ -75,8 +76,9 @@ fn check(config: &ModelConfig, runtime: &OnnxRuntimeConfig, clock: SharedClock) 
     bank.check().into_iter().next().map(|(_, error)| error)
 }
 
-/// Makes the failure. If a device other than `cpu` cannot be used, the text names `--device cpu`, because many hosts do
-/// not have `cuda:0`, the default device of the paper's program.
+/// Converts the error into a failure. If a device other than `cpu` cannot be used, the text names
+/// `--device cpu`, because many hosts do not have `cuda:0`, the default device of the paper's
+/// program.
 pub(super) fn failure(error: LoadError) -> Failure {
     let exit = match &error {
         error if error.is_missing() => Exit::NoInput,

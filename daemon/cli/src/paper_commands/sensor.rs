@@ -41,10 +41,11 @@ impl SensorType {
 /// Returns the sensor and the transforms of its samples.
 ///
 /// # Errors
-/// When an option is missing (exit code 64), or the data set does not exist (exit code 66).
+/// When an option is missing or invalid (exit code 64), or the data set does not exist (exit code
+/// 66).
 pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformConfig>), Failure> {
-    let missing_option = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
-    // `--sensor-object` implies the type `external`, because `image` is the default.
+    let usage_error = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
+    // The type `image` is the default, so `--sensor-object` alone means the type `external`.
     let kind = match (&arguments.sensor_object, arguments.sensor_type) {
         (Some(_), SensorType::Image) => SensorType::External,
         (_, kind) => kind,
@@ -53,11 +54,11 @@ pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec
     let (config, transforms) = match kind {
         SensorType::Image => {
             let path = arguments.dataset_loc.as_deref().ok_or_else(|| {
-                missing_option("--sensor-type image needs --dataset-loc: a picture or a folder of pictures")
+                usage_error("--sensor-type image needs --dataset-loc: a picture or a folder of pictures")
             })?;
             let path = path.to_str().ok_or_else(|| {
                 let path = path.display();
-                missing_option(&format!("--dataset-loc {path}: run.json cannot hold a name that is not UTF-8; rename the file, or name a link to the file"))
+                usage_error(&format!("--dataset-loc {path}: run.json cannot hold a name that is not UTF-8; rename the file, or name a link to the file"))
             })?;
             (SensorConfig::pictures(path.into()), arguments.encoding.transforms())
         }
@@ -65,7 +66,7 @@ pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec
         SensorType::Text => (SensorConfig::random_text(size), Vec::new()),
         SensorType::External => {
             let object = arguments.sensor_object.as_deref().ok_or_else(|| {
-                missing_option("--sensor-type external needs --sensor-object: module::object or exec:COMMAND")
+                usage_error("--sensor-type external needs --sensor-object: module::object or exec:COMMAND")
             })?;
             (external_sensor(object, arguments.pickle)?, Vec::new())
         }

@@ -11,6 +11,7 @@ use peernet_networks::{Address, SessionSettings};
 use super::devices::Devices;
 use super::serve_observer::ServeObserver;
 use super::{Arguments, model};
+use crate::address::DEFAULT_PORT;
 use crate::foreground::{AgentEnd, ReadyAgent, read_agent_tables};
 use crate::measure::AgentStateDir;
 
@@ -65,7 +66,11 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
 /// Describes the part of the network configuration that sets the address.
 fn describe_address(address: &Address, file: &impl std::fmt::Display) -> String {
     match address.listener_name() {
-        None => format!("port {}, the start_port of {file}", address.port()),
+        // The parsed address does not show where its port comes from.
+        None => format!(
+            "port {} (the port of the server's address in {file}, otherwise start_port, otherwise {DEFAULT_PORT})",
+            address.port()
+        ),
         Some(_) => format!("{address}, as {file} and the environment variables say"),
     }
 }

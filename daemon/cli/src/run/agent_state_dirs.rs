@@ -6,11 +6,10 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, TryLockError};
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use anyhow::anyhow;
 
 use super::plan::{Plan, Run};
 use crate::measure::{AGENT_LOCK, AgentStateDir, UndeliveredEvents, undelivered, undelivered_in_spool};
@@ -24,6 +23,31 @@ pub(super) struct AgentStateDirs {
     _locks: Vec<File>,
 }
 
+/// Reason why a folder cannot be locked.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum LockError {
+    /// Another experiment or agent uses the folder.
+    #[error("another peernet process runs as the host whose id is in {}, which this experiment needs; wait for it, stop it, or give this experiment its own [agent] name", .0.display())]
+    InUse(PathBuf),
+    /// The folder or a file in it cannot be created, opened or locked.
+    #[error("cannot {action} {}: {source}", .path.display())]
+    Unusable { action: &'static str, path: PathBuf, source: io::Error },
+}
+
+impl LockError {
+    /// Returns a function that adds the action and the path to an error.
+    fn cannot(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_owned();
+        move |source| Self::Unusable { action, path, source }
+    }
+}
+
+impl From<LockError> for Failure {
+    fn from(error: LockError) -> Self {
+        Self::new(Exit::Unavailable, error)
+    }
+}
+
 impl AgentStateDirs {
     /// Locks the folders of the agents of these runs. Without an aggregator each agent has a temporary folder, which
     /// needs no lock.
@@ -31,26 +55,27 @@ impl AgentStateDirs {
     /// # Errors
     /// When another experiment or agent uses a folder, or a folder cannot be created (exit code 69).
     pub(super) fn acquire(plan: &Plan, runs: &[Run]) -> Result<Self, Failure> {
-        Self::lock(&folders(plan, runs)?)
+        Ok(Self::lock(&folders(plan, runs)?)?)
     }
 
     /// Creates these folders and locks them.
     ///
     /// # Errors
-    /// Those of [`acquire`](Self::acquire).
-    pub(super) fn lock(folders: &BTreeSet<PathBuf>) -> Result<Self, Failure> {
+    /// When another experiment or agent uses a folder, or a folder or a file in it cannot be created
+    /// or opened.
+    pub(super) fn lock(folders: &BTreeSet<PathBuf>) -> Result<Self, LockError> {
         let locks = folders.iter().map(|folder| {
-            fs::create_dir_all(folder).map_err(|error| cannot("create", folder, &error))?;
+            fs::create_dir_all(folder).map_err(LockError::cannot("create", folder))?;
             let path = folder.join(LOCK);
             let lock = File::options().create(true).append(true).open(&path);
-            let lock = lock.map_err(|error| cannot("write", &path, &error))?;
+            let lock = lock.map_err(LockError::cannot("write", &path))?;
             take_lock(&lock, folder, &path)?;
             let path = folder.join(AGENT_LOCK);
             match File::options().append(true).open(&path) {
                 // This lock is taken and released at once, because the agents of the runs will hold it.
                 Ok(agents) => take_lock(&agents, folder, &path)?,
                 Err(error) if error.kind() == ErrorKind::NotFound => {}
-                Err(error) => return Err(cannot("write", &path, &error)),
+                Err(error) => return Err(LockError::cannot("write", &path)(error)),
             }
             Ok(lock)
         });
@@ -97,24 +122,13 @@ pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<UndeliveredEve
 /// Locks the open file at `path`. The lock lasts until `lock` is closed.
 ///
 /// # Errors
-/// When another process holds the lock, or the file cannot be locked (exit code 69).
-fn take_lock(lock: &File, folder: &Path, path: &Path) -> Result<(), Failure> {
+/// When another process holds the lock, or the file cannot be locked.
+fn take_lock(lock: &File, folder: &Path, path: &Path) -> Result<(), LockError> {
     match lock.try_lock() {
         Ok(()) => Ok(()),
-        Err(TryLockError::WouldBlock) => {
-            let text = format!(
-                "another peernet process runs as the host whose id is in {}, which this experiment needs; wait for it, \
-                 stop it, or give this experiment its own [agent] name",
-                folder.display()
-            );
-            Err(Failure::new(Exit::Unavailable, anyhow!("{text}")))
-        }
-        Err(TryLockError::Error(error)) => Err(cannot("lock", path, &error)),
+        Err(TryLockError::WouldBlock) => Err(LockError::InUse(folder.to_owned())),
+        Err(TryLockError::Error(error)) => Err(LockError::cannot("lock", path)(error)),
     }
-}
-
-fn cannot(action: &str, path: &Path, error: &std::io::Error) -> Failure {
-    Failure::new(Exit::Unavailable, anyhow!("cannot {action} {}: {error}", path.display()))
 }
 
 #[cfg(test)]
@@ -130,10 +144,20 @@ mod tests {
         let refused = AgentStateDirs::lock(&named(&["robot-2", "robot-3"])).expect_err("one is taken");
         assert!(refused.to_string().contains("robot-2, which this experiment"), "{refused}");
         assert!(refused.to_string().contains("its own [agent] name"), "{refused}");
-        assert_eq!(refused.exit as u8, Exit::Unavailable as u8);
+        assert_eq!(Failure::from(refused).exit, Exit::Unavailable);
         AgentStateDirs::lock(&named(&["robot-3"])).expect("a refused experiment holds no lock");
         drop(first);
         AgentStateDirs::lock(&named(&["robot-1", "robot-2"])).expect("they are free again");
+    }
+
+    #[test]
+    fn unusable_folder_is_not_reported_as_in_use() {
+        let state = tempfile::tempdir().expect("a folder");
+        let file = state.path().join("robot-1");
+        fs::write(&file, "").expect("writable");
+        let error = AgentStateDirs::lock(&BTreeSet::from([file])).expect_err("a file is no folder");
+        assert!(matches!(error, LockError::Unusable { action: "create", .. }), "{error}");
+        assert!(error.to_string().contains("robot-1"), "{error}");
     }
 
     #[test]

@@ -64,6 +64,8 @@ pub(super) fn configurations(
         // A configuration may have the same problem in two places, but counts once.
         let mut seen_texts = BTreeSet::new();
         for problem in Agent::check(&agent, clock) {
+            // A problem with the key of a whole model, such as `model[1]`, concerns its files or its
+            // program. The problem of a single value has a longer key, such as `model[1].workers`.
             let concerns_machine = MACHINE_KEYS.contains(&problem.key.as_str())
                 || problem.key.starts_with("model[") && problem.key.ends_with(']')
                 || MACHINE_KEYS.iter().any(|key| problem.key.starts_with(&format!("{key}.")));
@@ -83,11 +85,11 @@ pub(super) fn configurations(
             }
         }
     }
-    let (machine, file_wide): (Vec<Problem>, Vec<Problem>) =
+    let (on_this_machine, on_every_machine): (Vec<Problem>, Vec<Problem>) =
         problems.into_iter().partition(|problem| problem.concerns_machine);
     let describe = |problem: &Problem| problem.describe(configurations.len());
     let (machine_problems, file_problems): (Vec<String>, Vec<String>) =
-        (machine.iter().map(describe).collect(), file_wide.iter().map(describe).collect());
+        (on_this_machine.iter().map(describe).collect(), on_every_machine.iter().map(describe).collect());
     if file_problems.is_empty() {
         return Ok(machine_problems);
     }

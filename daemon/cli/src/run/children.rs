@@ -12,7 +12,7 @@ use futures::stream::FuturesUnordered;
 use peernet_external::exec::with_arguments;
 use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use serde::Deserialize;
-use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
+use tokio::io::{AsyncBufRead, AsyncBufReadExt, AsyncWriteExt, BufReader};
 use tokio::process::{ChildStdin, ChildStdout, Command};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
@@ -240,8 +240,8 @@ impl Child {
             tokio::spawn(pass_on(index, output, sender)),
             tokio::spawn(async move {
                 let Some(errors) = errors else { return };
-                let mut lines = BufReader::new(errors).lines();
-                while let Ok(Some(line)) = lines.next_line().await {
+                let mut errors = BufReader::new(errors);
+                while let Some(line) = next_line(&mut errors).await {
                     let mut last_lines = last_lines.lock().unwrap_or_else(PoisonError::into_inner);
                     last_lines.push_back(line);
                     if last_lines.len() > LAST_LINES {
@@ -273,8 +273,8 @@ impl Child {
 /// Passes on the standard output of the process of this index.
 async fn pass_on(index: usize, output: Option<ChildStdout>, sender: mpsc::Sender<(usize, ChildOutput)>) {
     let Some(output) = output else { return };
-    let mut lines = BufReader::new(output).lines();
-    while let Ok(Some(line)) = lines.next_line().await {
+    let mut output = BufReader::new(output);
+    while let Some(line) = next_line(&mut output).await {
         if line == MEASUREMENT_ENDED {
             drop(sender.send((index, ChildOutput::MeasurementEnded)).await);
             continue;
@@ -285,5 +285,30 @@ async fn pass_on(index: usize, output: Option<ChildStdout>, sender: mpsc::Sender
             Ok(text @ ChildOutput::Line(_)) => drop(sender.send((index, text)).await),
             Ok(ChildOutput::MeasurementEnded) | Err(_) => {}
         }
+    }
+}
+
+/// Reads the next line, without its line ending; `None` after the last line or an error. Bytes that
+/// are not UTF-8 are replaced: libraries may print such bytes, and the lines after them are needed.
+async fn next_line(output: &mut (impl AsyncBufRead + Unpin)) -> Option<String> {
+    let mut line = Vec::new();
+    match output.read_until(b'\n', &mut line).await {
+        Ok(0) | Err(_) => None,
+        Ok(_) => Some(String::from_utf8_lossy(&line).trim_end_matches(['\r', '\n']).to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn lines_after_invalid_utf8_are_read() {
+        let mut output = &b"caf\xe9\r\n\n{\"measurement-ended\":true}\nend"[..];
+        let mut lines = Vec::new();
+        while let Some(line) = next_line(&mut output).await {
+            lines.push(line);
+        }
+        assert_eq!(lines, ["caf\u{fffd}", "", MEASUREMENT_ENDED, "end"]);
     }
 }

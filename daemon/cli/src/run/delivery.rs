@@ -11,7 +11,7 @@ use peernet_networks::Address;
 use peernet_statistics::number::counted;
 use tokio_util::sync::CancellationToken;
 
-use super::agent_state_dirs::AgentStateDirs;
+use super::agent_state_dirs::{AgentStateDirs, LockError};
 use super::plan::Plan;
 use crate::exit::{Exit, Failure};
 use crate::foreground::Signals;
@@ -87,20 +87,22 @@ pub(super) async fn deliver(plan: &Plan, signals: &mut Signals, quiet: bool) -> 
 /// Starts an agent of this host that only delivers, and stops it once its spool is empty or the aggregator stores
 /// nothing more.
 async fn deliver_events_of(host: &StreamingHost) -> Result<(), Failure> {
-    // If another process uses the host, that process delivers the events of the host.
-    let Ok(_lock) = AgentStateDirs::lock(&BTreeSet::from([host.state_dir.folder().to_owned()])) else {
-        return Ok(());
+    let failure = |error: &dyn std::error::Error| {
+        let at = &host.aggregator;
+        let text = format!("cannot deliver the events that wait for the aggregator at {at}: {error}");
+        Failure::new(Exit::Unavailable, anyhow!("{text}"))
+    };
+    let _lock = match AgentStateDirs::lock(&BTreeSet::from([host.state_dir.folder().to_owned()])) {
+        Ok(lock) => lock,
+        // If another process uses the host, that process delivers the events of the host.
+        Err(LockError::InUse(_)) => return Ok(()),
+        Err(error) => return Err(failure(&error)),
     };
     let mut config = host.agent.clone();
     host.state_dir.configure(&mut config)?;
     let clock = clock::system(&config.agent.clock_identity)
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let stop = CancellationToken::new();
-    let failure = |error: &dyn std::error::Error| {
-        let at = &host.aggregator;
-        let text = format!("cannot deliver the events that wait for the aggregator at {at}: {error}");
-        Failure::new(Exit::Unavailable, anyhow!("{text}"))
-    };
     let running =
         Agent::start(config, VERSION, clock, stop.clone()).await.map_err(|error| failure(&error))?;
     running.wait_until_delivered(PROGRESS_TIMEOUT).await;

@@ -1,5 +1,5 @@
-//! Time limits for processes that are to end because the user pressed Ctrl-C. A suspended process reacts to SIGKILL
-//! only.
+//! Time limits for processes that are to end because the user pressed Ctrl-C. After the limit,
+//! SIGKILL ends the processes. A suspended process reacts to no other signal.
 
 use std::time::Duration;
 
