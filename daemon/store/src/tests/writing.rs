@@ -130,8 +130,8 @@ async fn iterations_repeated_in_another_stream_are_left_out() {
     let mut test_store = TestStore::new().await;
     let run = test_store.store_run(20).await;
     let unknown_run = RunId::random();
-    // A copy of the spool sends iterations in a second stream. Half of those of the first run are stored already. Some
-    // iterations belong to an unknown run.
+    // A copy of the spool sends iterations in a second stream. Its first batch has ten stored and ten
+    // new iterations of `run`, and iterations of an unknown run.
     test_store.stream = StreamId::random();
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     events.extend(iterations(&test_store, run, 11..=30));
@@ -454,15 +454,15 @@ async fn sums_of_reported_missing_events_do_not_overflow() {
 async fn commit_to_locked_database_fails_without_changes() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
-    let mut other = open(&test_store.path).await;
-    other.lock().await;
+    let mut locking_writer = open(&test_store.path).await;
+    locking_writer.lock().await;
     let events = vec![generate::run_started(run, "line", NOW)];
     let work = [test_store.batch(events)];
     let refused = test_store.writer.commit(&work, STAMP).await;
     let text = refused.expect_err("locked").to_string();
     assert!(text.contains("locked") && text.contains("end the program that locks it"), "{text}");
     assert!(text.contains(&test_store.path.display().to_string()), "{text}");
-    drop(other);
+    drop(locking_writer);
     assert_eq!(test_store.commit(&work).await.marks[&test_store.stream].stored, 1);
     assert_eq!(test_store.count("SELECT count(*) FROM run").await, 1);
 }

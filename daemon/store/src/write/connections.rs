@@ -1,4 +1,5 @@
-//! Storing of statistics of connections: one row per connection and minute.
+//! Storing of statistics of connections: one row per sample. The aggregator selects one sample per
+//! connection and minute, and the last sample of a connection that has ended.
 
 use peernet_clock::{Span, WallTime};
 use peernet_logger::HostId;

@@ -127,7 +127,8 @@ impl Counters {
         counts.number_and_second_ranges = Some((numbers.hull(part.numbers), seconds.hull(part.seconds)));
     }
 
-    /// Writes all additions. Returns the hosts' totals in the database, and the time of the newest event of each host.
+    /// Writes all additions. `storage_s` is the reading of the storage clock, seconds. Returns each
+    /// host's totals in the database, and the time of its newest event if events were added.
     pub(super) async fn write(
         &mut self,
         connection: &mut SqliteConnection,

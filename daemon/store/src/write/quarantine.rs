@@ -57,7 +57,7 @@ impl<'a> RejectedBatch<'a> {
         let content = (self.events.as_ref().map(Vec::len), &self.frame);
         records::insert_quarantined_batch(connection, reporter.row, self.head, content, self.reason, now)
             .await?;
-        let gap = |run, at, count| Gap {
+        let new_gap = |run, at, count| Gap {
             pipeline: None,
             run,
             from: at,
@@ -71,12 +71,13 @@ impl<'a> RejectedBatch<'a> {
                 for event in events {
                     let (run, at) = (event.origin().run, event_time(event));
                     let run = match run {
-                        // A run that does not exist is not created, because none of its events is stored.
+                        // An unknown run is not created for events that are not stored. These events
+                        // count in the gap without a run.
                         Some(run) => entities.find_run(connection, reporter, run).await?.and(Some(run)),
                         None => None,
                     };
                     let at = at.unwrap_or(now);
-                    let gap = runs.entry(run).or_insert_with(|| gap(run, at, 0));
+                    let gap = runs.entry(run).or_insert_with(|| new_gap(run, at, 0));
                     (gap.from, gap.to) = (gap.from.min(at), gap.to.max(at));
                     gap.count += 1;
                 }
@@ -86,7 +87,7 @@ impl<'a> RejectedBatch<'a> {
                 let stated_count = self.head.events as usize;
                 // An event takes at least one byte.
                 let count = if stated_count <= self.frame.len() { stated_count as u64 } else { 0 };
-                vec![gap(None, now, count)]
+                vec![new_gap(None, now, count)]
             }
         };
         for gap in &gaps {

@@ -1,5 +1,5 @@
-//! Secrets of hosts. A secret is stored with the host's first events (trust on first use), and read at the start and
-//! after a wrong proof.
+//! Secrets of hosts. A secret is stored with the host's first events (trust on first use). The
+//! aggregator reads all secrets when it starts, and the secret of one host after a wrong proof.
 
 use std::collections::HashMap;
 
@@ -39,18 +39,18 @@ pub(super) async fn read_host_secret(
     .bind(host.to_string())
     .fetch_optional(connection)
     .await?;
-    row.map(secret).transpose()
+    row.map(decode_secret).transpose()
 }
 
 /// Returns the hosts that have introduced themselves and have stored events, gaps or quarantined batches, by ascending
-/// row id, with their secrets. Hosts that only events of other hosts name are left out.
+/// row id, with their secrets. Hosts that are only named in events of other hosts are left out.
 pub(crate) async fn read_host_secrets(
     connection: &mut SqliteConnection,
 ) -> Result<Vec<(HostId, Option<HostSecret>)>, sqlx::Error> {
     let secrets: Vec<(i64, Vec<u8>)> =
         sqlx::query_as("SELECT host, secret FROM host_secret").fetch_all(&mut *connection).await?;
     let secrets: Result<HashMap<i64, HostSecret>, sqlx::Error> =
-        secrets.into_iter().map(|(host, bytes)| Ok((host, secret(bytes)?))).collect();
+        secrets.into_iter().map(|(host, bytes)| Ok((host, decode_secret(bytes)?))).collect();
     let mut secrets = secrets?;
     let hosts: Vec<(i64, String)> = sqlx::query_as(
         "SELECT id, uuid FROM host WHERE name IS NOT NULL AND (events > 0 OR gaps > 0 OR quarantined > 0) ORDER BY id",
@@ -61,7 +61,7 @@ pub(crate) async fn read_host_secrets(
 }
 
 /// Decodes a stored secret.
-fn secret(bytes: Vec<u8>) -> Result<HostSecret, sqlx::Error> {
+fn decode_secret(bytes: Vec<u8>) -> Result<HostSecret, sqlx::Error> {
     let bytes = bytes
         .try_into()
         .map_err(|_| sqlx::Error::Decode("a host secret that is not 32 bytes long".into()))?;

@@ -61,7 +61,7 @@ struct Row {
 
 impl Streams {
     /// Returns the record from which a hello is answered. `seniority` is the rank of the host by age among the stored
-    /// hosts.
+    /// hosts, smaller for older hosts; `None` if nothing of the host is stored.
     pub fn stream_record(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
         let mark_of = |stream| self.marks.get(&stream).copied();
         StreamRecord {
@@ -91,8 +91,9 @@ impl Streams {
         for Row { uuid, host, stored, chain, process, events } in rows {
             let (stream, host) = (id(&uuid)?, id(&host)?);
             streams.record_hello(host, stream);
-            // A stream without a chain hash has no stored batches, or is of an earlier version. In that version each
-            // start of an agent began a new stream, so no agent continues the stream.
+            // A stream without a chain hash has no stored batches, or was stored by an earlier version of
+            // PEERNet. In that version each start of an agent began a new stream, so no agent continues
+            // the stream.
             let Some(chain) = chain else { continue };
             let chain = <[u8; 16]>::try_from(chain)
                 .map_err(|_| invalid_column("a chain hash that is not 16 bytes long"))?;

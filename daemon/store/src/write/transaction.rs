@@ -85,7 +85,8 @@ impl Staging {
                     };
                     (head, None)
                 }
-                // Only batches are quarantined. Other work that the database refuses is dropped.
+                // Only batches are quarantined. A hello, a goodbye or a name that the database refused is
+                // dropped.
                 (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(reason)) => {
                     tracing::error!(
                         reason,

@@ -93,8 +93,9 @@ impl Work {
         }
     }
 
-    /// Returns the weight of the work in tree nodes (rows of the table `node`). The sizes of commits are limited by
-    /// weight.
+    /// Returns the weight of the work, which is about its number of tree nodes (rows of the table
+    /// `node`): for a batch, 1 plus the numbers of its steps and nodes; for other work, 1. The sizes of
+    /// commits are limited by weight.
     pub fn weight(&self) -> usize {
         if let Self::Batch(batch) = self { batch.weight() } else { 1 }
     }

@@ -40,7 +40,7 @@ pub struct PreparedBatch {
     /// Work to be done one by one, in the order of the events.
     pub(super) steps: Vec<Step>,
     pub(super) runs: Vec<RunPart>,
-    /// Runs to which the batch's events refer, iterations and other events.
+    /// Runs to which the batch's iterations and other events refer.
     pub(super) named_runs: BTreeSet<RunId>,
     pub(super) names: Vec<NameKey>,
     /// Hosts in the trees, without the edge.

@@ -1,4 +1,5 @@
-//! Rows of the tables that grow with every iteration. A value that is unknown is NaN, which SQLite stores as NULL.
+//! Rows of the tables that grow with every iteration. An unknown `f64` is NaN, which SQLite stores as
+//! NULL.
 
 /// A row of `iteration`.
 #[derive(Debug)]
@@ -36,7 +37,9 @@ pub(in crate::write) struct NodeRow {
 /// A row of `anchor`.
 #[derive(Debug)]
 pub(in crate::write) struct AnchorRow {
+    /// Position in the batch's iterations.
     pub(in crate::write) iteration: u32,
+    /// Position in the iteration's anchors. The edge's anchor, at position 0, has no row.
     pub(in crate::write) position: u8,
     /// Position in the batch's hosts.
     pub(in crate::write) host: u32,
