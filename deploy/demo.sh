@@ -13,7 +13,7 @@ roles=(aggregator cloud edge)
 mkdir -p "$logs"
 declare -A pid=()
 
-# Each process gets its own process group, so that Ctrl-C reaches only this script, which stops them in order.
+# Each process gets its own process group, so that Ctrl-C reaches only this script, which stops the processes in order.
 set -m
 
 finish() {

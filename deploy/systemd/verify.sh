@@ -1,5 +1,6 @@
 #!/bin/sh
-# Checks the units, the sysusers.d and the tmpfiles.d files without installing them. Fails on any warning.
+# Checks the units, the sysusers.d and the tmpfiles.d files without installing them. Any warning of `systemd-analyze verify` is a
+# failure. Without root, the tmpfiles.d file is not checked, and the sysusers.d file only by a dry run.
 # Usage: verify.sh [FOLDER]   where the *.service files are (default: beside this script)
 set -eu
 
