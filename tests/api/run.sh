@@ -47,7 +47,7 @@ run_schemathesis() {
         --exclude-path /api/v1/live --exclude-checks positive_data_acceptance --max-examples "$requests" \
         --request-timeout 30 --suppress-health-check all --warnings off --continue-on-failure --seed 1 --no-color "$@"
 }
-failed() {
+fail_with_logs() {
     tail -n 20 "$folder"/logs/*.log >&2
     exit 1
 }
@@ -56,9 +56,9 @@ cd "$folder"
 # The first run takes invented names, the second run the names of existing items. The second run omits PUT and DELETE,
 # which would pin and unpin an existing run.
 config=()
-run_schemathesis --phases coverage,fuzzing || failed
+run_schemathesis --phases coverage,fuzzing || fail_with_logs
 config=(--config-file known.toml)
-run_schemathesis --phases coverage,fuzzing --mode positive --exclude-method PUT --exclude-method DELETE || failed
+run_schemathesis --phases coverage,fuzzing --mode positive --exclude-method PUT --exclude-method DELETE || fail_with_logs
 if grep -h ' ERROR ' logs/*.log >&2; then
     echo "run.sh: the demo logged these errors during the requests" >&2
     exit 1

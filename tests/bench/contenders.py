@@ -68,7 +68,7 @@ class Arena:
 def peernet(arena: Arena, shape: Shape, peer: str | None = None) -> Slice:
     """Runs edge agent, cloud agent, and the aggregator on the edge's host: every iteration is stored while the loop runs.
 
-    `peer` is the cloud's address; TCP unless it is given.
+    `peer` is the cloud's address with its network; without it, the network is TCP.
     """
     with deployment() as daemons:
         daemons.aggregator(arena.edge)
@@ -94,7 +94,7 @@ def peernet(arena: Arena, shape: Shape, peer: str | None = None) -> Slice:
 
 
 def peernet_alone(arena: Arena, shape: Shape, iterations: int) -> float:
-    """Iterations per second of both agents without an aggregator, over the life of their connection."""
+    """Returns the iterations per second of both agents without an aggregator, over the life of their connection."""
     with deployment() as daemons:
         daemons.daemon("cloud", _cloud(daemons, arena, shape, ""), arena.cloud)
         edge = daemons.daemon("edge", _edge(daemons, arena, shape, "", f"iterations = {iterations}"), arena.edge)
@@ -109,7 +109,7 @@ def peernet_alone(arena: Arena, shape: Shape, iterations: int) -> float:
 
 
 def published(arena: Arena, shape: Shape) -> Slice:
-    """The Python program of peers/published.py."""
+    """Runs the Python program of peers/published.py."""
     answer = [] if shape.answer is None else ["--answer-bytes", shape.answer]
     # Each end takes its own address, then the address of the other end.
     ends = arena.cloud.address, arena.edge.address
@@ -122,12 +122,12 @@ def published(arena: Arena, shape: Shape) -> Slice:
 
 
 def bare_tcp(arena: Arena, shape: Shape) -> Slice:
-    """The Rust program of peers/bare_tcp.rs."""
+    """Runs the Rust program of peers/bare_tcp.rs."""
     return _bare(arena, shape, BARE_TCP, "tcp", LISTENING)
 
 
 def bare_udp(arena: Arena, shape: Shape) -> Slice:
-    """The Rust program of peers/bare_udp.rs."""
+    """Runs the Rust program of peers/bare_udp.rs."""
     return _bare(arena, shape, BARE_UDP, "udp", BOUND, DATAGRAM_BYTES)
 
 

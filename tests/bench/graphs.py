@@ -14,7 +14,8 @@ from onnx import TensorProto, helper, numpy_helper
 
 from programs import Failure
 
-# Name of the graph's first dimension after it is opened, which means that it may have any size.
+# Name that the first dimension of inputs and outputs gets. A dimension with a name instead of a size is open: it may
+# have any size.
 BATCH = "batch"
 # Number of samples in the batch whose results are compared with those of single samples, and largest difference.
 COMPARED_BATCH = 4

@@ -29,10 +29,10 @@ class CountTimes:
 
     def lags(self, ends: list[float]) -> list[float]:
         """Returns the lag of each iteration, seconds. `ends` are the ends of the iterations, Unix time, ascending."""
-        lags, at = [], 0
+        lags, counted = [], 0
         for when, count in self.seen:
-            lags.extend(when - end for end in ends[at:count])
-            at = max(at, count)
+            lags.extend(when - end for end in ends[counted:count])
+            counted = max(counted, count)
         return lags
 
 

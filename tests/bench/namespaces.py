@@ -38,7 +38,7 @@ def need_root() -> None:
     if os.geteuid() != 0:
         raise Failure(
             "this part makes two network namespaces, which needs root: run tests/bench/run.sh as root; "
-            "the parts node, model, ingest and idle do not need root"
+            "only the parts loop, networks, python, stream, delays, violations and attacked need root"
         )
 
 
@@ -108,8 +108,8 @@ def third_host(cloud: Host) -> Iterator[tuple[Host, str]]:
     with ExitStack() as stack:
         _ip("netns", "add", third.name)
         stack.callback(_ip, "netns", "delete", third.name)
-        _ip("link", "add", "third", "netns", cloud.name, "type", "veth", "peer", "name", "veth0", "netns", third.name)
-        for name, device, address in ((cloud.name, "third", second_address), (third.name, "veth0", third.address)):
+        _ip("link", "add", "third", "netns", cloud.name, "type", "veth", "peer", "name", DEVICE, "netns", third.name)
+        for name, device, address in ((cloud.name, "third", second_address), (third.name, DEVICE, third.address)):
             _ip("-n", name, "address", "add", f"{address}/24", "dev", device)
             _ip("-n", name, "link", "set", device, "up")
         yield third, second_address

@@ -39,8 +39,8 @@ class Case:
     score_tolerance: float
     ours: list[Stages] = field(default_factory=list)
     theirs: list[Stages] = field(default_factory=list)
-    # Number of objects that PEERNet and Python found, over all pictures; largest differences of their edges (pixels) and
-    # scores.
+    # Number of objects that both PEERNet and Python found, over all pictures; largest differences of the edges (pixels)
+    # and scores of the same object.
     objects: int = 0
     edge_difference: float = 0.0
     score_difference: float = 0.0

@@ -29,6 +29,7 @@ WARM_UP = 3
 # Largest relative difference of a score. PEERNet and Python round differently when they decode and resize, which
 # changes scores of random weights by up to 1 %.
 SCORE_TOLERANCE = 0.05
+# Largest aimed-for ratio of PEERNet's total to Python's.
 TOTAL_AIM = 1.0
 
 
