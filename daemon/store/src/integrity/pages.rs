@@ -238,8 +238,13 @@ impl BtreePage {
         usize::from(be16(&self.bytes, self.pointers_offset + 2 * index))
     }
 
-    /// Returns the entry with this index, or `None` if the entry is malformed.
+    /// Returns the entry with this index, or `None` if the page has no such entry or the entry is malformed.
     pub(crate) fn cell(&self, index: usize) -> Option<Cell<'_>> {
+        // The bytes after the last cell pointer are unused. SQLite does not clear them, so they may be the pointer of a
+        // deleted or moved cell, whose bytes may still be on the page.
+        if index >= self.cell_count {
+            return None;
+        }
         let mut rest = self.bytes.get(self.pointer(index)..self.usable_bytes)?;
         let child = if self.kind.is_interior() {
             let (child, after) = rest.split_at_checked(4)?;

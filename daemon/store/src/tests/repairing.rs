@@ -4,7 +4,7 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 
 use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection, SqliteConnection};
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
 use super::{NOW, TestStore};
 use crate::maintenance::{Examination, RepairError, examine, repair};
@@ -99,6 +99,63 @@ async fn database_is_consistent_after_repair_of_any_page() {
     // Most pages hold rows of few iterations.
     let small_losses = remaining_iterations.iter().filter(|iterations| **iterations >= 100).count();
     assert!(small_losses * 10 > remaining_iterations.len() * 8, "{remaining_iterations:?}");
+}
+
+/// SQLite does not clear the pointer of a deleted cell. On an interior page of a table without row ids, the cell of
+/// such a pointer looks like a row.
+#[tokio::test]
+async fn row_of_deleted_cell_pointer_is_not_salvaged() {
+    let mut test_store = TestStore::new().await;
+    test_store.store_run(120).await;
+    let TestStore { _folder, path, writer, store, .. } = test_store;
+    store.close().await;
+    writer.close().await.1.expect("moves the log into the file");
+    let mut connection = connect(&path).await;
+    let pages = |condition| format!("SELECT pageno FROM dbstat WHERE {condition}");
+    let interior_pages: Vec<i64> =
+        sqlx::query_scalar(AssertSqlSafe(pages("name = 'node' AND pagetype = 'internal'")))
+            .fetch_all(&mut connection)
+            .await
+            .expect("reads");
+    let index_page: i64 = sqlx::query_scalar(AssertSqlSafe(pages("name = 'iteration_by_total' LIMIT 1")))
+        .fetch_one(&mut connection)
+        .await
+        .expect("reads");
+    let mut rows = Vec::new();
+    let tables: Vec<String> = sqlx::query_scalar(
+        "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite\\_%' ESCAPE '\\' \
+         AND name NOT LIKE '\\_%' ESCAPE '\\' ORDER BY name",
+    )
+    .fetch_all(&mut connection)
+    .await
+    .expect("reads");
+    for table in tables {
+        let statement = AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
+        let count: i64 = sqlx::query_scalar(statement).fetch_one(&mut connection).await.expect("counts");
+        rows.push((table, count.cast_unsigned(), 0));
+    }
+    connection.close().await.expect("closes");
+
+    let file = std::fs::File::options().read(true).write(true).open(&path).expect("opens");
+    assert!(!interior_pages.is_empty());
+    for page in interior_pages {
+        let offset = (page.cast_unsigned() - 1) * 4096;
+        let mut bytes = [0; 4096];
+        file.read_exact_at(&mut bytes, offset).expect("reads");
+        let number = |at: usize| usize::from(u16::from_be_bytes([bytes[at], bytes[at + 1]]));
+        // The header of an interior page has 12 bytes. The number of cells is at 3, the start of the cells at 5.
+        let pointers_end = 12 + 2 * number(3);
+        assert!(pointers_end + 2 <= number(5), "no byte is unused");
+        // The first cell is intact. The copy of its pointer lies in the unused bytes.
+        file.write_all_at(&bytes[12..14], offset + pointers_end as u64).expect("writes");
+    }
+    assert_eq!(repair(&path, NOW, "now", |_| {}).await.expect("checks"), None, "the file is intact");
+
+    file.write_all_at(&[0xa5; 4096], (index_page.cast_unsigned() - 1) * 4096).expect("writes");
+    let repaired = repair(&path, NOW, "now", |_| {}).await.expect("repairs").expect("an index is damaged");
+    let salvaged: Vec<(String, u64, u64)> =
+        repaired.tables.into_iter().map(|table| (table.table, table.rows, table.unreadable_ranges)).collect();
+    assert_eq!((salvaged, repaired.lost_iterations), (rows, 0));
 }
 
 /// Returns pseudo-random bytes that depend on the seed only.
