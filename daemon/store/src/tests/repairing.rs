@@ -158,6 +158,28 @@ async fn row_of_deleted_cell_pointer_is_not_salvaged() {
     assert_eq!((salvaged, repaired.lost_iterations), (rows, 0));
 }
 
+#[tokio::test]
+async fn repair_is_refused_while_log_is_in_use() {
+    let mut test_store = TestStore::new().await;
+    test_store.store_run(20).await;
+    let mut reader = test_store.second_connection().await;
+    sqlx::raw_sql("BEGIN; SELECT count(*) FROM host").execute(&mut reader).await.expect("reads");
+    test_store.store_run(20).await;
+    let TestStore { _folder, path, writer, store, .. } = test_store;
+    store.close().await;
+    writer.close().await.1.expect("closes");
+
+    let refused = repair(&path, NOW, "now", |_| {}).await.expect_err("the log is in use");
+    assert!(matches!(refused, RepairError::InUse(_)), "{refused:?}");
+    assert!(refused.to_string().contains("stop the process"), "{refused}");
+
+    sqlx::raw_sql("COMMIT").execute(&mut reader).await.expect("ends");
+    assert_eq!(repair(&path, NOW, "now", |_| {}).await.expect("checks"), None);
+    let iterations: i64 =
+        sqlx::query_scalar("SELECT count(*) FROM iteration").fetch_one(&mut reader).await.expect("counts");
+    assert_eq!(iterations, 40);
+}
+
 /// Returns pseudo-random bytes that depend on the seed only.
 fn random_bytes(seed: u64, bytes: usize) -> Vec<u8> {
     let mut state = seed;

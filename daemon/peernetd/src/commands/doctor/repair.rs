@@ -75,6 +75,7 @@ fn exit_code(error: &RepairError) -> Exit {
         }
         RepairError::Missing(_)
         | RepairError::Lock(_)
+        | RepairError::InUse(_)
         | RepairError::ForeignLog(_)
         | RepairError::NoRoom { .. }
         | RepairError::File { .. }

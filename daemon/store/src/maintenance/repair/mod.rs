@@ -45,6 +45,9 @@ pub enum RepairError {
     /// Another process has locked the database, most likely the aggregator.
     #[error("cannot repair the database while another process may write to it: {0}")]
     Lock(#[from] LockError),
+    /// Another process reads or writes the database without the lock, so SQLite keeps the write-ahead log for it.
+    #[error("cannot repair the database {path}: another process has it open, so its newest data cannot be moved from the write-ahead log (-wal) into the file; stop the process (`fuser {path}` shows it) and repeat the repair", path = .0.display())]
+    InUse(PathBuf),
     /// The write-ahead log of another database lies beside the file.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
@@ -140,7 +143,8 @@ pub struct SalvagedTable {
 /// The damaged file is kept as `<database>.damaged-<stamp>`. `progress` is called with each table before it is read.
 ///
 /// # Errors
-/// When the aggregator runs, nothing can be read, or the new file cannot be written. The database is unchanged then.
+/// When the aggregator runs, another process uses the database, nothing can be read, or the new file cannot be written.
+/// The database is unchanged then.
 pub async fn repair(
     database: &Path,
     now: WallTime,
@@ -247,16 +251,24 @@ impl OldFile {
 
 /// Checkpoints the write-ahead log into the file, as the next start of the aggregator would. Returns whether the log is
 /// empty or missing afterwards.
+///
+/// # Errors
+/// When another process uses the database, or the file cannot be written.
 async fn checkpoint_log(path: &Path) -> Result<bool, RepairError> {
     let options =
         SqliteConnectOptions::new().filename(path).busy_timeout(BUSY_TIMEOUT).disable_statement_logging();
     let checkpoint = async {
         let mut connection = options.connect().await?;
-        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await?;
-        connection.close().await
+        // If another process prevents the checkpoint, the statement succeeds, and the first column of its row is 1.
+        let is_prevented: bool =
+            sqlx::query_scalar("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&mut connection).await?;
+        connection.close().await?;
+        Ok::<_, sqlx::Error>(is_prevented)
     };
     match checkpoint.await {
-        Ok(()) => {}
+        Ok(false) => {}
+        // Without the log, the newest data would be missing in the repaired file.
+        Ok(true) => return Err(RepairError::InUse(path.to_owned())),
         // Damage is expected here. The length of the write-ahead log shows whether the log was applied.
         Err(error) if is_damage(&error) => {}
         Err(error) => {
