@@ -245,9 +245,6 @@ impl Reconciliation<'_> {
                     .await?;
             }
         }
-        if self.has_unreadable(&["run"]) {
-            self.execute("DELETE FROM iteration WHERE run NOT IN (SELECT number FROM run)").await?;
-        }
         for table in TREES {
             self.execute(&format!(
                 "DELETE FROM {table} WHERE NOT EXISTS (SELECT 1 FROM iteration \
