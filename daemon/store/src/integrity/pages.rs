@@ -1,6 +1,7 @@
 //! The part of SQLite's file format that is needed to find damage and to read rows without SQLite:
 //! <https://www.sqlite.org/fileformat2.html>.
 
+use std::collections::HashSet;
 use std::fs::File;
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::FileExt;
@@ -159,8 +160,12 @@ impl PageFile {
     pub(crate) fn record(&self, cell: &Cell<'_>) -> io::Result<Option<Vec<u8>>> {
         let mut record = cell.local_content.to_vec();
         let mut next = cell.overflow;
+        // A damaged cell may state any length, so the length does not bound a chain that refers to itself.
+        let mut visited = HashSet::new();
         while record.len() < cell.record_bytes {
-            let Some(page) = next.filter(|page| self.contains(*page)) else { return Ok(None) };
+            let Some(page) = next.filter(|page| self.contains(*page) && visited.insert(*page)) else {
+                return Ok(None);
+            };
             let bytes = self.read(page, 1)?;
             // The first four bytes of an overflow page are the number of the next one.
             let part = (cell.record_bytes - record.len()).min(self.usable_bytes - 4);
@@ -185,9 +190,10 @@ impl PageFile {
         let Some(first) = read(1)? else { return Ok(None) };
         let (mut trunk, expected) = (be32(&first, 32), be32(&first, 36) as usize);
         let mut free = Vec::new();
+        let mut visited = HashSet::new();
         while trunk != 0 {
-            // A list that refers to itself would never end.
-            if free.len() >= expected {
+            // The stated length may be damaged, too, so it does not bound a list that refers to itself.
+            if free.len() >= expected || !visited.insert(trunk) {
                 return Ok(None);
             }
             let Some(bytes) = read(trunk)? else { return Ok(None) };

@@ -1,5 +1,6 @@
 //! Tests of the search for damage in real files, and of the file that records damage.
 
+use std::cell::Cell;
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
@@ -11,6 +12,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 use tempfile::TempDir;
 use tokio_util::task::TaskTracker;
 
+use super::pages::{self, PageFile, be32};
 use super::task::malformed_pages;
 use super::{Integrity, PageCheck, log_path};
 
@@ -258,6 +260,39 @@ async fn repair_is_recommended_only_if_it_can_help() {
         let message = integrity.damage_message().expect("damage is recorded");
         assert!(message.contains("newest backup") && !message.contains("--repair"), "{message}");
     }
+}
+
+#[tokio::test]
+async fn cyclic_list_of_free_pages_ends() {
+    let (_folder, path, connection) = file_with_all_kinds_of_pages(1_500).await;
+    connection.close().await.expect("closes");
+    let trunk = be32(&std::fs::read(&path).expect("reads"), 32);
+    assert!(trunk > 1, "the file has free pages");
+    // The header states a million free pages. The first page of the list has no free pages and refers to itself.
+    overwrite(&path, 36, &1_000_000_u32.to_be_bytes());
+    overwrite(&path, u64::from(trunk - 1) * PAGE, &[trunk.to_be_bytes(), [0; 4]].concat());
+    let file = PageFile::open(&path).expect("opens").expect("a database");
+    let reads = Cell::new(0_u32);
+    let free_pages = file.free_pages(|_| {
+        reads.set(reads.get() + 1);
+        Ok(None)
+    });
+    assert_eq!(free_pages.expect("reads"), None);
+    assert!(reads.get() <= file.page_count, "{} reads", reads.get());
+}
+
+#[tokio::test]
+async fn cyclic_overflow_chain_is_no_record() {
+    let (_folder, path, connection) = file_with_all_kinds_of_pages(100).await;
+    connection.close().await.expect("closes");
+    // Pages 2 and 3 refer to each other.
+    overwrite(&path, PAGE, &3_u32.to_be_bytes());
+    overwrite(&path, 2 * PAGE, &2_u32.to_be_bytes());
+    let file = PageFile::open(&path).expect("opens").expect("a database");
+    let record_bytes = 1 << 24;
+    let cell =
+        pages::Cell { child: None, rowid: Some(1), local_content: &[], record_bytes, overflow: Some(2) };
+    assert_eq!(file.record(&cell).expect("reads"), None);
 }
 
 proptest! {
