@@ -316,6 +316,40 @@ async fn time_daemon_claims_are_used_as_in_first_judgement() {
     }
 }
 
+/// Iterations may overlap, so a delay may be earlier than a delay of an earlier iteration. In this run, every delay is.
+#[tokio::test]
+async fn earlier_delay_is_judged_by_its_own_claim() {
+    let mut test_store = TestStore::new().await;
+    let run = RunId::random();
+    let mut simulation = Simulation::new(test_store.hosts(), RelatedClocks::Wall);
+    // Exchanges give wide bounds, so the claims decide.
+    simulation.congestion = Span::from_millis(40);
+    let (mut iterations, mut samples) = (Vec::new(), Vec::new());
+    for second in -5..105 {
+        // The clocks drift apart by 20 ppm, so within 20 s the offset leaves a claim of ± 200 µs.
+        let error = simulation.offset_within(200);
+        simulation.claim(Some(ClockClaim { source: DelaySource::Chrony, error }));
+        let is_running = (0..100).contains(&second);
+        let (iterations_of_second, sample) = simulation.second(is_running.then_some(run));
+        iterations.extend(iterations_of_second);
+        samples.push(sample);
+    }
+    iterations.reverse();
+    simulation.true_delays.reverse();
+    for (iteration, number) in iterations.iter_mut().zip(1..) {
+        iteration.number = number;
+    }
+    let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
+    events.extend(samples);
+    events.extend(iterations.iter().cloned().map(Event::Iteration));
+    let work: Vec<_> =
+        events.chunks(100).map(<[Event]>::to_vec).map(|events| test_store.batch(events)).collect();
+    let committed = test_store.commit(&work).await;
+    assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
+    let simulated = SimulatedRun { iterations, true_delays: simulation.true_delays };
+    assert_sound(&test_store, &simulated).await;
+}
+
 #[tokio::test]
 async fn link_over_other_network_is_not_used() {
     let mut test_store = TestStore::new().await;

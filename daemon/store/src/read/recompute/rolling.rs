@@ -15,11 +15,12 @@ use crate::readers::Readers;
 
 /// Name of the requested data in errors.
 const WHAT: &str = "clock samples";
-/// Time before and after a delay from which exchanges are used. The agent, by default, uses the exchanges of an equally
-/// long time before a delay.
+/// Time before and after a delay from which stored exchanges are used. The newest eight exchanges that the relation has
+/// learnt are used at any distance ([`RelationSettings::window`]). The agent, by default, uses the exchanges of an
+/// equally long time before a delay.
 pub(super) const EXCHANGE_RANGE: Span = Span::from_seconds(10);
-/// Longest time by which a delay may be earlier than the previous delay in the order of iterations. It covers
-/// iterations that take up to a minute.
+/// Longest time by which a delay may be earlier than the latest delay before it in the order of iterations, without
+/// samples being read again. It covers iterations that take up to a minute.
 const MAX_DISORDER: Span = Span::from_seconds(60);
 /// Number of clock samples that are read at a time.
 const PAGE: u32 = 1_000;
@@ -52,11 +53,13 @@ struct Row {
 /// Interval of the offset that follows from the claims of both hosts' time daemons.
 type Claim = Option<(DelaySource, Interval)>;
 
-/// The clock relation of one relation period, from the exchanges around a time that advances.
+/// The clock relation of one relation period, from the stored exchanges around a time that usually advances.
 pub(super) struct RollingRelation {
     /// The link and the number of its relation period.
     key: (i64, i64),
     clocks: RelatedClocks,
+    /// The latest time that was asked for.
+    latest: RawTime,
     /// The relation; `None` before the first sample. The first sample gives the drift limit, because all samples of a
     /// relation period have the same limit.
     relation: Option<Relation>,
@@ -66,20 +69,21 @@ pub(super) struct RollingRelation {
     read_until_ns: i64,
     /// `true` if all rows were read.
     is_complete: bool,
-    /// Claims of the samples whose seconds end at the current time or later, with the ends of these seconds. The
-    /// relation uses the first of them.
+    /// Claims of the samples whose seconds end at most `MAX_DISORDER` before `latest`, or later, with the ends of these
+    /// seconds in ascending order.
     claims: VecDeque<(RawTime, Claim)>,
     /// The claim that the relation uses.
     current_claim: Claim,
 }
 
 impl RollingRelation {
-    /// Creates the clock relation of a relation period for times from `at` on. A later call may ask for a time that is
-    /// earlier than `at` by at most `MAX_DISORDER`.
+    /// Creates the clock relation of a relation period. The first samples that it will read also suffice for times that
+    /// are earlier than `at` by at most `MAX_DISORDER`.
     pub(super) fn new(key: (i64, i64), clocks: RelatedClocks, at: RawTime) -> Self {
         Self {
             key,
             clocks,
+            latest: at,
             relation: None,
             unlearnt_rows: VecDeque::new(),
             read_until_ns: (at - EXCHANGE_RANGE - MAX_DISORDER).nanos(),
@@ -89,13 +93,18 @@ impl RollingRelation {
         }
     }
 
-    /// Returns the relation at a time. A time may be earlier than the time of the previous call by at most
-    /// `MAX_DISORDER`.
+    /// Returns the relation at a time; `None` if no sample was stored until shortly after this time. The relation has
+    /// the claim of the first sample whose second ends at this time or later, or of the last sample if all end earlier.
     pub(super) async fn at(
         &mut self,
         readers: &Readers,
         at: RawTime,
     ) -> Result<Option<&Relation>, StoreError> {
+        if at < self.latest - MAX_DISORDER {
+            // The exchanges and the claims of this time were discarded, so the samples are read again.
+            *self = Self::new(self.key, self.clocks, at);
+        }
+        self.latest = self.latest.max(at);
         let until = (at + EXCHANGE_RANGE).nanos();
         loop {
             while let Some(row) = self.unlearnt_rows.pop_front_if(|row| row.time_ns <= until) {
@@ -106,8 +115,11 @@ impl RollingRelation {
             }
             self.read(readers).await?;
         }
-        while self.claims.pop_front_if(|(end, _)| *end < at).is_some() {}
-        if let (Some(relation), Some((_, claim))) = (&mut self.relation, self.claims.front())
+        let oldest = self.latest - MAX_DISORDER;
+        while self.claims.pop_front_if(|(end, _)| *end < oldest).is_some() {}
+        let next_claim = self.claims.partition_point(|(end, _)| *end < at);
+        let claim = self.claims.get(next_claim).or_else(|| self.claims.back());
+        if let (Some(relation), Some((_, claim))) = (&mut self.relation, claim)
             && *claim != self.current_claim
         {
             self.current_claim = *claim;
@@ -148,18 +160,19 @@ impl RollingRelation {
                 // Agents that reported no limit assumed none.
                 max_drift_change_ppm_per_s: row.max_drift_change_ppm_per_s.unwrap_or(f64::INFINITY),
                 window: EXCHANGE_RANGE,
-                // The relation has exchanges from after the current time, and may still be asked for earlier times.
+                // The relation has exchanges from up to `EXCHANGE_RANGE` after the latest time, and may be asked for
+                // times up to `MAX_DISORDER` before it, which need exchanges from `EXCHANGE_RANGE` before them.
                 retention: EXCHANGE_RANGE + EXCHANGE_RANGE + MAX_DISORDER,
                 // The sources of a stored offset contain a claim only if the agent trusted it.
                 trust_time_daemons: true,
                 ..RelationSettings::default()
             };
-            // The settings for the proof that both hosts read the same clock do not matter: delays of such hosts are
-            // stored with the source `same-clock` and are not judged again.
+            // The relation is not told whether both hosts read the same clock: delays of such hosts are stored with the
+            // source `same-clock` and are not judged again.
             Relation::new(settings)
         });
         let mut exchanges = [row.upper(), row.lower()];
-        // The exchanges are learnt in the order of time, because a clock may have jumped between them.
+        // The two exchanges of a sample are learnt in the order of time: a clock may have jumped between them.
         exchanges.sort_by_key(|exchange| exchange.map(|exchange| exchange.sent));
         for exchange in exchanges.into_iter().flatten() {
             relation.learn(&ExchangeObservation {
