@@ -227,9 +227,9 @@ impl Store {
         read::iterations::iteration(&self.readers, run, number).await
     }
 
-    /// Returns the next iterations after a number, as the agent sent them, in the order of their numbers. The number in
-    /// the result is the number of the last examined iteration; the caller passes it as `after` to the next call.
-    /// Returns `None` after the last iteration.
+    /// Returns the next iterations after a number, at most 200, as the agent sent them, in the order of their numbers.
+    /// The number in the result is the number of the last examined iteration; the caller passes it as `after` to the
+    /// next call. Returns `None` after the last iteration.
     pub async fn full_iterations(
         &self,
         run: &RunSummary,
@@ -238,9 +238,10 @@ impl Store {
         read::whole::full_iterations(&self.readers, run, after).await
     }
 
-    /// Returns the first iteration of each shape of tree among the next few thousand iterations. Arguments and result
-    /// are those of [`Store::full_iterations`]. The nodes of these iterations determine all columns that a table of
-    /// the next few thousand iterations needs.
+    /// Returns the first iteration of each shape of tree among the next few thousand iterations, or among fewer
+    /// iterations if these have more shapes than one result can have. Arguments and result are those of
+    /// [`Store::full_iterations`]. The nodes of the returned iterations determine all columns that a table of the
+    /// examined iterations needs.
     pub async fn iterations_by_shape(
         &self,
         run: &RunSummary,

@@ -217,11 +217,11 @@ statements! {
     LAST_OF_PAGE = "SELECT max(number) FROM (SELECT number FROM iteration WHERE run = ?1 AND number > ?2 \
                     ORDER BY number LIMIT ?3)";
     /// The first iteration of each shape of tree among the iterations of a page: ?1 run, ?2 number after which the page
-    /// begins, ?3 last number of the page.
+    /// begins, ?3 last number of the page, ?4 limit.
     SHAPES = "SELECT min(iteration) AS first FROM (SELECT iteration, \
               group_concat(name || '<' || parent || iif(value IS NULL, '?', '')) AS shape \
               FROM node WHERE run = ?1 AND iteration > ?2 AND iteration <= ?3 GROUP BY iteration) \
-              GROUP BY shape ORDER BY first";
+              GROUP BY shape ORDER BY first LIMIT ?4";
     /// The nodes of the trees of some iterations: ?1 run, ?2 the iterations' numbers, a JSON array.
     NODES = "SELECT node.iteration, node.node, node.parent, node.host, node.start_ns, node.value, node.lo, node.hi, \
              name.text, name.kind, name.custom, name.unit FROM node CROSS JOIN name ON name.id = node.name \

@@ -11,7 +11,7 @@ use crate::types::RunSummary;
 
 /// Name of the requested data in errors.
 const WHAT: &str = "whole iterations";
-/// Maximum number of iterations whose trees are read at a time. A tree may be large.
+/// Maximum number of iterations in a result. A tree may be large.
 const MAX_ITERATIONS: u32 = 200;
 /// Number of iterations of which one statement compares the shapes of the trees: the names, the parents and the missing
 /// values of the nodes. The statement reads all nodes of these iterations and must not exceed the time limit of a
@@ -46,26 +46,30 @@ pub(crate) async fn iterations_by_shape(
         .fetch_one(&readers.pool())
         .await
         .map_err(readers.error_for(WHAT))?;
-    let Some(last) = last else { return Ok(None) };
+    let Some(mut last) = last else { return Ok(None) };
     let numbers: Vec<i64> = sqlx::query_scalar(sql::SHAPES)
         .bind(run.number)
         .bind(column(after))
         .bind(last)
+        .bind(MAX_ITERATIONS)
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.error_for(WHAT))?;
-    let mut iterations = Vec::with_capacity(numbers.len());
-    for chunk in numbers.chunks(MAX_ITERATIONS as usize) {
-        let chunk = serde_json::to_string(chunk).map_err(|error| corrupt_data(WHAT, error))?;
-        let rows: Vec<Row> = sqlx::query_as(sql::ITERATIONS_BY_NUMBER)
-            .bind(run.number)
-            .bind(chunk)
-            .fetch_all(&readers.pool())
-            .await
-            .map_err(readers.error_for(WHAT))?;
-        iterations.extend(with_trees(readers, run, rows).await?);
+    // There may be more shapes than one result can have. Up to its last iteration, the result has all shapes, so the
+    // next call continues there.
+    if numbers.len() == MAX_ITERATIONS as usize
+        && let Some(last_number) = numbers.last()
+    {
+        last = *last_number;
     }
-    Ok(Some((count(last), iterations)))
+    let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt_data(WHAT, error))?;
+    let rows: Vec<Row> = sqlx::query_as(sql::ITERATIONS_BY_NUMBER)
+        .bind(run.number)
+        .bind(numbers)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.error_for(WHAT))?;
+    Ok(Some((count(last), with_trees(readers, run, rows).await?)))
 }
 
 /// Adds the trees to rows of the table `iteration`. Iterations that retention has deleted meanwhile are left out.

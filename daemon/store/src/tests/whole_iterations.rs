@@ -62,6 +62,35 @@ async fn each_tree_shape_is_returned_once_per_page() {
     assert_eq!(test_store.store.full_iterations(&run, 43).await.expect("answers"), None);
 }
 
+#[tokio::test]
+async fn page_of_many_shapes_is_returned_in_parts() {
+    let mut test_store = TestStore::new().await;
+    let stored_run = test_store.store_run(1).await;
+    let mut numbers = generate::Numbers::new(7);
+    // Each iteration has a node that no other iteration has.
+    let iterations: Vec<Event> = (2..=451)
+        .map(|number| {
+            let mut iteration = generate::iteration(stored_run, number, test_store.hosts(), &mut numbers);
+            let name = format!("step-{number}");
+            iteration.tree.add(NodeId(1), name.into(), Span::ZERO, Measure::Timer(Some(Span::ZERO)));
+            Event::Iteration(iteration)
+        })
+        .collect();
+    let work: Vec<_> = iterations.chunks(50).map(|events| test_store.batch(events.to_vec())).collect();
+    test_store.commit(&work).await;
+    let (run, mut returned, mut after_number, mut sizes) =
+        (run(&test_store).await, Vec::new(), 0, Vec::new());
+    while let Some((last, first_of_each_shape)) =
+        test_store.store.iterations_by_shape(&run, after_number).await.expect("answers")
+    {
+        sizes.push(first_of_each_shape.len());
+        returned.extend(first_of_each_shape.into_iter().map(|iteration| iteration.number));
+        after_number = last;
+    }
+    assert_eq!(sizes, [200, 200, 51]);
+    assert!(returned.into_iter().eq(1..=451));
+}
+
 /// A server that the paper's commands start connects to no aggregator. Pages show the name that the edge gives it.
 #[tokio::test]
 async fn unintroduced_server_has_name_given_by_run() {
