@@ -29,6 +29,7 @@ mod query_plans;
 mod rebuilding;
 mod recomputing;
 mod recomputing_by_raw_clocks;
+mod refused_work;
 mod repairing;
 mod retention;
 mod retention_size;

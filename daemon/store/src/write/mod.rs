@@ -296,8 +296,8 @@ impl Writer {
     }
 
     /// Handles a part with a single piece of work that was refused because of `reason`. If some iterations of a refused
-    /// batch are already stored, its other iterations are stored. Otherwise the batch is quarantined. A message, such
-    /// as a hello, is dropped.
+    /// batch are already stored, its other iterations are stored. Otherwise the batch is quarantined. For missing
+    /// batches, the mark advances without a gap. A message, such as a hello, is dropped.
     async fn store_refused_part(
         &mut self,
         part: &[Work],

@@ -9,6 +9,7 @@ use sqlx::SqliteConnection;
 
 use super::Refusal;
 use super::entities::{Entities, Reporter};
+use super::prepared::MAX_MISSING_EVENTS;
 use crate::column::column;
 use crate::stored::{StoredCounts, other_database_prefix};
 
@@ -124,6 +125,7 @@ pub(super) async fn insert_unattributed_gap(
     if events == Some(0) {
         return Ok(StoredCounts::default());
     }
+    let events = events.map(|events| events.min(MAX_MISSING_EVENTS));
     let missing = events.unwrap_or_default();
     sqlx::query("INSERT INTO gap (host, from_ns, to_ns, count, reason) VALUES (?1, ?2, ?2, ?3, ?4)")
         .bind(host)

@@ -20,6 +20,7 @@ use super::{CommitResult, Introduction, Refusal, Work, records, secrets};
 use crate::raw_transaction;
 use crate::rollups::Rollups;
 use crate::storage_clock::StorageClock;
+use crate::stored::StoredCounts;
 
 /// State that transactions share: caches of the small tables, and additions that are written at the end of a
 /// transaction.
@@ -41,8 +42,9 @@ impl Staging {
         Self { names, ..Self::default() }
     }
 
-    /// Stores all of `work`, and advances the storage clock. If `quarantine_reason` is given, the batches are
-    /// quarantined for that reason instead. `marks` are the committed marks.
+    /// Stores all of `work`, and advances the storage clock. If `quarantine_reason` is given, the database has refused
+    /// this work for that reason: the batches are quarantined instead, missing batches are marked as stored without a
+    /// gap, and all other work is dropped. `marks` are the committed marks.
     pub(super) async fn run(
         &mut self,
         connection: &mut SqliteConnection,
@@ -85,9 +87,8 @@ impl Staging {
                     };
                     (head, None)
                 }
-                // Only batches are quarantined. A hello, a goodbye or a name that the database refused is
-                // dropped.
-                (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(reason)) => {
+                // Only batches are quarantined. Another message that the database refused is dropped.
+                (Work::Hello(_) | Work::Goodbye(_) | Work::Secret(_) | Work::Name(_), Some(reason)) => {
                     tracing::error!(
                         reason,
                         "the database refused a message of a host: the message is dropped, the batches are stored"
@@ -105,7 +106,7 @@ impl Staging {
                     }
                     continue;
                 }
-                (Work::Secret(host), _) => {
+                (Work::Secret(host), None) => {
                     committed.secrets.push((*host, secrets::read_host_secret(connection, *host).await?));
                     continue;
                 }
@@ -136,11 +137,24 @@ impl Staging {
                     counts.newest = counts.newest.max(batch.newest);
                     batch.added
                 }
-                (Work::MissingBatches(missing), None) => {
-                    let is_first_contact =
-                        self.counters.is_first_contact(connection, head.host, host).await?;
-                    records::insert_missing_batches(connection, host, missing, is_first_contact, now).await?
-                }
+                (Work::MissingBatches(missing), None) => match quarantine_reason {
+                    Some(reason) => {
+                        // The mark advances without the gap. Otherwise this work would be tried again without end, and
+                        // the work of all other hosts would wait for it.
+                        tracing::error!(
+                            host = %missing.host, from = missing.from, through = missing.through,
+                            events = missing.events, reason,
+                            "the database refused the gap for missing batches of a host: the gap is not recorded"
+                        );
+                        StoredCounts::default()
+                    }
+                    None => {
+                        let is_first_contact =
+                            self.counters.is_first_contact(connection, head.host, host).await?;
+                        records::insert_missing_batches(connection, host, missing, is_first_contact, now)
+                            .await?
+                    }
+                },
                 // All other work was done above.
                 _ => continue,
             };

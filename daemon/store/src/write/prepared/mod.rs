@@ -29,7 +29,7 @@ use crate::stored::StoredCounts;
 pub(super) use self::iteration::position;
 
 /// Maximum number of missing events in a gap. A host may report any number, and no sum in the database may overflow.
-const MAX_MISSING_EVENTS: u64 = 1 << 40;
+pub(super) const MAX_MISSING_EVENTS: u64 = 1 << 40;
 
 /// A batch that is ready to be inserted.
 #[derive(Debug)]
