@@ -36,6 +36,8 @@ END_TO_END = "peernet-tests"
 FLOODS = "limits::"
 # Line of the test harness with a test's name, result and time.
 RESULT = re.compile(r"^test (.+) \.\.\. (\w+) <([0-9.]+)s>$")
+# Line of the test harness with the number of the examples of a package.
+EXAMPLES = re.compile(r"^running ([0-9]+) tests?$", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,15 @@ def run(program: Program, threads: int, filters: list[str], *, prints_tests: boo
     return ProgramResult(program, process.returncode, time.monotonic() - begin, "".join(lines))
 
 
+def flooding_tests(program: Program, filters: list[str]) -> list[str]:
+    """Returns the names of the selected tests that flood a host."""
+    command = [program.path, "--list", "--format", "terse", *filters]
+    listed = subprocess.run(command, cwd=program.folder, stdout=subprocess.PIPE, text=True, check=True).stdout
+    names = (line.removesuffix(": test") for line in listed.splitlines() if line.endswith(": test"))
+    # The same comparison as that of `--skip`, so that each test runs once.
+    return [name for name in names if FLOODS in name]
+
+
 @contextmanager
 def linting() -> Iterator[subprocess.Popen[str]]:
     """Runs the lints with idle priority, and prints their output at the end if they failed."""
@@ -149,10 +160,8 @@ def run_all(programs: list[Program], cores: int, filters: list[str]) -> int:
         if program.package == END_TO_END:
             results.append(run(program, 2 * cores, ["--skip", FLOODS, *filters], prints_tests=True))
             results[-1].report()
-            # A filter selects tests that flood a host only if it begins with FLOODS.
-            floods = [name for name in filters or [FLOODS] if name.startswith(FLOODS)]
-            if floods:
-                results.append(run(program, cores, floods, prints_tests=True))
+            if floods := flooding_tests(program, filters):
+                results.append(run(program, cores, ["--exact", *floods], prints_tests=True))
                 results[-1].report()
     failed = [f"{result.program.package} {result.program.name}" for result in results if result.code]
     examples = [CARGO, "test", "--workspace", "--locked", "--doc", "--quiet", "--", *filters]
@@ -160,7 +169,10 @@ def run_all(programs: list[Program], cores: int, filters: list[str]) -> int:
     if ended.returncode:
         print(ended.stdout)
         failed.append("the examples in the documentation")
-    slowest = sorted((test for result in results for test in result.tests()), reverse=True)[:SLOWEST]
+    tests = [test for result in results for test in result.tests()]
+    if not tests and not any(int(count) for count in EXAMPLES.findall(ended.stdout)):
+        failed.append(f"no test was run, the filters are: {' '.join(filters) or 'none'}")
+    slowest = sorted(tests, reverse=True)[:SLOWEST]
     print("the slowest:", *(f"  {seconds:6.1f} s  {name}" for seconds, name in slowest), sep="\n")
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)

@@ -12,23 +12,31 @@ describe("failures", () => {
   test("lost connection is shown and recovers automatically", async () => {
     const { page, close } = await open(browser, base, "/");
     await waitForUpdate(page, "#part-now");
-    const figure = await page.locator("#part-now .p50").first().innerText();
+    const title = page.locator("h1"), figures = page.locator("#part-now");
+    const pastTitle = /running at \d\d:\d\d:\d\d$/;
+    assert.doesNotMatch(await title.innerText(), pastTitle);
     await page.route("**/api/v1/live*", (route) => route.abort());
     // A page that returns from the back-forward cache opens its stream again, which now fails.
     await page.evaluate(() => dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true })));
     await page.waitForFunction(() => !document.getElementById("banner").hidden);
     assert.match(await page.locator("#banner").innerText(), /Connection to the aggregator lost at \d\d:\d\d:\d\d/);
-    assert.match(await page.locator("h1").innerText(), /running at \d\d:\d\d:\d\d$/);
+    assert.match(await title.innerText(), pastTitle);
     assert.equal(await page.locator("#livetext").innerText(), "Reconnecting");
-    assert.ok(figure.length > 0 && (await page.locator("#part-now .p50").first().innerText()).length > 0);
+    // The last figures stay on the page, and their age is shown.
+    const lastFigures = await figures.innerText();
+    assert.match(await figures.locator(".p50").first().innerText(), /\d/);
+    await page.waitForFunction(() => /^last data ([2-9]|\d\d)\s?s ago$/.test(document.getElementById("livelag").textContent));
+    assert.equal(await figures.innerText(), lastFigures);
     await page.unroute("**/api/v1/live*");
     await page.waitForFunction(() => document.getElementById("banner").hidden, null, { timeout: 15000 });
     await waitForUpdate(page, "#part-now");
-    assert.doesNotMatch(await page.locator("h1").innerText(), /were running at/);
+    assert.doesNotMatch(await title.innerText(), pastTitle);
+    assert.equal(await page.locator("#livetext").innerText(), "Live");
     await close();
   });
 
   test("every page shows a lost connection", async () => {
+    let livePages = 0, dotCount = 0;
     for (const [name, path] of Object.entries(pages)) {
       const { page, close } = await open(browser, base, path);
       await page.waitForFunction(() => document.getElementById("livetext").textContent === "Live");
@@ -41,8 +49,11 @@ describe("failures", () => {
       // Without a connection, the dots of states are hollow.
       const dots = await page.locator("main .dot").evaluateAll((all) => all.map((dot) => getComputedStyle(dot).backgroundColor));
       assert.deepEqual(dots.filter((colour) => colour !== "rgba(0, 0, 0, 0)"), [], name);
+      livePages += Number(live);
+      dotCount += dots.length;
       await close();
     }
+    assert.ok(livePages > 0 && dotCount > 0, `${livePages} pages have a live title, and the pages have ${dotCount} dots`);
   });
 
   test("pages without script show figures and tables", async () => {

@@ -2,6 +2,7 @@
 
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader, Read};
+use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Condvar, Mutex};
@@ -149,9 +150,20 @@ impl Process {
     }
 
     /// Sends SIGKILL and waits for the end.
+    ///
+    /// # Panics
+    /// If the program ended before it was killed.
     pub fn kill(mut self) -> ProcessEnd {
         self.signal(Signal::KILL);
-        self.wait()
+        let end = self.wait();
+        assert_eq!(
+            end.status.signal(),
+            Some(Signal::KILL.as_raw()),
+            "{} ended before it was killed; its log:\n{}",
+            self.name,
+            end.log
+        );
+        end
     }
 
     /// Sends SIGTERM and waits for the end.

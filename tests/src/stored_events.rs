@@ -183,8 +183,9 @@ impl StoredEvents {
     /// iterations are stored in the range of a line than the line reports.
     ///
     /// # Panics
-    /// If a run is unknown or contains too many iterations.
+    /// If no iteration was spooled, or a run is unknown or contains too many iterations.
     pub fn count_missing(&self, spooled: &[SpooledIterations]) -> u64 {
+        assert!(!spooled.is_empty(), "the agent logged no spooled iteration: {self:?}");
         let mut missing = 0;
         for line in spooled {
             let run = self.runs.get(&line.run).unwrap_or_else(|| panic!("the run of {line:?} is not stored"));

@@ -161,7 +161,9 @@ fn assert_delays_within_bounds(samples: &str) {
     let mut rows = samples.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let header = rows.next().expect("there is a header");
     let outcome = header.iter().position(|column| *column == "outcome").expect("the column is there");
-    for row in rows.filter(|row| row[outcome] == "ok") {
+    let answered: Vec<_> = rows.filter(|row| row[outcome] == "ok").collect();
+    assert!(!answered.is_empty(), "no payload was answered:\n{samples}");
+    for row in answered {
         let cell = |name: String| {
             let index = header.iter().position(|column| *column == name).expect("the column is there");
             row[index].parse::<f64>().unwrap_or_else(|error| panic!("{name}: {error} in {row:?}"))
@@ -376,7 +378,10 @@ fn recompute_leaves_stored_run_unchanged() {
     }
     let json = hosts.peernet(&["recompute", &run_number, "--url", &url, "--json"]).wait_for_end();
     let json: Value = serde_json::from_str(&json.log).unwrap_or_else(|error| panic!("{error}: {}", json.log));
-    for stage in json["stages"].as_array().expect("a list") {
+    let stages = json["stages"].as_array().expect("a list");
+    let names: Vec<&Value> = stages.iter().map(|stage| &stage["stage"]).collect();
+    assert_eq!(names, ["upload", "download"], "{json:#}");
+    for stage in stages {
         let after = &stage["after"];
         assert_eq!(after["delay"]["count"], stage["before"]["delay"]["count"], "{stage:#}");
         let half_width = |judgement: &Value| number(&judgement["half_width"]["mean"]);

@@ -143,18 +143,30 @@ fn interval(speed: f64, delay: &QuantityStatistics, accuracy: &DelayAccuracy) ->
 #[cfg(test)]
 mod tests {
     use peernet_logger::Name;
+    use peernet_stream::OutcomeCounts;
 
     use super::*;
     use crate::tests::samples;
 
     #[test]
     fn chart_of_idle_pipeline_has_verdict_of_its_last_minute() {
+        let newest = samples::NOW.unix_seconds();
         let of = |hz, verdict| {
-            let mut line = samples::pipeline("line", hz, 1.0, verdict, &[]);
-            // Nothing was measured in the last minute.
-            line.windows = [1, 10, 60].map(|seconds| samples::window(seconds, 0.0, 1.0, verdict));
-            [NetworkDirection::Up, NetworkDirection::Down]
-                .map(|direction| obstacle_in(&line.series, direction))
+            let mut series = samples::pipeline("line", hz, 1.0, verdict, &[]).series;
+            for second in series.iter_mut().map(Arc::make_mut) {
+                // No iteration succeeds in the last minute. The delays before the minute of the last success are stale.
+                match newest - second.at {
+                    ..MINUTE_S => {
+                        second.counts = OutcomeCounts::default();
+                        second.verdicts = [VerdictCounts::default(); 2];
+                    }
+                    age if age >= 2 * MINUTE_S => {
+                        second.verdicts.iter_mut().for_each(|counts| counts.add(Verdict::Stale, 1_000));
+                    }
+                    _ => {}
+                }
+            }
+            [NetworkDirection::Up, NetworkDirection::Down].map(|direction| obstacle_in(&series, direction))
         };
         assert_eq!(of(5.0, Verdict::Ok), [None; 2]);
         assert_eq!(of(5.0, Verdict::Limited), [Some("known only within its clock bound"); 2]);

@@ -1,5 +1,7 @@
 //! Listening, stopping, static files.
 
+use std::time::Duration;
+
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
 use peernet_web::{StartError, WebConfig};
@@ -100,13 +102,18 @@ async fn streams_leave_connections_to_other_requests() {
     }
     // If listeners close their streams, others can be opened.
     drop((open, other));
-    loop {
-        let received = read_until(&mut send_request(server, "127.0.0.3", LIVE).await, "\r\n").await;
-        if received.starts_with("HTTP/1.1 200") {
-            break;
+    // The server does not announce that it has noticed the closed streams, so the test asks until a stream opens.
+    let open_stream = async {
+        loop {
+            let received = read_until(&mut send_request(server, "127.0.0.3", LIVE).await, "\r\n").await;
+            if received.starts_with("HTTP/1.1 200") {
+                break;
+            }
+            assert!(received.starts_with("HTTP/1.1 503"), "{received}");
+            tokio::time::sleep(Duration::from_millis(10)).await;
         }
-        tokio::time::sleep(std::time::Duration::from_millis(10)).await;
-    }
+    };
+    tokio::time::timeout(Duration::from_secs(60), open_stream).await.expect("closed streams are noticed");
 }
 
 #[tokio::test]

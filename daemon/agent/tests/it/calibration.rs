@@ -48,6 +48,7 @@ async fn configured_model_named_calibration_takes_precedence() {
     let cloud = TestAgent::start("cloud", None, &format!("{CLOUD}{configured_model}")).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &pipeline(&cloud)).await;
     let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
+    assert_eq!(received_events.iterations().len(), 5);
     assert!(received_events.iterations().iter().all(|it| value(&it.tree, "download-bytes") == Some(7.0)));
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");

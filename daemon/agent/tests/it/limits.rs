@@ -49,6 +49,7 @@ async fn environment_of_program_is_set_and_recorded_without_values() {
         actuator = { kind = 'exec', command = 'cat', env = { API_KEY = 'hunter3' } }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
     let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
+    assert_eq!(received_events.iterations().len(), 2);
     assert!(received_events.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
     let first_configuration = received_events.run_starts()[0].configuration.clone();
     assert_eq!(first_configuration.matches("API_KEY = \"(not told)\"").count(), 2, "{first_configuration}");

@@ -160,6 +160,7 @@ async fn timeout_at_edge_stops_language_model() {
     let tables = edge_tables(&cloud, "timeout_ms = 200");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
     let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
+    assert_eq!(received_events.iterations().len(), 3);
     assert!(received_events.iterations().iter().all(|it| matches!(it.outcome, Outcome::Timeout(_))));
     // The connection to the server is closed long before the time limits of the model.
     let closing = tokio::task::spawn_blocking(move || closings.recv().expect("the server runs"));

@@ -1,13 +1,14 @@
 //! Tests of a program that runs an agent in the foreground.
 
 use std::num::NonZeroU64;
+use std::time::Duration;
 
 use peernet_agent::{Agent, MissedEvents, StartError};
 use peernet_stream::{Event, PipelineState};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-use crate::harness::{VERSION, clock, config};
+use crate::harness::{VERSION, WAIT_TIMEOUT, clock, config};
 
 /// Configuration of a pipeline and its model.
 const PIPELINE_TABLES: &str = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
@@ -43,9 +44,13 @@ async fn program_receives_events_and_missed_events_are_counted() {
         let running = Agent::start_with_tap(config, VERSION, clock("system"), stop.clone(), tap, results)
             .await
             .expect("starts");
-        while running.live_update().pipelines[0].state != PipelineState::Finished {
-            tokio::time::sleep(std::time::Duration::from_millis(5)).await;
-        }
+        // The state is polled, because changes are not announced.
+        let finished = async {
+            while running.live_update().pipelines[0].state != PipelineState::Finished {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(WAIT_TIMEOUT, finished).await.expect("the pipeline finishes");
         let events_missed_by_tap = running.events_missed_by_tap();
         stop.cancel();
         running.join().await.expect("stops well");

@@ -62,9 +62,12 @@ async fn restart(address: &Address) -> Cloud {
         "udp" => std::net::UdpSocket::bind(address.authority()).is_err(),
         _ => std::net::TcpListener::bind(address.authority()).is_err(),
     };
-    while is_taken() {
-        tokio::task::yield_now().await;
-    }
+    within(async {
+        while is_taken() {
+            tokio::task::yield_now().await;
+        }
+    })
+    .await;
     Cloud::start_at(&address.to_string(), settings()).await
 }
 

@@ -86,14 +86,16 @@ async fn other_programs_see_pictures_as_compressed_images() {
         .expect("registered");
     let picture = Sample::from_part(Description::unshaped(MediaType::Jpeg), Bytes::from(vec![9; 5_000]));
     // Until the topic of the pictures is open, the companions carry the pictures.
-    let image = loop {
-        exchange(&mut cloud, &session, picture.clone()).await;
-        let result = tokio::time::timeout(Duration::from_millis(50), pictures.recv()).await;
-        if let Ok(message) = result {
-            break CompressedImage::decode(WireForm::Ros1, message.expect("the node runs").bytes)
-                .expect("an image");
+    let first_picture = async {
+        loop {
+            exchange(&mut cloud, &session, picture.clone()).await;
+            let result = tokio::time::timeout(Duration::from_millis(50), pictures.recv()).await;
+            if let Ok(message) = result {
+                break message.expect("the node runs").bytes;
+            }
         }
     };
+    let image = CompressedImage::decode(WireForm::Ros1, within(first_picture).await).expect("an image");
     assert_eq!((&*image.format, &image.data[..]), ("jpeg", &picture.parts[0].bytes[..]));
     assert!(image.header.stamp.sec > 1_000_000_000, "the departure is in the header");
     assert_eq!(session.statistics().lost_messages, 0);

@@ -220,9 +220,12 @@ async fn next_request_notices_restarted_cloud() {
     let address = cloud.address();
     drop(cloud);
     within(relay.wait_for_drops(1)).await;
-    while std::net::UdpSocket::bind(address.authority()).is_err() {
-        tokio::task::yield_now().await;
-    }
+    within(async {
+        while std::net::UdpSocket::bind(address.authority()).is_err() {
+            tokio::task::yield_now().await;
+        }
+    })
+    .await;
     let _cloud = Cloud::start_at(&address.to_string(), settings()).await;
     relay.restore();
     let completed = within(request(&session, "who are you?", TIME_LIMIT)).await.expect("no panic");

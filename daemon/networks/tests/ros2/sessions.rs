@@ -93,14 +93,16 @@ async fn other_programs_see_pictures_as_compressed_images() {
         .expect("a subscription");
     let sample = picture(300_000);
     // Until the topic of the pictures is open, the companions carry the pictures.
-    let image = loop {
-        exchange(&mut cloud, &session, sample.clone()).await;
-        let result = tokio::time::timeout(Duration::from_millis(50), pictures.receive()).await;
-        if let Ok(message) = result {
-            let payload = message.expect("the node runs").payload;
-            break CompressedImage::decode(WireForm::Cdr, payload).expect("an image");
+    let first_picture = async {
+        loop {
+            exchange(&mut cloud, &session, sample.clone()).await;
+            let result = tokio::time::timeout(Duration::from_millis(50), pictures.receive()).await;
+            if let Ok(message) = result {
+                break message.expect("the node runs").payload;
+            }
         }
     };
+    let image = CompressedImage::decode(WireForm::Cdr, within(first_picture).await).expect("an image");
     assert_eq!((&*image.format, &image.data[..]), ("jpeg", &sample.parts[0].bytes[..]));
     assert!(image.header.stamp.sec > 1_000_000_000, "the departure is in the header");
     assert_eq!(session.statistics().lost_messages, 0);

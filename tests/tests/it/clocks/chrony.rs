@@ -177,6 +177,7 @@ fn wrong_claim_affects_delays_only_if_trusted() {
         let offset = &link["now"]["offset"];
         (offset["verdict"] == "ok").then(|| offset["sources"].as_array().cloned())?
     });
+    assert!(!sources.is_empty(), "the offset has no source");
     assert!(sources.iter().all(|source| source["source"] == "in-band"), "{sources:?}");
     let iterations = testbed.stop_with_iterations("verdict.text IN ('ok', 'limited')");
     assert_contains_truth("a wrong claim, not trusted", &iterations, &edge, &HostClock::of_kernel());

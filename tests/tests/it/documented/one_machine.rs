@@ -42,7 +42,8 @@ fn documented_commands_without_aggregator_work() {
         let study = std::fs::read_to_string(results.file(&folder, "sensor.txt")).expect("it was written");
         assert!(study.contains("samples per second"), "{study}");
         let data = results.file(&folder, "data.csv");
-        assert!(column(&data, "inference").iter().all(String::is_empty), "no model computes");
+        let inference = column(&data, "inference");
+        assert!(!inference.is_empty() && inference.iter().all(String::is_empty), "{folder}: {inference:?}");
     }
 
     machines.write("experiment.toml", EXPERIMENT_WITH_MISTAKE);

@@ -6,7 +6,9 @@ use std::time::Duration;
 
 use peernet_clock::Span;
 use peernet_tests::fleet::{agent_configuration_in, echo_pipeline, rate_load};
-use peernet_tests::{Fleet, ImageDisk, Stopwatch, TestRng, record_measurements, thousands, wait_until};
+use peernet_tests::{
+    Fleet, ImageDisk, Stopwatch, StoredRun, TestRng, record_measurements, thousands, wait_until,
+};
 
 use super::{setting, wait_for_turn};
 
@@ -43,10 +45,12 @@ struct Storm {
     store: ImageDisk,
     spools: ImageDisk,
     faults: Vec<Fault>,
-    /// Number of answers in the logs of ended processes.
-    answers: u64,
-    /// Number of kills of agents, and of the aggregator.
-    kills: [u64; 2],
+    /// Number of answers in the logs of each agent's ended processes.
+    answers: [u64; AGENTS.len()],
+    /// Number of kills of each agent.
+    agent_kills: [u64; AGENTS.len()],
+    /// Number of kills of the aggregator.
+    aggregator_kills: u64,
     /// Number of starts that failed because of a fault.
     failed_starts: u32,
 }
@@ -70,7 +74,17 @@ impl Storm {
         for agent in 0..AGENTS.len() {
             fleet.wait_for_counts(agent, "the agent is known", |counts| counts.produced > 0);
         }
-        Self { fleet, store, spools, faults: Vec::new(), answers: 0, kills: [0; 2], failed_starts: 0 }
+        let (answers, agent_kills) = ([0; AGENTS.len()], [0; AGENTS.len()]);
+        Self {
+            fleet,
+            store,
+            spools,
+            faults: Vec::new(),
+            answers,
+            agent_kills,
+            aggregator_kills: 0,
+            failed_starts: 0,
+        }
     }
 
     /// Returns the files of the database or of a spool that processes write with system calls. The third file is
@@ -141,11 +155,11 @@ impl Storm {
         let (kills_aggregator, kills_agent) = (choice < 2, choice > 0);
         if kills_aggregator {
             self.fleet.aggregator.kill();
-            self.kills[1] += 1;
+            self.aggregator_kills += 1;
         }
         if kills_agent {
-            self.answers += count_answers(&self.fleet.agents[agent].kill().log);
-            self.kills[0] += 1;
+            self.answers[agent] += count_answers(&self.fleet.agents[agent].kill().log);
+            self.agent_kills[agent] += 1;
         }
         rng.sleep_up_to(MAX_PAUSE);
         // An aggregator that is started without its disk creates a database in the mount point's folder.
@@ -163,8 +177,8 @@ impl Storm {
         self.repair();
         let Fleet { deployment, aggregator, agents, .. } = &mut self.fleet;
         for daemon in agents.iter_mut().chain([aggregator]) {
-            let nothing_to_repair = || {};
-            self.failed_starts += daemon.wait_until_ready(deployment, nothing_to_repair);
+            // A start during a fault may have failed. Everything is repaired now, so the second start succeeds.
+            self.failed_starts += u32::from(daemon.restart_if_start_failed(deployment));
         }
         rng.sleep_up_to(MAX_PAUSE);
     }
@@ -182,21 +196,21 @@ fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
     let (mut rng, stopwatch) = (TestRng::new("storm"), Stopwatch::start());
     let mut storm = Storm::new();
     let kills = setting("PEERNET_KILLS", 6);
-    while storm.kills.iter().sum::<u64>() < kills {
+    while storm.agent_kills.iter().sum::<u64>() + storm.aggregator_kills < kills {
         storm.inject_and_repair(&mut rng);
     }
-    let Storm { mut fleet, mut answers, kills, failed_starts, store: _store, spools: _spools, .. } = storm;
+    let Storm { mut fleet, mut answers, agent_kills, aggregator_kills, failed_starts, .. } = storm;
     let Fleet { deployment, aggregator, agents, .. } = &mut fleet;
     for daemon in agents.iter_mut().chain([aggregator]) {
         daemon.show_time(deployment, Span::ZERO);
     }
     let mut counts_of_agents = Vec::new();
-    for agent in 0..AGENTS.len() {
-        answers += count_answers(&fleet.agents[agent].stop().log);
+    for (agent, answers) in answers.iter_mut().enumerate() {
+        *answers += count_answers(&fleet.agents[agent].stop().log);
         counts_of_agents.push(fleet.deliver_spool(agent));
     }
     let stored_events = fleet.stop();
-    for (agent, counts) in fleet.agents.iter().zip(&counts_of_agents) {
+    for (index, (agent, counts)) in fleet.agents.iter().zip(&counts_of_agents).enumerate() {
         counts.assert_balanced();
         let host = &stored_events.hosts[&agent.name];
         assert_eq!(
@@ -208,19 +222,21 @@ fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
         // Every event is accounted for by the agents' counts.
         assert_eq!((counts.waiting, counts.dropped), (0, host.missing), "{counts:?}, {host:?}");
         assert_eq!(counts.produced, host.events + host.missing, "{counts:?}, {host:?}");
+        // The logged answers are accounted for as well. A kill may hit an iteration after its action and before its end.
+        let runs = stored_events.runs.values().filter(|run| run.host == agent.name);
+        let accounted = runs.map(StoredRun::iterations).sum::<u64>() + host.missing;
+        let (answers, kills) = (answers[index], agent_kills[index]);
+        assert!(answers > 0 && accounted + kills >= answers, "{answers} answers, {accounted} accounted for");
     }
-    // The logged answers are accounted for as well. A kill may hit an iteration after its action and before its end.
     let missing: u64 = stored_events.hosts.values().map(|host| host.missing).sum();
-    let accounted = stored_events.iterations() + missing;
-    assert!(accounted + kills[0] >= answers, "{answers} answers, {accounted} accounted for");
     let number = |count: u64| thousands(count as f64);
     record_measurements(
         "kills amid failing disks and jumping clocks",
         &[
-            ("kills of agents", number(kills[0])),
-            ("kills of the aggregator", number(kills[1])),
+            ("kills of agents", number(agent_kills.iter().sum())),
+            ("kills of the aggregator", number(aggregator_kills)),
             ("starts that failed until the fault was repaired", number(failed_starts.into())),
-            ("answers in the logs", number(answers)),
+            ("answers in the logs", number(answers.iter().sum())),
             ("iterations stored", number(stored_events.iterations())),
             ("lost and reported", number(missing)),
             // The assertions above would fail otherwise.

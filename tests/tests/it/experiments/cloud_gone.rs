@@ -59,9 +59,18 @@ fn returning_cloud_loses_only_iterations_in_flight() {
     let end = process.wait_for_end();
     assert_eq!(end.code(), 75, "failed iterations lead to exit code 75: {}", end.log);
     assert_eq!(lab.results.states(), ["finished"; 3], "{}", end.log);
-    let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
-    let unanswered = outcomes.iter().filter(|outcome| *outcome != "ok").count();
-    assert!((1..outcomes.len() - 3).contains(&unanswered), "{outcomes:?}");
+    for folder in lab.results.folders() {
+        let outcomes = column(&lab.results.file(&folder, "data.csv"), "outcome");
+        let unanswered = outcomes.iter().filter(|outcome| *outcome != "ok").count();
+        if folder == second {
+            // The second run has 250 iterations and 2 of the warm-up. One iteration is in flight at a time: the first may
+            // time out before the silence of the cloud ends the connection, the second is lost with the connection, and
+            // a third may start before the pipeline sees this end.
+            assert_eq!((outcomes.len(), (1..=3).contains(&unanswered)), (252, true), "{outcomes:?}");
+        } else {
+            assert_eq!((outcomes.len(), unanswered), (27, 0), "{folder}: {outcomes:?}");
+        }
+    }
     let repeated = lab.run(THREE_RUNS, &[]).wait_for_end();
     assert!(repeated.code() == 75 && repeated.log.contains("nothing to do"), "{}", repeated.log);
     assert!(repeated.log.contains("iterations failed in "), "{}", repeated.log);

@@ -128,12 +128,13 @@ fn foreign_reports_leave_run_unchanged() {
     assert!(!trust.contains("123,456") && !trust.contains("never reached the store"), "{trust}");
     let incidents = fleet.api.json("/api/v1/incidents");
     let incidents = incidents["incidents"].as_array().expect("a list").clone();
-    let is_from_stranger = |incident: &&serde_json::Value| incident["host"] == "stranger";
+    let from_stranger: Vec<_> = incidents.iter().filter(|incident| incident["host"] == "stranger").collect();
     assert!(
         incidents.iter().any(|incident| incident.to_string().contains("belong to other hosts")),
         "{incidents:?}"
     );
-    assert!(incidents.iter().filter(is_from_stranger).all(|incident| incident["run"] != 1), "{incidents:?}");
+    assert!(from_stranger.iter().any(|incident| incident["text"] == "taken"), "{incidents:?}");
+    assert!(from_stranger.iter().all(|incident| incident["run"] != 1), "{incidents:?}");
 
     let before = fleet.wait_for_counts(0, "the agent reports", |_| true);
     fleet.wait_for_counts(0, "more events of the robot are stored", |counts| {

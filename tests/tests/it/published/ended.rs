@@ -121,7 +121,7 @@ fn results_replaced_by_killed_run_are_restored() {
     assert_eq!(first.code(), 0, "{}", first.log);
     let killed = start_endless_client(&lab, "--result-loc results --overwrite");
     killed.wait_for("of 1,000,000");
-    let _ = killed.kill();
+    killed.kill();
     assert!(!lab.folder().join("results/run.json").exists(), "the previous results are not moved away");
     assert!(
         compare_output(&lab, "results").contains("the previous results are in "),
@@ -151,7 +151,7 @@ fn results_of_killed_run_are_reported() {
     let _server = start_server(&lab, 1_000_000);
     let killed = start_endless_client(&lab, "--result-loc results");
     killed.wait_for("of 1,000,000");
-    let _ = killed.kill();
+    killed.kill();
     let comparison = compare_output(&lab, "results");
     assert!(
         comparison.contains("results is incomplete: run.json is missing: the run is in progress or was"),
@@ -190,7 +190,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
     assert_eq!(client(6).wait_for_end().code(), 0);
     let killed = client(1_000_000);
     killed.wait_for("of 1,000,000");
-    let _ = killed.kill();
+    killed.kill();
     assert_eq!(names(&temporary).len(), 1, "the killed client leaves its temporary folder");
     let comparison = start("compare").wait_for_end();
     assert!(comparison.log.contains("a run is in progress there or was killed"), "{}", comparison.log);
@@ -232,7 +232,7 @@ fn lost_server_leaves_rows_and_exit_code() {
     let server = start_server(&lab, 1_000_000);
     let client = start_endless_client(&lab, "--result-loc results --patience 2");
     client.wait_for("of 1,000,000");
-    let _ = server.kill();
+    server.kill();
     client.wait_for("cluster is away");
     let end = client.wait_for_end();
     assert_eq!(end.code(), 75, "{}", end.log);
@@ -253,7 +253,7 @@ fn returning_server_is_used_again() {
         picture().display()
     ));
     client.wait_for("of 120");
-    let _ = first.kill();
+    first.kill();
     client.wait_for("cluster is away");
     let _second = start_server(&lab, 1_000_000);
     let end = client.wait_for_end();

@@ -64,7 +64,9 @@ fn refusal_of_large_sample_names_option_for_size() {
     let size_option = "--text-size 300000";
     let end = measure(&lab, "echo", "--max-message-bytes 100000", size_option, "refused");
     assert_eq!(end.code(), 75, "{}", end.log);
-    for reason in lab.data("refused").column("reason") {
+    let refused = lab.data("refused");
+    assert_eq!((refused.rows.len(), refused.count_outcome("ok")), (2, 0), "{}", end.log);
+    for reason in refused.column("reason") {
         assert!(reason.contains("300") && reason.contains("--max-message-bytes"), "{reason}");
     }
     let (server, client) =

@@ -130,7 +130,7 @@ fn dead_process_is_reported_and_restarted() {
 }
 
 #[test]
-fn restart_delay_grows_after_repeated_deaths() {
+fn repeated_deaths_delay_the_restart() {
     let module = module();
     let mut model = module.model();
     let mut delay_count = 0;
