@@ -18,10 +18,15 @@ use peernet_analysis::total_column::TotalColumn;
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let drawings: Vec<Drawing> =
         Quality::ALL.into_iter().filter_map(|quality| drawing(runs, quality)).collect();
-    if drawings.is_empty() {
-        return Err(MissingData::Labels { unknown: unknown_labels(runs) });
+    if !drawings.is_empty() {
+        return Ok(drawings);
     }
-    Ok(drawings)
+    let has_values = |quality: Quality| quality.from_rows(|| runs.iter().flat_map(|run| &run.rows)).is_some();
+    Err(if Quality::ALL.into_iter().any(has_values) {
+        MissingData::Total
+    } else {
+        MissingData::Labels { unknown: unknown_labels(runs) }
+    })
 }
 
 /// Returns the common beginning of the names of a figure's files.
@@ -34,45 +39,64 @@ const fn stem(quality: Quality) -> &'static str {
     }
 }
 
-/// Returns the figure with one point for each configuration that has the quality; `None` if no configuration has the
-/// quality. Repeats of a configuration are pooled.
+/// Returns the figure with one point for each configuration that has the quality and a latency; `None` if no
+/// configuration has both. Repeats of a configuration are pooled.
 fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
     let total = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));
-    let point = |(label, runs): &(String, Vec<&Loaded>)| {
-        let estimate = quality.from_rows(|| runs.iter().flat_map(|run| &run.rows))?;
+    let mut points: Vec<QualityPoint> = Vec::new();
+    let [mut beyond_maximum, mut without_quality, mut without_latency, mut unscored] = [0; 4];
+    // The notes on iterations also cover the configurations without a quality or a latency, because a
+    // note may give the reason, such as failed iterations. Configurations beyond the maximum are only
+    // counted.
+    let mut covered_runs: Vec<&Loaded> = Vec::new();
+    for (label, runs) in &groups {
+        let estimate = quality.from_rows(|| runs.iter().flat_map(|run| &run.rows));
         let times = values(runs.iter().flat_map(|run| &run.rows), total.name());
-        let point =
-            QualityPoint { label: label.clone(), estimate, median: times.median()?, p95: times.p95() };
-        Some((point, unscored_count(runs, estimate.count)))
-    };
-    let scored: Vec<(QualityPoint, u64)> = groups.iter().filter_map(point).collect();
-    let (point_count, omitted_groups) = (scored.len(), groups.len() - scored.len());
-    let (points, unscored_counts): (Vec<QualityPoint>, Vec<u64>) =
-        scored.into_iter().take(MAX_QUALITY_POINTS).unzip();
+        match (estimate, times.median()) {
+            (None, _) => without_quality += 1,
+            (Some(_), None) => without_latency += 1,
+            (Some(_), Some(_)) if points.len() == MAX_QUALITY_POINTS => {
+                beyond_maximum += 1;
+                continue;
+            }
+            (Some(estimate), Some(median)) => {
+                unscored += unscored_count(runs, estimate.count);
+                points.push(QualityPoint { label: label.clone(), estimate, median, p95: times.p95() });
+            }
+        }
+        covered_runs.extend(runs);
+    }
     let n = number::range_of_counts(points.iter().map(|point| point.estimate.count))?;
-    let count_name = if quality.is_of_episodes() { "episodes:" } else { "n =" };
+    let (count_name, scored_unit) =
+        if quality.is_of_episodes() { ("episodes:", "episodes") } else { ("n =", "samples") };
     let mut notes = vec![format!("configurations: {} · {count_name} {n} each", axes.join(", "))];
     let mut left_out = Vec::new();
-    if point_count > MAX_QUALITY_POINTS {
+    if beyond_maximum > 0 {
         left_out.push(format!(
             "shown: the first {MAX_QUALITY_POINTS} of {} configurations",
-            number::count(point_count as u64)
+            number::count(MAX_QUALITY_POINTS as u64 + beyond_maximum)
         ));
     }
+    for (omitted_groups, missing) in [
+        (without_quality, format!("scored {scored_unit}")),
+        (without_latency, "a latency that can be drawn".to_owned()),
+    ] {
+        if omitted_groups > 0 {
+            let configurations = number::counted(omitted_groups, "configuration");
+            left_out.push(format!("left out: {configurations} without {missing}"));
+        }
+    }
+    let covered_rows = || covered_runs.iter().flat_map(|run| &run.rows);
     // The values of a quality of episodes are counted in episodes, so notes on numbers of iterations do not explain
     // them.
     if !quality.is_of_episodes() {
-        notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
-        if omitted_groups > 0 {
-            let configurations = number::counted(omitted_groups as u64, "configuration");
-            left_out.push(format!("left out: {configurations} without scored samples"));
-        }
+        notes.extend(excluded_note(&covered_rows()));
     }
     notes.extend(left_out.iter().cloned());
-    notes.extend(too_large_note(runs.iter().flat_map(|run| &run.rows), &[total.name()]));
+    notes.extend(too_large_note(covered_rows(), &[total.name()]));
     if !quality.is_of_episodes() {
-        notes.extend(unscored_notes(runs, unscored_counts.iter().sum()));
+        notes.extend(unscored_notes(&covered_runs, unscored));
     }
     let figure =
         QualityAgainstLatency { quality, latency_unit: Unit::milliseconds(total.title()), points, notes };
@@ -87,11 +111,11 @@ fn unscored_count(runs: &[&Loaded], scored_count: u64) -> u64 {
 }
 
 /// Returns notes on the iterations without a score. `unscored` is the sum of [`unscored_count`] over the configurations
-/// in the figure.
-fn unscored_notes(runs: &[Loaded], unscored: u64) -> Vec<String> {
+/// in the figure. Unknown labels are those of all `runs`.
+fn unscored_notes(runs: &[&Loaded], unscored: u64) -> Vec<String> {
     let unscored = (unscored > 0)
         .then(|| format!("not scored: {} without a valid score", number::counted(unscored, "iteration")));
-    let unknown = unknown_labels(runs).map(|unknown| {
+    let unknown = unknown_labels(runs.iter().copied()).map(|unknown| {
         format!("not scored: {}, {}", number::counted(unknown.count, "iteration"), unknown.reason())
     });
     unscored.into_iter().chain(unknown).collect()

@@ -15,7 +15,8 @@ pub(super) fn too_large_note<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns
     let numbers =
         rows_in_statistics.flat_map(|row| columns.iter().filter_map(move |column| row.value(column)));
     let undrawn = numbers.filter(|value| value.is_finite() && !is_drawable(*value)).count();
-    (undrawn > 0).then(|| format!("not drawn, beyond ±10¹⁸: {}", counted(undrawn as u64, "number")))
+    // The font of figures has no superscript 8.
+    (undrawn > 0).then(|| format!("not drawn, beyond ±1e18: {}", counted(undrawn as u64, "number")))
 }
 
 /// Returns the numbers of a column that can be drawn, from the rows in the statistics.

@@ -190,6 +190,18 @@ fn font_has_all_characters_of_figures() {
         include_str!("../stacked.rs"),
         include_str!("../../of_calibration.rs"),
         include_str!("../../of_messages.rs"),
+        include_str!("../../of_results/accuracy.rs"),
+        include_str!("../../of_results/columns.rs"),
+        include_str!("../../of_results/cumulative.rs"),
+        include_str!("../../of_results/histograms.rs"),
+        include_str!("../../of_results/length.rs"),
+        include_str!("../../of_results/paired.rs"),
+        include_str!("../../of_results/payload.rs"),
+        include_str!("../../of_results/replayed.rs"),
+        include_str!("../../of_results/series.rs"),
+        include_str!("../../of_results/stacked.rs"),
+        include_str!("../../of_results/totals.rs"),
+        include_str!("../../of_results/users.rs"),
         include_str!("../../../../analysis/src/payload_study.rs"),
     ] {
         assert_eq!(source.lines().find_map(missing_glyph), None);

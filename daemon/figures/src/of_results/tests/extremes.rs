@@ -43,14 +43,14 @@ fn values_too_large_to_draw_are_left_out_and_noted() {
     let AnyFigure::TimeSeries(time_series) = &drawn[0].figure else { panic!("{drawn:?}") };
     assert_eq!(time_series.total.values.len(), 49);
     assert!(
-        time_series.notes.contains(&"not drawn, beyond ±10¹⁸: 10 numbers".to_owned()),
+        time_series.notes.contains(&"not drawn, beyond ±1e18: 10 numbers".to_owned()),
         "{:?}",
         time_series.notes
     );
     let drawn =
         payload::drawings(std::slice::from_ref(&partly_extreme)).expect("the other numbers can be drawn");
     let AnyFigure::Scaling(scaling) = &drawn[0].figure else { panic!("{drawn:?}") };
-    assert!(scaling.notes.iter().any(|note| note.contains("±10¹⁸")), "{:?}", scaling.notes);
+    assert!(scaling.notes.iter().any(|note| note.contains("±1e18")), "{:?}", scaling.notes);
     let all_extreme = with_extremes(1e308, 1);
     let missing = histograms::drawings(&all_extreme, Some("upload")).expect_err("no number can be drawn");
     assert_eq!(missing, MissingData::Column("upload".to_owned()));

@@ -124,6 +124,28 @@ fn configurations_beyond_maximum_are_noted_not_counted() {
 }
 
 #[test]
+fn notes_on_accuracy_ignore_configurations_beyond_maximum() {
+    let labelled = |model: &str| {
+        let record = placed(model, "local", 1.0).record;
+        Loaded { record, ..run_with_total(20.0) }
+    };
+    let mut runs: Vec<Loaded> = (0..25).map(|number| labelled(&format!("m{number}"))).collect();
+    // The last configuration has numbers that are too large and labels that the model does not know.
+    runs[24].rows.change(|row| {
+        if row.iteration > 90 {
+            row.values.retain(|(name, _)| name != "total" && name != "top-1");
+            row.values.extend([("total".into(), 1e20), ("unknown-label".into(), 1.0)]);
+        }
+    });
+    let drawings = accuracy::drawings(&runs).expect("there are labels");
+    let AnyFigure::QualityAgainstLatency(figure) = &drawings[0].figure else { panic!("points") };
+    assert_eq!(figure.points.len(), 24);
+    let shown = "shown: the first 24 of 25 configurations";
+    assert_eq!(figure.notes[1..], ["left out: 120 warm-up, 24 failed", shown]);
+    assert_eq!(drawings[0].left_out, [shown]);
+}
+
+#[test]
 fn throughput_of_noisy_delays_is_noted_not_drawn() {
     let noisy = run(300, |number| {
         let size_index = number as usize % 4;

@@ -33,6 +33,19 @@ fn accuracy_figure_notes_unknown_labels() {
 }
 
 #[test]
+fn scored_configuration_without_latency_is_noted_as_such() {
+    let scored = |model: &str, total: &'static [(&'static str, f64)]| {
+        let run = run(100, |_| [total, &[("top-1", 1.0)]].concat());
+        Loaded { record: placed(model, "local", 1.0).record, ..run }
+    };
+    let without_latency = scored("m", &[]);
+    let runs = [scored("s", &[("total", 20.0)]), without_latency.clone()];
+    let drawings = accuracy::drawings(&runs).expect("one configuration has both");
+    assert_eq!(drawings[0].left_out, ["left out: 1 configuration without a latency that can be drawn"]);
+    assert_eq!(accuracy::drawings(&[without_latency]), Err(MissingData::Total));
+}
+
+#[test]
 fn unknown_delays_count_as_mean_of_known_ones() {
     let unknown = OneWayDelay::unsynchronised(Span::from_millis(3));
     let mut run = run(105, |_| vec![("sensing", 1.0), ("upload", 10.0), ("total", 11.0)]);

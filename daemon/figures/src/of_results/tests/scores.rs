@@ -56,6 +56,9 @@ fn success_of_episodes_is_drawn_against_latency() {
         panic!("without labels, there are the figures of success and return only")
     };
     assert_eq!((drawing.stem.as_str(), returns.stem.as_str()), ("success", "return"));
+    for drawing in &drawings {
+        assert_eq!(drawing.left_out, ["left out: 1 configuration without scored episodes"]);
+    }
     let AnyFigure::QualityAgainstLatency(figure) = &drawing.figure else { panic!("points") };
     let estimates: Vec<_> =
         figure.points.iter().map(|point| (point.label.as_str(), point.estimate)).collect();
