@@ -18,7 +18,7 @@ pub struct ShutdownRequests {
 impl ShutdownRequests {
     /// Records a signal that arrives at `now`. Returns whether it is a new request; otherwise it repeats the last
     /// request.
-    pub fn is_new_request(&mut self, kind: SignalKind, now: Instant) -> bool {
+    pub fn record_signal(&mut self, kind: SignalKind, now: Instant) -> bool {
         let repeats = |(last_kind, last_at): (SignalKind, Instant)| {
             last_kind == kind && now - last_at < SAME_REQUEST_PERIOD
         };
@@ -38,7 +38,7 @@ mod tests {
     fn equal_signals_within_half_second_are_one_request() {
         let (mut shutdown_requests, begin) = (ShutdownRequests::default(), Instant::now());
         let mut is_request =
-            |kind, ms| shutdown_requests.is_new_request(kind, begin + Duration::from_millis(ms));
+            |kind, ms| shutdown_requests.record_signal(kind, begin + Duration::from_millis(ms));
         let (terminate, interrupt) = (SignalKind::terminate(), SignalKind::interrupt());
         assert!(is_request(terminate, 0));
         assert!(!is_request(terminate, 0) && !is_request(terminate, 499));

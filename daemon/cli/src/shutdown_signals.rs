@@ -43,7 +43,8 @@ impl Signals {
                     (SignalKind::hangup(), "SIGHUP")
                 }
             };
-            if self.shutdown_requests.is_new_request(kind, Instant::now()) {
+            let is_new_request = self.shutdown_requests.record_signal(kind, Instant::now());
+            if is_new_request {
                 return name;
             }
         }

@@ -63,7 +63,7 @@ mod tests {
     }
 
     #[test]
-    fn only_small_regular_files_are_read() {
+    fn large_file_device_and_folder_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("a.toml");
         std::fs::write(&file, "four").expect("writable");

@@ -49,7 +49,8 @@ struct Window {
     rate_hz: f64,
     #[serde(rename = "lost_fraction")]
     failed_fraction: Option<f64>,
-    /// Absent in answers of earlier releases.
+    /// Share of the iterations that ended after their deadline or failed. Absent in answers of earlier
+    /// releases.
     miss_rate: Option<f64>,
     values: Vec<Statistics>,
 }
@@ -108,7 +109,7 @@ const WINDOW_S: u32 = 10;
 /// When the aggregator does not answer (exit code 69).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let Pipelines { pipelines } = arguments.api.get("/api/v1/pipelines")?;
-    let Hosts { hosts, clock_faults: faulty } = arguments.api.get("/api/v1/hosts")?;
+    let Hosts { hosts, clock_faults: faulty_clocks } = arguments.api.get("/api/v1/hosts")?;
     if pipelines.is_empty() {
         print_to_stdout(
             "no pipeline yet: start an agent with a [[pipeline]], and set its [agent] aggregator to this aggregator's address",
@@ -129,7 +130,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         ];
         print_to_stdout(text(
             &header,
-            &pipelines.iter().map(|pipeline| pipeline_row(pipeline, &faulty)).collect::<Vec<_>>(),
+            &pipelines.iter().map(|pipeline| pipeline_row(pipeline, &faulty_clocks)).collect::<Vec<_>>(),
         ));
         print_to_stdout(format_args!(
             "the last {WINDOW_S} s; missed: later than their deadline or failed; p50 and p95 are quantiles of the total, the stages are means"
@@ -146,16 +147,17 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     print_to_stdout("");
     let header = ["host", "state", "CPU %", "waiting", "lost"];
-    print_to_stdout(text(&header, &hosts.iter().map(|host| host_row(host, &faulty)).collect::<Vec<_>>()));
-    for (name, how) in &faulty {
+    let rows: Vec<_> = hosts.iter().map(|host| host_row(host, &faulty_clocks)).collect();
+    print_to_stdout(text(&header, &rows));
+    for (name, error) in &faulty_clocks {
         print_to_stdout(format_args!(
-            "\nCLOCK FAULT INJECTION: {name}'s clock is made wrong on purpose ({how}). The measured delays of {name} should stay the same."
+            "\nCLOCK FAULT INJECTION: {name}'s clock is made wrong on purpose ({error}). The measured delays of {name} should stay the same."
         ));
     }
     Ok(())
 }
 
-fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
+fn pipeline_row(pipeline: &Pipeline, faulty_clocks: &FaultyClocks) -> Vec<String> {
     let window = pipeline.windows.iter().find(|window| window.seconds == WINDOW_S);
     let statistics_of = |name: &str| {
         window.and_then(|window| window.values.iter().find(|statistics| statistics.name == name))
@@ -178,7 +180,7 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
     };
     // A pipeline is marked if the clock of either end is faulty.
     let ends = [Some(&pipeline.host), peer.as_ref()];
-    let is_faulty = ends.into_iter().flatten().any(|host| faulty.contains_key(host));
+    let is_faulty = ends.into_iter().flatten().any(|host| faulty_clocks.contains_key(host));
     vec![
         format!("{}/{}", pipeline.host, pipeline.name),
         placement_text,
@@ -194,7 +196,7 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
     ]
 }
 
-fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
+fn host_row(host: &Host, faulty_clocks: &FaultyClocks) -> Vec<String> {
     let state = match (&host.connected, &host.last_seen) {
         (true, _) => "connected".to_owned(),
         (false, Some(seen)) => format!("last seen {}", to_the_second(seen)),
@@ -206,7 +208,7 @@ fn host_row(host: &Host, faulty: &FaultyClocks) -> Vec<String> {
         .map(|known| MissingCount { known, is_incomplete: host.missing_events_incomplete }.number());
     vec![
         host.name.clone(),
-        with_clock_fault_mark(&state, faulty.contains_key(&host.name)),
+        with_clock_fault_mark(&state, faulty_clocks.contains_key(&host.name)),
         or_dash(now.and_then(|now| now.cpu).map(number::whole_percent)),
         or_dash(now.map(|now| number::count(now.events.waiting))),
         or_dash(missing),
@@ -219,7 +221,7 @@ fn to_the_second(moment: &str) -> String {
     time.map_or_else(|_| moment.to_owned(), |time| time.to_rfc3339_opts(SecondsFormat::Secs, true))
 }
 
-/// Marks a state if the clock of one of the hosts has an artificial error.
+/// Marks the state of a host or a pipeline if a clock that it uses has an artificial error.
 fn with_clock_fault_mark(state: &str, is_faulty: bool) -> String {
     if is_faulty { format!("{state}, clock fault") } else { state.to_owned() }
 }
@@ -276,9 +278,9 @@ mod tests {
         let answer = json!({
             "hosts": [host("edge"), host("cloud")], "clock_faults": { "edge": fault, "away": fault },
         });
-        let Hosts { hosts, clock_faults: faulty } =
+        let Hosts { hosts, clock_faults: faulty_clocks } =
             serde_json::from_value(answer).expect("as the API answers");
-        let states: Vec<_> = hosts.iter().map(|host| host_row(host, &faulty)[1].clone()).collect();
+        let states: Vec<_> = hosts.iter().map(|host| host_row(host, &faulty_clocks)[1].clone()).collect();
         assert_eq!(states, ["connected, clock fault", "connected"]);
 
         let state = |host: &str, peer: &str| {
@@ -287,7 +289,7 @@ mod tests {
                 "placement": { "kind": "remote", "peer": peer, "address": null, "model": "echo" },
             });
             let pipeline: Pipeline = serde_json::from_value(pipeline).expect("as the API answers");
-            pipeline_row(&pipeline, &faulty)[2].clone()
+            pipeline_row(&pipeline, &faulty_clocks)[2].clone()
         };
         assert_eq!(state("edge", "cloud"), "running, clock fault");
         assert_eq!(state("other", "away"), "running, clock fault");

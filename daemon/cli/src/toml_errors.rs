@@ -2,8 +2,9 @@
 
 use toml::de::Error;
 
-/// Prefixes of serde's names of types, such as `u64` and `a nonzero u64`, and the words for these types. The words name
-/// no largest value: the check of the configuration, which follows, reports the ranges of its values.
+/// Prefixes of serde's names of types, such as `u` of `u64` and `a nonzero ` of `a nonzero u64`, and
+/// the words for these types. The words name no largest value: the check of the configuration, which
+/// follows, reports the ranges of its values.
 const TYPE_WORDS: [(&str, &str); 3] =
     [("a nonzero ", "a whole number above 0"), ("u", "a whole number from 0"), ("i", "a whole number")];
 

@@ -292,7 +292,7 @@ fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Opti
             .chain(affected.map(|(_, configuration)| format!("    {configuration}")))
     });
     let (count, lines) = (all.len(), lines.chain(hint).collect::<Vec<_>>().join("\n"));
-    let tried_count = counted(trial_results.tried as u64, "configuration");
+    let tried_count = counted(trial_results.configuration_count as u64, "configuration");
     Some(Failure::new(
         exit,
         anyhow!("{count} of {tried_count} cannot be measured, nothing was started:\n{lines}"),

@@ -64,19 +64,20 @@ impl Record {
         Self { format: FORMAT, name: plan.name.clone(), id, file, version, states, plan }
     }
 
-    /// Returns whether each run has its state, its configuration and a plain folder name.
-    // The folder of a run is removed before the run is measured again. With a plain name it cannot lie outside the
-    // experiment's folder.
+    /// Returns whether the record can be used: each run has the number of its place, a state, a
+    /// configuration of the plan and a plain folder name.
+    // The folder of a run is removed before the run is measured again. A folder with a plain name
+    // cannot lie outside the experiment's folder.
     pub(super) fn is_sound(&self) -> bool {
         let Plan { runs, configurations, .. } = &self.plan;
         let is_plain = |folder: &str| {
             let mut parts = Path::new(folder).components();
             matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None))
         };
-        let is_sound = |(index, run): (usize, &Run)| {
+        let is_valid = |(index, run): (usize, &Run)| {
             run.number == index + 1 && run.configuration < configurations.len() && is_plain(&run.folder)
         };
-        self.states.len() == runs.len() && runs.iter().enumerate().all(is_sound)
+        self.states.len() == runs.len() && runs.iter().enumerate().all(is_valid)
     }
 
     /// Returns the runs with their states, in order.

@@ -20,9 +20,12 @@ pub(super) fn runs(record: &Record, estimates: &DurationEstimates) -> String {
     let mut header = vec!["run".to_owned()];
     header.extend(axes.into_iter().flatten().map(|(axis, _)| shorten_label(axis)));
     // If an axis shows the number of users, the table has no column `users`.
-    let axis_shows_users = (0..header.len() - 1).any(|axis| {
+    let axis_shows_users = (0..header.len() - 1).any(|axis_index| {
         plan.configurations.iter().all(|configuration| {
-            configuration.labels.get(axis).is_some_and(|(_, label)| *label == configuration.users.to_string())
+            configuration
+                .labels
+                .get(axis_index)
+                .is_some_and(|(_, label)| *label == configuration.users.to_string())
         })
     });
     let has_repeats = plan.repeats > 1;

@@ -1,3 +1,5 @@
+//! Tests of the command `peernet run` and of the record of an experiment.
+
 use std::path::Path;
 
 use clap::Parser;
@@ -114,7 +116,7 @@ fn incomplete_results_are_measured_again() {
         position.remove(key).expect("it is recorded");
     }
     write_record(&earlier);
-    assert_eq!(message(), None, "an earlier version recorded neither");
+    assert_eq!(message(), None, "records of earlier versions lack both keys");
     write_record(&json!({ "format": 1 }));
     assert!(message().is_some_and(|why| why.ends_with("does not say that the run was finished")));
     let another = record.plan.experiment_position(&record.plan.runs[1], &record.id);
@@ -240,12 +242,12 @@ fn check_of_file_ignores_damaged_record() {
     std::fs::create_dir(&results).expect("writable");
     std::fs::write(results.join(RECORD), "{").expect("writable");
     let words = ["run".as_ref(), file.as_os_str(), "--result-loc".as_ref(), results.as_os_str()];
-    let line = |more: &str| {
-        let words = words.into_iter().chain([more.as_ref()]);
+    let run_with = |option: &str| {
+        let words = words.into_iter().chain([option.as_ref()]);
         run(&CommandLine::try_parse_from(words).expect("a command line").arguments)
     };
-    line("--check").expect("nothing is wrong with the file");
-    assert_eq!(line("--dry-run").expect_err("the record is damaged").exit, Exit::Data);
+    run_with("--check").expect("nothing is wrong with the file");
+    assert_eq!(run_with("--dry-run").expect_err("the record is damaged").exit, Exit::Data);
 }
 
 #[test]
@@ -350,20 +352,20 @@ fn exit_code_reports_failed_and_incomplete_runs() {
         record.start_run(run);
         record.end_run(run, result_with(RunStatus::Finished));
     }
-    let interrupted = false;
-    assert!(result_of_runs(&record, &runs, interrupted).is_ok());
+    let [not_interrupted, interrupted] = [false, true];
+    assert!(result_of_runs(&record, &runs, not_interrupted).is_ok());
     record.end_run(&runs[1], RunResult { exit: Some(75), ..result_with(RunStatus::Finished) });
-    let failure_of = |record: &Record, interrupted| {
-        result_of_runs(record, &runs, interrupted).expect_err("the runs have problems")
+    let failure_of = |record: &Record, is_interrupted| {
+        result_of_runs(record, &runs, is_interrupted).expect_err("the runs have problems")
     };
-    assert!(failure_of(&record, false).to_string().contains("iterations failed in 1 run"));
+    assert!(failure_of(&record, not_interrupted).to_string().contains("iterations failed in 1 run"));
     record.end_run(&runs[0], result_with(RunStatus::Failed));
-    let failed = failure_of(&record, false);
+    let failed = failure_of(&record, not_interrupted);
     assert!(failed.exit == Exit::Incomplete && failed.to_string().contains("1 run failed"), "{failed}");
-    assert_eq!(failure_of(&record, true).exit, Exit::Interrupted);
+    assert_eq!(failure_of(&record, interrupted).exit, Exit::Interrupted);
     // A run without all figures has not failed. The exit code for missing figures takes precedence.
     record.end_run(&runs[0], RunResult { exit: Some(73), ..result_with(RunStatus::Finished) });
-    let unwritten = failure_of(&record, false);
+    let unwritten = failure_of(&record, not_interrupted);
     assert!(unwritten.exit == Exit::Unwritten, "{unwritten}");
     for text in ["iterations failed in 1 run", "not all figures are drawn for 1 run", "peernet plot"] {
         assert!(unwritten.to_string().contains(text), "{unwritten}");

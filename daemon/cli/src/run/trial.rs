@@ -27,7 +27,7 @@ use crate::short::shorten_label;
 
 /// Number of iterations of a trial: the first may be slow, the others give the pace.
 const ITERATIONS: u64 = 3;
-/// Words that each reason for a missing sample of the sensor contains.
+/// Words in the reason of every iteration for which the sensor gave no sample.
 const SENSOR: &str = "the sensor";
 /// Timeout for an unreachable peer unless the file sets another; seconds. The peer may have to load its model.
 const PEER_TIMEOUT_S: f64 = 30.0;
@@ -37,7 +37,7 @@ pub(super) struct TrialResults {
     /// Pace of each configuration; `None` if it was not tried or failed.
     pub(super) paces: Vec<Option<Pace>>,
     /// Number of configurations that were to be tried.
-    pub(super) tried: usize,
+    pub(super) configuration_count: usize,
     /// Descriptions of the configurations that cannot be measured, with the failure of their process.
     pub(super) unavailable: Vec<(String, ProcessResult)>,
     /// Conditions that impair measurements on a host, each once.
@@ -66,7 +66,7 @@ pub(super) async fn try_configurations(
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let mut results = TrialResults {
         paces: vec![None; plan.configurations.len()],
-        tried: indexes.len(),
+        configuration_count: indexes.len(),
         unavailable: Vec::new(),
         conditions: Vec::new(),
     };
@@ -289,10 +289,11 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
             let trials = trials(&plan_with_axes, &indexes.iter().copied().collect());
             trials.into_iter().map(|trial| trial.configurations).collect()
         };
+        // A trial has no rate, so the three values of the axis Rate share a trial.
         assert_eq!(trial_groups(&[0, 1, 2, 3, 4, 5]), [[0, 1, 2], [3, 4, 5]]);
         assert_eq!(trial_groups(&[2, 3, 5]), [vec![2], vec![3, 5]]);
-        let described = |indices: &[usize]| {
-            describe_group(indices.iter().map(|index| describe_configuration(&plan_with_axes, *index)))
+        let described = |indexes: &[usize]| {
+            describe_group(indexes.iter().map(|index| describe_configuration(&plan_with_axes, *index)))
         };
         assert_eq!(described(&[2]), "Length = 1, Rate = 9");
         assert_eq!(described(&[3, 5]), "Length = 2, Rate = closed (and 1 configuration like it)");
