@@ -31,6 +31,7 @@ fn main() {
         figures::of_experiment(&experiment, folder).expect("writable")
     });
     let teleoperation = rows::teleoperation();
+    // The bars of the previous experiment have files with the same names.
     let subfolder = folder.join("teleoperation");
     print_time("bars of 7 × 500", &subfolder, &|folder| draw(Kind::Stacked, &teleoperation, folder));
     let payload = [rows::payload()];
@@ -38,6 +39,7 @@ fn main() {
     let users = rows::users();
     print_time("users, 62 × 200", &folder, &|folder| draw(Kind::Users, &users, folder));
     let long = [rows::remote("efficientnet_v2_s", "zmq-tcp", 100_000)];
+    // The figures of the first run have files with the same names.
     let subfolder = folder.join("long");
     print_time("6 histograms, 100,000", &subfolder, &|folder| {
         figures::of_run(&long[0].record, &long[0].rows, folder).expect("writable")

@@ -7,6 +7,11 @@ use peernet_analysis::rows::{Column, Outcome, Row, Rows};
 use peernet_statistics::SplitMix64;
 use peernet_stream::ExperimentPosition;
 
+/// Payload of an upload: a picture of 224 × 224 pixels with three bytes each.
+const PICTURE_BYTES: f64 = 150_528.0;
+/// Bytes of a message in addition to its payload.
+const METADATA_BYTES: f64 = 120.0;
+
 /// Random numbers with a fixed seed, so that every run of the benchmark has the same numbers.
 pub(crate) struct TestRng(SplitMix64);
 
@@ -92,10 +97,10 @@ pub(crate) fn remote(model: &str, network: &str, count: u64) -> Loaded {
             ("download", download),
         ]);
         values.extend([
-            ("upload-bytes".into(), 150_528.0),
+            ("upload-bytes".into(), PICTURE_BYTES),
             ("download-bytes".into(), answer_bytes),
-            ("upload-throughput".into(), 150_648.0 * 8.0 / upload),
-            ("download-throughput".into(), (answer_bytes + 120.0) * 8.0 / download),
+            ("upload-throughput".into(), (PICTURE_BYTES + METADATA_BYTES) * 8.0 / upload),
+            ("download-throughput".into(), (answer_bytes + METADATA_BYTES) * 8.0 / download),
         ]);
         at += 0.032 * network_slowdown;
         let mut row = row(number, at, values);
@@ -163,6 +168,7 @@ pub(crate) fn experiment() -> Vec<Loaded> {
 
 /// Returns runs with the means and standard deviations of the table of the paper's third experiment.
 pub(crate) fn teleoperation() -> Vec<Loaded> {
+    // Resizing, GPU, network, and the means and the standard deviations of the four stages in ms.
     let lines = [
         ("no", "Jetson Orin", "none", [0.71, 0.0, 18.55, 0.0], [0.26, 0.0, 3.34, 0.0]),
         ("no", "RTX 3090", "LAN", [0.76, 17.53, 3.73, 0.37], [0.25, 1.72, 1.12, 0.12]),
@@ -225,10 +231,11 @@ pub(crate) fn users() -> Vec<Loaded> {
             for edge in 0..edges {
                 // Edges with a lower index wait a little less, so that the fairness is below 1.
                 let advantage = 1.0 - 0.2 * f64::from(edges - 1 - edge) / f64::from(edges);
-                let mean = 4e-3 + service * f64::from(edges) * advantage;
+                let mean_wait = 4e-3 + service * f64::from(edges) * advantage;
                 let mut at = 0.0;
                 let rows = (1..=200).map(|number| {
-                    let stages = [("sensing", 1e-3), ("upload", 2e-3), ("queue", rng.latency(mean, 0.12))];
+                    let stages =
+                        [("sensing", 1e-3), ("upload", 2e-3), ("queue", rng.latency(mean_wait, 0.12))];
                     let stages = [&stages[..], &[("inference", service), ("download", 4e-4)]].concat();
                     let values = values(&stages);
                     at += stages.iter().map(|(_, value)| value).sum::<f64>();

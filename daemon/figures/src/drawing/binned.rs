@@ -37,15 +37,15 @@ impl BinnedAxis {
     /// Returns an axis of the values that a histogram shows. Tails that would compress the rest lie beyond the ends of
     /// the axis. The axis of a single distribution has the bins of the [histogram](Binning). An axis that several
     /// distributions share is logarithmic if it spans more than a decade. `None` without values.
-    pub fn around<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
-        let all: Vec<&Summary> = all.filter(|summary| summary.count() > 0).collect();
-        if let [single] = all.as_slice() {
+    pub fn around<'a>(distributions: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
+        let filled: Vec<&Summary> = distributions.filter(|summary| summary.count() > 0).collect();
+        if let [single] = filled.as_slice() {
             let edges: Vec<f64> =
                 Binning::of(*single, MAX_BINS)?.edges().iter().map(|edge| edge * unit.per_si).collect();
             let scale = Scale::linear((*edges.first()?, *edges.last()?)).widened(TICKS);
             return Some(Self { unit, scale, edges });
         }
-        let ends = Self::ends(&all, &unit)?;
+        let ends = Self::ends(&filled, &unit)?;
         let scale = Scale::decades(ends).unwrap_or_else(|| Scale::linear(ends).widened(TICKS));
         Some(Self::new(unit, scale, ends))
     }
@@ -55,9 +55,9 @@ impl BinnedAxis {
     /// the smallest value is negative. `None` without values.
     // The axis is linear for any range, because the line of latency over the length of answers would be a curve on a
     // logarithmic axis.
-    pub fn from_zero<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
-        let all: Vec<&Summary> = all.filter(|summary| summary.count() > 0).collect();
-        let (lo, hi) = Self::ends(&all, &unit)?;
+    pub fn from_zero<'a>(distributions: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
+        let filled: Vec<&Summary> = distributions.filter(|summary| summary.count() > 0).collect();
+        let (lo, hi) = Self::ends(&filled, &unit)?;
         let margin = (hi - lo) * SIDE_MARGIN;
         let is_squeezed = lo > hi * ZERO_THRESHOLD;
         match lo {
@@ -70,9 +70,9 @@ impl BinnedAxis {
                 Some(Self::new(unit, scale, (lo, hi)))
             }
             _ => {
-                // On an axis from zero, even the lower tail has a position, so the bins begin at the smallest value of
-                // all.
-                let min = all.iter().map(|summary| summary.moments.min * unit.per_si).fold(lo, f64::min);
+                // On an axis from zero, even the lower tail has a position, so the bins begin at the
+                // smallest value of all distributions.
+                let min = filled.iter().map(|summary| summary.moments.min * unit.per_si).fold(lo, f64::min);
                 Some(Self::new(unit, Scale::up_to(hi + margin / 2.0, TICKS + 1), (min.max(0.0), hi)))
             }
         }
@@ -85,13 +85,13 @@ impl BinnedAxis {
 
     /// Returns the ends of the union of the [shown ranges](shown_range) of all distributions, in the unit that is
     /// shown. `None` without values.
-    fn ends(all: &[&Summary], unit: &Unit) -> Option<(f64, f64)> {
+    fn ends(distributions: &[&Summary], unit: &Unit) -> Option<(f64, f64)> {
         let ends = |summary: &&Summary| {
             let (lo, hi) = shown_range(*summary)?;
             let lo = if lo.abs() < hi.abs() * ZERO_SHARE { 0.0 } else { lo };
             Some((lo * unit.per_si, hi * unit.per_si))
         };
-        let (lo, hi) = all.iter().filter_map(ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
+        let (lo, hi) = distributions.iter().filter_map(ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         // If all values are equal, the range is widened, because a bin needs a width.
         Some((lo, if hi > lo { hi } else { lo + lo.abs().max(1e-6) * 0.01 }))
     }
@@ -113,7 +113,8 @@ impl BinnedAxis {
         (lo..=hi).contains(&value).then(|| self.scale.at(value * self.unit.per_si))
     }
 
-    /// Returns the number of values below and above the ends of the axis.
+    /// Returns the number of values below the lower end of the axis, and the number of values above its
+    /// upper end.
     pub fn beyond(&self, values: &Summary) -> (u64, u64) {
         let (lo, hi) = self.range();
         let count_below =

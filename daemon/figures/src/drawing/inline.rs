@@ -1,19 +1,22 @@
 //! Small pictures in the lines of tables, beside their numbers. They are drawn only on web pages, not in files.
 
-use crate::look::{Style, stage};
+use crate::look::{Style, TextStyle, stage};
 use crate::plot::{At, Item, Label, Path};
 use peernet_statistics::number;
 
 /// Length of a share bar that shows the share 1, as a share of the picture. The rest of the picture is room for the
 /// number after the bar.
 const FULL_LENGTH: f64 = 0.72;
+/// Distance from a share bar to its number, as a share of the picture.
+const NUMBER_DISTANCE: f64 = 0.02;
 /// Minimum length of a meter's bar as a share of the picture, so that a small share is visible.
 const MIN_LENGTH: f64 = 0.02;
 
 /// Returns a bar that shows the share of a stage, 0 to 1, with the share as a number after the bar.
 pub fn share_bar(name: &str, share: f64) -> Vec<Item> {
     let end = share.clamp(0.0, 1.0) * FULL_LENGTH;
-    let number = Label::new(At::new(end + 0.02, 0.5), number::share(share), crate::look::TextStyle::AXIS);
+    let number_at = At::new(end + NUMBER_DISTANCE, 0.5);
+    let number = Label::new(number_at, number::share(share), TextStyle::AXIS);
     vec![Item::rect(At::new(0.0, 0.19), At::new(end, 0.81), stage(name).plain()), Item::Text(number)]
 }
 

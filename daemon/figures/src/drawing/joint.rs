@@ -108,6 +108,7 @@ fn cells_by_shade(points: impl Iterator<Item = (f64, f64)>, (columns, rows): (f6
         let corner = |column: u32, row: u32| (f64::from(column) / columns, f64::from(row) / rows);
         cells_by_level.entry(level).or_default().push([corner(column, row), corner(column + 1, row + 1)]);
     }
+    // Even the lightest shade is opaque enough to be visible.
     let shade = |level: u32| 0.18 + 0.82 * f64::from(level) / SHADES;
     cells_by_level.into_iter().map(|(level, cells)| (shade(level), Path::rects(cells))).collect()
 }

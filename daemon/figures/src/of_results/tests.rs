@@ -119,6 +119,7 @@ fn run_has_six_histograms_of_original_program() {
     assert!(std::fs::read_to_string(&files[21]).expect("read").contains("no values"));
     let with_total = run_with_total(20.0);
     let files = of_run(&with_total.record, &with_total.rows, folder.path()).expect("written");
+    // The six histograms have 24 files.
     assert_eq!(file_names(&files)[24..], [written_as("cumulative"), written_as("series")].concat());
 }
 
@@ -437,6 +438,7 @@ fn series_has_totals_stages_warm_up_and_failed_iterations() {
         ["sensing", "upload", "inference", "download"]
     );
     let is_near = |value: f64, expected: f64| (value - expected).abs() < 1e-6;
+    // Times are relative to the first row. Rows have a distance of 0.1 s, and row 7 failed.
     assert!(
         is_near(time_series.failure_times[0], 0.6) && time_series.failure_times.len() == 1,
         "{time_series:?}"

@@ -145,8 +145,8 @@ impl Path {
     pub fn whiskers(points: impl IntoIterator<Item = (f64, f64, f64)>, cap: f64) -> Self {
         let steps = points.into_iter().flat_map(|(x, upper, lower)| {
             let stroke = |from: Point, to: Point| [Step::Move(from.0, from.1), Step::Line(to.0, to.1)];
-            let cap = |y: f64| stroke((x - cap, y), (x + cap, y));
-            [stroke((x, upper), (x, lower)), cap(upper), cap(lower)].concat()
+            let cap_at = |y: f64| stroke((x - cap, y), (x + cap, y));
+            [stroke((x, upper), (x, lower)), cap_at(upper), cap_at(lower)].concat()
         });
         Self::from_steps(steps.collect())
     }

@@ -91,7 +91,7 @@ mod tests {
         let normal = bins((0..1000).map(|i| (f64::from(i) / 500.0 - 1.0).powi(3))).expect("there are values");
         assert_eq!(normal.beyond, (0, 0), "without a far tail, every value is in a bin");
         let few = bins([1.0, 1.1, 1.2, 90.0]).expect("there are values");
-        assert_eq!((few.beyond, few.counts[0]), ((0, 0), 3));
+        assert_eq!((few.beyond, few.counts[0]), ((0, 0), 3), "fewer than eight values have no tail");
     }
 
     #[test]
@@ -105,7 +105,7 @@ mod tests {
         let three_stalls = bins(run(40).chain([37.0, 92.0, 101.0])).expect("there are values");
         assert_eq!(three_stalls.beyond, (0, 3));
         let wide = bins((1..=7).map(f64::from).chain([12.0])).expect("there are values");
-        assert_eq!(wide.beyond, (0, 0), "12 is within the far fence");
+        assert_eq!(wide.beyond, (0, 0), "12 is within three interquartile ranges of the quartile");
         let two_modes = bins((0..50).map(|i| if i % 5 == 0 { 9.0 } else { 1.0 + f64::from(i) / 100.0 }));
         assert_eq!(
             two_modes.expect("there are values").beyond,
@@ -125,6 +125,7 @@ mod tests {
         }
         let mostly_equal =
             bins(std::iter::repeat_n(1.0, 97).chain([0.5, 2.0, 3.0])).expect("there are values");
+        // The interquartile range is 0, so it gives no width of the bins.
         assert_eq!(mostly_equal.counts.len(), MAX_BINS);
         let negative = bins([-3.0, -2.0, -2.0, -1.0]).expect("there are values");
         assert_eq!((negative.from, negative.to(), negative.counts.iter().sum::<u64>()), (-3.0, -1.0, 4));

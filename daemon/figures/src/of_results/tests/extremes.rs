@@ -3,13 +3,14 @@
 use super::*;
 
 const TIMES: [&str; 6] = ["sensing", "upload", "inference", "download", "total", "stages-total"];
-const OTHERS: [&str; 5] = ["upload-bytes", "upload-logger-bytes", "download-bytes", "top-1", "x-tokens"];
+const OTHER_COLUMNS: [&str; 5] =
+    ["upload-bytes", "upload-logger-bytes", "download-bytes", "top-1", "x-tokens"];
 
 /// Returns a run in which all measurements are `extreme` from row `from` on.
 fn with_extremes(extreme: f64, from: u64) -> Loaded {
     let mut run = run(60, |number| {
         let ordinary = TIMES.map(|name| (name, 10.0)).into_iter();
-        let ordinary = ordinary.chain(OTHERS.map(|name| (name, (1 + number % 4) as f64)));
+        let ordinary = ordinary.chain(OTHER_COLUMNS.map(|name| (name, (1 + number % 4) as f64)));
         ordinary.map(|(name, value)| (name, if number >= from { extreme } else { value })).collect()
     });
     let remote = placed("m", "remote", 1.0).record;
@@ -41,6 +42,7 @@ fn values_too_large_to_draw_are_left_out_and_noted() {
     let drawn =
         series::drawings(&partly_extreme.record, &partly_extreme.rows).expect("most numbers can be drawn");
     let AnyFigure::TimeSeries(time_series) = &drawn[0].figure else { panic!("{drawn:?}") };
+    // Of the first 50 rows, row 7 has no values.
     assert_eq!(time_series.total.values.len(), 49);
     assert!(
         time_series.notes.contains(&"not drawn, beyond ±1e18: 10 numbers".to_owned()),

@@ -29,6 +29,8 @@ fn omitted_direction_is_noted_with_sizes() {
     });
     let drawn =
         draw(Kind::Payload, &[similar_uploads], &Columns::default(), folder.path()).expect("downloads vary");
+    // The sizes of the uploads are merged, so the smallest size in the note is above 104 kB, the
+    // smallest upload after the warm-up.
     let expected_note = "payload-latency: not drawn: upload of 106 kB to 158 kB, because the largest size must be at least twice the smallest";
     assert_eq!(drawn.left_out, [expected_note], "the note stands once for both figures");
     let caption =

@@ -30,6 +30,7 @@ fn replayed_configuration_is_marked_in_all_figures() {
         assert!(caption.contains(note), "{stem}: {caption}");
         let [svg, caption] =
             drawn(kind, &[with_total("s", "local", 20.0), with_total("s", "remote", 4.0)], stem);
+        // Without its first letter, the word is found with and without a capital.
         assert!(!svg.contains("eplayed") && !caption.contains("eplayed"), "{stem}: {caption}");
     }
 }

@@ -2,7 +2,7 @@
 
 use super::draw::{line, text};
 use super::places::{Area, x_label_lines, y_label_size, y_ticks};
-use super::{EDGE, GAP, LINE, SMALL, TEXT, WIDTH};
+use super::{EDGE, GAP, LINE, SMALL, SMALL_LINE, STRIP_GAP, TEXT, WIDTH};
 use crate::look::{INK, INK_2, Style};
 use crate::plot::{Anchor, Axis, Marks, Plot};
 use crate::svg::Writer;
@@ -14,6 +14,8 @@ const MARK_LENGTH: f64 = 1.8;
 const LABEL_DISTANCE: f64 = 9.5;
 /// Distance from the middle of capital letters to their baseline, as a share of the type size.
 const MIDDLE: f64 = 0.36;
+/// Minimum distance from a label of the horizontal axis to the right edge of the picture, points.
+const RIGHT_MARGIN: f64 = 1.5;
 /// Distance from the plot to the baseline of the title above it, points.
 const TITLE_DISTANCE: f64 = 5.5;
 
@@ -34,9 +36,9 @@ pub(super) fn draw(svg: &mut Writer, plot: &Plot, area: &Area) {
     draw_y_labels(svg, plot, area);
     draw_x_axis(svg, plot, area);
     let strip_height = plot.top_strip.as_ref().map_or(0.0, |strip| area.top - area.top_strip(strip.size).top);
-    let baseline = area.top - strip_height - plot.lines_above as f64 * (SMALL + 1.5) - TITLE_DISTANCE;
+    let baseline = area.top - strip_height - plot.lines_above as f64 * SMALL_LINE - TITLE_DISTANCE;
     let remark = plot.remark.as_deref().unwrap_or_default();
-    let right = area.right() + plot.right_strip.as_ref().map_or(0.0, |strip| strip.size + super::STRIP_GAP);
+    let right = area.right() + plot.right_strip.as_ref().map_or(0.0, |strip| strip.size + STRIP_GAP);
     if !remark.is_empty() {
         text(svg, remark, (right, baseline), (SMALL, INK_2.light, Anchor::End));
     }
@@ -92,7 +94,7 @@ fn draw_x_axis(svg: &mut Writer, plot: &Plot, area: &Area) {
         let half_width = tick.text.lines().map(|line| width(line, TEXT)).fold(0.0, f64::max) / 2.0;
         // A label at the right end is moved so that it stays in the picture. A label that would overlap the previous
         // label is left out.
-        let x = (area.left + area.width * tick.at).min(WIDTH - 1.5 - half_width);
+        let x = (area.left + area.width * tick.at).min(WIDTH - RIGHT_MARGIN - half_width);
         if x - half_width < end_of_labels {
             continue;
         }

@@ -9,6 +9,8 @@ use crate::text::{shorten, width};
 
 /// Room above the first line, points.
 const TOP_MARGIN: f64 = 3.0;
+/// Room below the last line, points.
+const BOTTOM_MARGIN: f64 = 1.5;
 /// Distance from the top of a line to its baseline, points.
 const BASELINE: f64 = 7.5;
 /// Width of a sample in the legend, points.
@@ -25,6 +27,7 @@ const HALF_HEIGHT: f64 = 3.0;
 const RADIUS: f64 = 1.8;
 
 fn sample_width(swatch: &Swatch) -> f64 {
+    // Only the line with diamonds has long dashes.
     if matches!(swatch, Swatch::Curve(_, Mark::Diamond, _)) { LONG_SAMPLE_WIDTH } else { SAMPLE_WIDTH }
 }
 
@@ -52,7 +55,7 @@ fn line_count(legend: &[Key]) -> usize {
 /// Returns the height of the header above the first plot, points.
 pub(super) fn height(figure: &Figure) -> f64 {
     let caption_lines = usize::from(!figure.title.is_empty());
-    TOP_MARGIN + LINE * (caption_lines + line_count(&figure.legend)) as f64 + 1.5
+    TOP_MARGIN + LINE * (caption_lines + line_count(&figure.legend)) as f64 + BOTTOM_MARGIN
 }
 
 /// Returns the caption: the title and the number of values. If the caption does not fit into a line, returns the title

@@ -33,8 +33,11 @@ const EDGE: f64 = 5.0;
 const GAP: f64 = 2.7;
 /// Distance between two lines of text, points.
 const LINE: f64 = 10.0;
+/// Distance between two lines of labels above a plot, points.
+const SMALL_LINE: f64 = SMALL + 1.5;
 /// Distance between a plot and the [strip](crate::plot::Strip) along its side, points.
 const STRIP_GAP: f64 = 2.0;
+/// Number of points in an inch.
 const POINTS_PER_INCH: f64 = 72.0;
 
 /// Draws a figure.

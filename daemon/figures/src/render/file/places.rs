@@ -1,6 +1,6 @@
 //! Areas of the plots of a figure in its picture.
 
-use super::{EDGE, GAP, HEIGHT, LINE, SMALL, STRIP_GAP, TEXT, WIDTH, header, table};
+use super::{EDGE, GAP, HEIGHT, LINE, SMALL, SMALL_LINE, STRIP_GAP, TEXT, WIDTH, header, table};
 use crate::plot::{At, Figure, Height, Marks, Plot};
 use crate::scale::Tick;
 use crate::text::width;
@@ -81,17 +81,17 @@ impl Places {
         let surroundings: f64 = figure.plots.iter().map(|plot| height_above(plot) + height_below(plot)).sum();
         let distances = PLOT_DISTANCE * figure.plots.len().saturating_sub(1) as f64;
         let fixed_heights: f64 = figure.plots.iter().map(|plot| fixed_height(plot.height)).sum();
-        let flexible_plots = figure.plots.iter().filter(|plot| plot.height == Height::Flexible).count();
+        let flexible_count = figure.plots.iter().filter(|plot| plot.height == Height::Flexible).count();
         // A figure with a flexible plot has the standard height, plus the heights of its plots with a fixed height. A
         // figure whose plots all have a fixed height is as high as these plots need.
-        let content_height = if flexible_plots > 0 || figure.plots.is_empty() {
+        let content_height = if flexible_count > 0 || figure.plots.is_empty() {
             let fixed_plots = figure.plots.iter().filter(|plot| plot.height != Height::Flexible);
             HEIGHT + fixed_plots.map(height_with_surroundings).sum::<f64>()
         } else {
             top + surroundings + distances + fixed_heights
         };
         let flexible_height =
-            (content_height - top - surroundings - distances - fixed_heights) / flexible_plots.max(1) as f64;
+            (content_height - top - surroundings - distances - fixed_heights) / flexible_count.max(1) as f64;
         let y_labels_width = figure.plots.iter().map(y_labels_width).fold(0.0, f64::max);
         let mut y = top;
         let mut plots = Vec::with_capacity(figure.plots.len());
@@ -125,7 +125,7 @@ fn height_above(plot: &Plot) -> f64 {
     // The remark stands in the same line as the title.
     let title = if plot.y.title.is_empty() && plot.remark.is_none() { 0.0 } else { TITLE_HEIGHT };
     let strip = plot.top_strip.as_ref().map_or(0.0, |strip| strip.size + STRIP_GAP);
-    title + strip + plot.lines_above as f64 * (SMALL + 1.5)
+    title + strip + plot.lines_above as f64 * SMALL_LINE
 }
 
 /// Returns the height of the labels and the title of the horizontal axis, below a plot.

@@ -68,6 +68,7 @@ fn second_plot_lies_below_the_first() {
     let areas = areas(&figure);
     assert_eq!(areas[0].left, areas[1].left, "both plots have the same left end");
     assert_eq!(areas[1].height, 30.0);
+    // Labels and titles between and below the plots need more than 20 points.
     assert!(areas[0].bottom() + 20.0 < areas[1].top && areas[0].height > 60.0, "{areas:?}");
     let height = places::Places::of(&figure).height;
     assert!(areas[1].bottom() + 20.0 < height - table::height(&figure.table), "{areas:?} {height}");
@@ -101,6 +102,7 @@ fn png_states_resolution_and_pdf_contains_font() {
     let dark = pixels.rgb.chunks(3).filter(|pixel| pixel.iter().all(|channel| *channel < 0x50)).count();
     assert!(dark > 2_000, "text is missing: {dark} dark pixels");
     let png = parsed.png().expect("made");
+    // The chunk with the resolution follows the signature and the header, which have 33 bytes.
     assert!(png.starts_with(b"\x89PNG") && png[33..].starts_with(b"\0\0\0\x09pHYs"));
     let pdf = parsed.pdf().expect("made");
     let has = |wanted: &[u8]| pdf.windows(wanted.len()).any(|bytes| bytes == wanted);
