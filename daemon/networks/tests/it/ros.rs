@@ -180,6 +180,20 @@ async fn cloud_with_name_of_another_cloud_is_refused() {
 }
 
 #[tokio::test]
+async fn failed_bind_leaves_no_registration() {
+    let master = RosMaster::start();
+    // The topic of hellos is registered, and the topic of refusals cannot be registered.
+    let relay = master.relay_without("registerPublisher").await;
+    let address = format!("ros1://{relay}/cloud").parse().expect("an address");
+    let result = Listener::bind(&address, settings(), hello().host, clock()).await;
+    let error = result.expect_err("a topic is not registered").to_string();
+    assert!(error.contains("no ROS master answers"), "{error}");
+    let observer = foreign_node(&master, "observer").await;
+    let state = observer.system_state().await.expect("the master answers");
+    assert!(state.subscribers.is_empty(), "{state:?}");
+}
+
+#[tokio::test]
 async fn topic_with_foreign_publisher_or_type_is_refused() {
     let master = RosMaster::start();
     let cloud = Cloud::start_at(&master.address(), settings()).await;

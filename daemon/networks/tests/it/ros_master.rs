@@ -1,11 +1,12 @@
 //! A ROS 1 master in a separate process.
 
-use std::net::TcpStream;
+use std::net::{SocketAddr, TcpStream};
 use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
 use std::time::Duration;
 
 use peernet_test_ports::free_port;
+use tokio::io::{AsyncReadExt, AsyncWriteExt, copy_bidirectional};
 
 use crate::support::next_number;
 
@@ -68,6 +69,36 @@ impl RosMaster {
 
     pub(crate) fn uri(&self) -> String {
         format!("http://127.0.0.1:{}", self.port)
+    }
+
+    /// Starts a relay to the master, and returns its address. The relay closes the connection of each call of `method`
+    /// without an answer. The relay ends with the test's runtime.
+    pub(crate) async fn relay_without(&self, method: &str) -> SocketAddr {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+        let address = listener.local_addr().expect("bound");
+        let (port, blocked_method) = (self.port, format!("<methodName>{method}</methodName>"));
+        tokio::spawn(async move {
+            loop {
+                let (mut node, _) = listener.accept().await.expect("a connection");
+                let blocked_method = blocked_method.clone();
+                tokio::spawn(async move {
+                    let mut call = Vec::new();
+                    while !String::from_utf8_lossy(&call).contains("</methodCall>") {
+                        let length = node.read_buf(&mut call).await.expect("a call");
+                        assert!(length > 0, "the call is complete");
+                    }
+                    if String::from_utf8_lossy(&call).contains(&blocked_method) {
+                        return;
+                    }
+                    let master = tokio::net::TcpStream::connect(("127.0.0.1", port)).await;
+                    let mut master = master.expect("the master runs");
+                    master.write_all(&call).await.expect("the master reads");
+                    // The node closes its connection as soon as it has the answer, which may be an error here.
+                    let _ = copy_bidirectional(&mut node, &mut master).await;
+                });
+            }
+        });
+        address
     }
 }
 

@@ -23,7 +23,9 @@ use tokio::sync::mpsc;
 use self::connection_table::Admission;
 use self::peers::{Delivery, Peers};
 use self::tasks::CloudTasks;
-use super::interface::{NodeFailure, SessionNode, SessionSubscriber, TopicMessage, TopicPurpose, open_node};
+use super::interface::{
+    NodeFailure, SessionNode, SessionPublisher, SessionSubscriber, TopicMessage, TopicPurpose, open_node,
+};
 use super::names::{cloud_node, refusals_topic, sessions_topic};
 use crate::descriptors::DescriptorShare;
 use crate::statistics::TransportStatistics;
@@ -55,24 +57,15 @@ pub(crate) async fn bind(
     let bind_failure = |error: NodeFailure| BindFailure::Other(error.to_string());
     let name = address.listener_name().unwrap_or_default();
     let node = open_node(address, &cloud_node(name), settings, clock).await.map_err(bind_failure)?;
-    let topic = sessions_topic(name);
-    if let Err(failure) = node.check_cloud_name(name).await {
-        // In ROS 1, this waits until the node's tasks have ended. Dropping the node would not wait.
-        node.end(settings.close_timeout()).await;
-        return Err(bind_failure(failure));
-    }
-    let options = SubscriberOptions {
-        queue: QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES },
-        when_full: WhenFull::Drop,
-        max_message_bytes: MAX_HELLO_BYTES,
-        ..Default::default()
+    let (sessions, refusals) = match open_topics(&*node, name).await {
+        Ok(topics) => topics,
+        Err(failure) => {
+            // In ROS 1, this unregisters the node's topics and waits until its tasks have ended. Dropping the node
+            // would do neither.
+            node.end(settings.close_timeout()).await;
+            return Err(bind_failure(failure));
+        }
     };
-    let sessions_kind = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
-    let sessions = node.subscribe(&topic, sessions_kind, options).await.map_err(bind_failure)?;
-    let refusals_kind = (TopicPurpose::Refusals, TopicType::from_message::<MessageInfo>());
-    // Each refusal answers a hello, so the queue of refusals has the limits of the queue of hellos.
-    let queue = QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES };
-    let refusals = node.publish(&refusals_topic(name), refusals_kind, queue).await.map_err(bind_failure)?;
     let caveat = node.caveat().map(str::to_owned);
     let (delivery_sender, deliveries) = mpsc::channel(MAX_QUEUED_DELIVERIES);
     // At least one connection is allowed, however few descriptors the process may open.
@@ -90,6 +83,27 @@ pub(crate) async fn bind(
     let sender = Box::new(RosCloudSender(peers));
     let receiver = Box::new(RosCloudReceiver { node, deliveries, tasks });
     Ok(BoundPort { address: address.clone(), caveat, sender, receiver })
+}
+
+/// Checks that no other cloud has the name `cloud`, and opens the topics of requests and of refusals.
+async fn open_topics(
+    node: &dyn SessionNode,
+    cloud: &str,
+) -> Result<(Box<dyn SessionSubscriber>, Box<dyn SessionPublisher>), NodeFailure> {
+    node.check_cloud_name(cloud).await?;
+    // Each refusal answers a hello, so both queues have the same limits.
+    let queue = QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES };
+    let options = SubscriberOptions {
+        queue,
+        when_full: WhenFull::Drop,
+        max_message_bytes: MAX_HELLO_BYTES,
+        ..Default::default()
+    };
+    let sessions_kind = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
+    let sessions = node.subscribe(&sessions_topic(cloud), sessions_kind, options).await?;
+    let refusals_kind = (TopicPurpose::Refusals, TopicType::from_message::<MessageInfo>());
+    let refusals = node.publish(&refusals_topic(cloud), refusals_kind, queue).await?;
+    Ok((sessions, refusals))
 }
 
 /// Opens a connection for each edge that asks for a connection.
