@@ -66,10 +66,16 @@ impl Reservation {
             budget.reserve(bytes - self.bytes)?;
             self.bytes = bytes;
         } else {
-            budget.reserved_bytes.fetch_sub(self.bytes - bytes, Ordering::Relaxed);
-            self.bytes = bytes;
+            self.shrink_to(bytes);
         }
         Ok(())
+    }
+
+    /// Reduces the reservation to `bytes` of its budget, if it is larger.
+    pub(crate) fn shrink_to(&mut self, bytes: u64) {
+        let freed_bytes = self.bytes.saturating_sub(bytes);
+        self.budget.reserved_bytes.fetch_sub(freed_bytes, Ordering::Relaxed);
+        self.bytes -= freed_bytes;
     }
 
     #[cfg(test)]

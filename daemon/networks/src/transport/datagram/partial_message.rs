@@ -86,6 +86,7 @@ impl PartialMessage {
             let bytes = entry.remove();
             self.append(&bytes, budget)?;
             self.beyond_gap_bytes -= bytes.len() as u64 + FRAGMENT_OVERHEAD;
+            self.reserved.shrink_to(self.contiguous.capacity() as u64 + self.beyond_gap_bytes);
         }
         Ok(AddOutcome::New)
     }
@@ -140,6 +141,17 @@ mod tests {
         assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(AddOutcome::Duplicate));
         assert_eq!(message.add(6_000, &[7; 1_000], &budget), Err(BudgetExhausted));
         assert_eq!(message.add(1_000, &[7; 1_000], &budget), Err(BudgetExhausted));
+    }
+
+    #[test]
+    fn whole_message_reserves_its_length() {
+        let budget = MemoryBudget::new(1 << 20);
+        let mut message = PartialMessage::new(10_000, &budget);
+        for index in (0..10).rev() {
+            message.add(index * 1_000, &[7; 1_000], &budget).expect("there is room");
+        }
+        let (bytes, _reservation) = message.into_bytes();
+        assert_eq!((bytes.len(), budget.reserved_bytes()), (10_000, 10_000));
     }
 
     proptest! {
