@@ -46,7 +46,7 @@ pub(crate) enum ReassemblyOutcome {
         /// Reservation of its memory.
         reserved: Reservation,
     },
-    /// The fragment is stored, or it would exceed the budget and its message was given up.
+    /// The fragment is stored, or its message was given up because it is too long or would exceed the budget.
     Stored,
     /// The fragment had arrived before, or its message is settled.
     Duplicate,
@@ -203,8 +203,9 @@ impl Reassembly {
         } else {
             unfinished.add(fragment, &self.budget, now)
         };
-        // A message of one fragment is complete at once, so it does not displace an unfinished message.
-        if total_fragments > 1 && self.unfinished_count >= self.limits.max_unfinished_messages {
+        // A message that is complete or given up at once does not displace an unfinished message.
+        let stays_unfinished = outcome.is_ok() && total_fragments > 1;
+        if stays_unfinished && self.unfinished_count >= self.limits.max_unfinished_messages {
             self.give_up_oldest();
         }
         // Giving up the oldest message may have moved the floor.
@@ -287,10 +288,12 @@ impl Reassembly {
             Slot::Missing { since } => sequence < next && now - *since >= timeout,
             Slot::Unfinished(unfinished) => {
                 let UnfinishedMessage { deadline, progress_at, sent_at, .. } = **unfinished;
-                deadline.is_some_and(|deadline| deadline <= now)
+                let is_overdue = match sent_at {
                     // Counted from the last fragment, because further fragments may still be on their way.
-                    || sent_at.is_some_and(|sent_at| now - sent_at.max(progress_at) >= timeout)
-                    || now - progress_at >= idle_timeout
+                    Some(sent_at) => now - sent_at.max(progress_at) >= timeout,
+                    None => now - progress_at >= idle_timeout,
+                };
+                is_overdue || deadline.is_some_and(|deadline| deadline <= now)
             }
             Slot::Settled => false,
         });

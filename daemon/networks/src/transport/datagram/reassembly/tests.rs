@@ -71,6 +71,19 @@ fn message_is_lost_if_no_fragment_follows_in_time() {
 }
 
 #[test]
+fn sent_message_waits_for_reassembly_timeout_only() {
+    let limits = ReassemblyLimits { timeout: Span::from_seconds(10), ..LIMITS };
+    let mut reassembly = Reassembly::new(limits, MemoryBudget::new(1 << 20));
+    let bytes = [7; 200];
+    reassembly.receive(&fragments(0, &bytes, 100)[0], time_at(0));
+    reassembly.note_sent(1, time_at(0));
+    reassembly.tick(time_at(9_999));
+    assert_eq!(reassembly.take_lost(), [], "the idle timeout is 5 s");
+    reassembly.tick(time_at(10_000));
+    assert_eq!(reassembly.take_lost().len(), 1);
+}
+
+#[test]
 fn deadline_ends_message_before_timeout() {
     let mut reassembly = with_budget(1 << 20);
     let bytes = [7; 200];
@@ -171,6 +184,20 @@ fn unfinished_messages_and_their_memory_are_bounded() {
     };
     reassembly.receive(&oversized, time_at(0));
     assert!(reassembly.take_lost().iter().any(|lost| lost.sequence == 200));
+}
+
+#[test]
+fn refused_message_displaces_no_unfinished_message() {
+    let mut reassembly = with_budget(1 << 20);
+    let bytes = [7; 20];
+    for sequence in 0..8 {
+        reassembly.receive(&fragments(sequence, &bytes, 10)[0], time_at(0));
+    }
+    assert_eq!(reassembly.unfinished_count, LIMITS.max_unfinished_messages);
+    let total_bytes = LIMITS.max_message_bytes + 1;
+    reassembly.receive(&Fragment { total_bytes, ..fragments(8, &bytes, 10)[0] }, time_at(0));
+    let lost: Vec<u64> = reassembly.take_lost().iter().map(|lost| lost.sequence).collect();
+    assert_eq!(lost, [8]);
 }
 
 #[test]
