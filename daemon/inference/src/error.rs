@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use hyper::Uri;
 use peernet_external::exec::ProgramCallError;
 use peernet_external::python::PythonError;
 
@@ -252,12 +253,19 @@ impl LoadError {
     }
 }
 
-/// Returns whether `text` contains the host name of `url`.
+/// Returns whether `text` contains the host of `url` as a whole word, in upper or lower case.
 fn contains_host(text: &str, url: &str) -> bool {
-    let address = url.split_once("://").map_or(url, |(_, rest)| rest);
-    let host_and_port = address.split(['/', '?']).next().unwrap_or(address);
-    let host = host_and_port.rsplit_once(':').map_or(host_and_port, |(host, _)| host);
-    !host.is_empty() && text.contains(host)
+    let uri = url.parse::<Uri>();
+    let host = uri.as_ref().ok().and_then(Uri::host).unwrap_or_default();
+    // An IPv6 address has brackets in a URL only.
+    let (host, text) = (host.trim_matches(['[', ']']).to_ascii_lowercase(), text.to_ascii_lowercase());
+    let continues_name = |character: char| character.is_ascii_alphanumeric() || "-_".contains(character);
+    let is_word_at = |(start, _): (usize, char)| {
+        text[start..]
+            .strip_prefix(&host)
+            .is_some_and(|rest| !rest.starts_with(continues_name) && !text[..start].ends_with(continues_name))
+    };
+    !host.is_empty() && text.char_indices().any(is_word_at)
 }
 
 /// Reason why ONNX Runtime cannot be loaded.

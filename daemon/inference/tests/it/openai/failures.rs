@@ -236,6 +236,25 @@ fn server_that_is_down_is_refused_at_load() {
 }
 
 #[test]
+fn peer_sees_reason_without_host_of_server() {
+    for (host, reason, is_shown) in [
+        ("ai", "its server is not trained yet", true),
+        ("10.0.0.1", "10.0.0.12 is not ready", true),
+        ("10.0.0.1", "10.0.0.1 is not ready", false),
+        ("gpu-1.example", "GPU-1.example:8000 is not ready", false),
+        ("[::1]", "nothing listens on ::1", false),
+    ] {
+        let error = LoadError::Server {
+            model: "vlm".to_owned(),
+            url: format!("http://{host}:8000/v1"),
+            is_transient: true,
+            reason: reason.to_owned(),
+        };
+        assert_eq!(error.to_peer("vlm", "edge").contains(reason), is_shown, "{host}: {reason}");
+    }
+}
+
+#[test]
 fn invalid_keys_are_refused_with_reason() {
     for (lines, key, reason) in [
         ("url = 'gpu:8080'", "url", "http://"),
