@@ -221,9 +221,8 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
         (measured < edges).then_some(Exclusion::EdgeMissing { measured, edges })
     });
     // Copies are excluded before repeats are compared: copies of one run belong to one repeat, and if the comparison of
-    // repeats came first, the time would choose among the copies instead of the rank. `false` comes before `true`,
-    // so a named copy comes before the others.
-    let originals = best_runs(runs, &exclusions, |run| run.id, |index, run| (!run.is_named, run.rank, index));
+    // repeats came first, the time would choose among the copies instead of the rank.
+    let originals = best_runs(runs, &exclusions, |run| run.id, |index, run| (run.rank, index));
     exclude(runs, &mut exclusions, |run| Some(Exclusion::CopyOf(*originals.get(&run.id?)?)));
     let newest_runs = best_runs(
         runs,

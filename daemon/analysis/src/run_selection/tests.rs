@@ -116,8 +116,8 @@ fn only_one_of_several_copies_counts() {
     let runs = [Candidate { rank: 1, ..first.clone() }, first.clone(), first.clone()];
     let copy = Some(Exclusion::CopyOf(1));
     assert_eq!(exclusions(&runs), [copy.clone(), None, copy]);
-    let named = [first.clone(), Candidate { is_named: true, rank: 1, ..first.clone() }];
-    assert_eq!(exclusions(&named), [Some(Exclusion::CopyOf(1)), None]);
+    let named = [Candidate { is_named: true, rank: 1, ..first.clone() }, first.clone()];
+    assert_eq!(exclusions(&named), [Some(Exclusion::CopyOf(1)), None], "the rank decides");
     let unknown = Candidate { id: None, repeat: None, state: None, ..first };
     assert_eq!(
         exclusions(&[unknown.clone(), unknown]),

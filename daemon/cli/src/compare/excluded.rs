@@ -28,12 +28,15 @@ impl ExclusionReasons {
     ) -> Self {
         let candidate = |(index, run): (usize, &Loaded)| {
             let (candidate, in_experiment) = (Candidate::from_results(run), experiments.run(&run.folder));
-            Candidate {
-                state: in_experiment.map(|run| run.state()).or(candidate.state),
-                is_named: named_paths.iter().any(|path| is_named(path, &run.folder, experiments)),
-                rank: if baseline.contains(&index) { 0 } else { 1 + u8::from(in_experiment.is_none()) },
-                ..candidate
-            }
+            let is_named = named_paths.iter().any(|path| is_named(path, &run.folder, experiments));
+            // The results of a baseline come first even if only a folder above them is on the command line.
+            let rank = if baseline.contains(&index) {
+                0
+            } else {
+                1 + 2 * u8::from(!is_named) + u8::from(in_experiment.is_none())
+            };
+            let state = in_experiment.map(|run| run.state()).or(candidate.state);
+            Candidate { state, is_named, rank, ..candidate }
         };
         Self(exclusions(&runs.iter().enumerate().map(candidate).collect::<Vec<_>>()))
     }
@@ -132,6 +135,12 @@ mod tests {
             ["000-copy", "008-b", "unknown-1", "unknown-2"],
             "the baseline is compared instead of the original"
         );
+        assert_eq!(found.baseline, [0]);
+        let baseline_dir = folder.path().join("baseline");
+        run(&baseline_dir.join("copy"), Some(ID));
+        let found = collect(&[run_dir("007-a"), run_dir("008-b")], Some(&baseline_dir), &|_| true)
+            .expect("they are there");
+        assert_eq!(names(&found), ["copy", "008-b"], "the baseline is in the named folder");
         assert_eq!(found.baseline, [0]);
         let found = collect(&[run_dir("008-b")], None, &|_| true).expect("it is there");
         assert!(found.notes.is_empty(), "{:?}", found.notes);
