@@ -220,8 +220,12 @@ fn find(path: &Path) -> Result<Vec<PathBuf>, Failure> {
 
 /// Returns the path to open for a file of rows: its folder for `FOLDER/data.csv`, else the file itself.
 fn path_to_open(file: &Path) -> &Path {
-    let folder = file.parent().filter(|folder| file.ends_with("data.csv") && *folder != Path::new(""));
-    folder.unwrap_or(file)
+    match file.parent().filter(|_| file.ends_with("data.csv")) {
+        // An empty path is the current folder only as the beginning of a longer path.
+        Some(folder) if folder == Path::new("") => Path::new("."),
+        Some(folder) => folder,
+        None => file,
+    }
 }
 
 fn open(path: &Path, is_wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
@@ -272,6 +276,18 @@ mod tests {
         }
         let of_both = collect(&runs[..1], Some(folder.path()), &|_| true).expect("they are there");
         assert_eq!((of_both.runs.len(), of_both.baseline), (2, vec![0, 1]));
+    }
+
+    #[test]
+    fn data_file_stands_for_its_folder() {
+        for (file, path) in [
+            ("run/data.csv", "run"),
+            ("data.csv", "."),
+            ("run/rows.csv", "run/rows.csv"),
+            ("rows.csv", "rows.csv"),
+        ] {
+            assert_eq!(path_to_open(Path::new(file)), Path::new(path), "{file}");
+        }
     }
 
     #[test]
