@@ -23,8 +23,10 @@ pub(super) fn hint_at_relative_paths<'a>(mut sentences: impl Iterator<Item = &'a
 /// which the program was started has nothing to do with an absolute path.
 fn misses_relative_path(sentence: &str) -> bool {
     let Some((before, _)) = sentence.split_once(NO_SUCH_FILE) else { return false };
-    let path = before.split_whitespace().next_back().unwrap_or_default();
-    !path.trim_start_matches(['"', '\'', '`', '(']).starts_with('/')
+    let clause = before.rsplit(": ").next().unwrap_or_default();
+    // A path may contain spaces, so an absolute path begins with any word of the clause.
+    let begins_absolute_path = |word: &str| word.trim_start_matches(['"', '\'', '`', '(']).starts_with('/');
+    !clause.split_whitespace().any(begins_absolute_path)
 }
 
 #[cfg(test)]
@@ -37,6 +39,9 @@ mod tests {
         assert!(hint("pipeline.sensor: cannot read pictures/a.jpg: No such file or directory (os error 2)"));
         assert!(!hint("cannot read /data/a.jpg: No such file or directory (os error 2)"));
         assert!(!hint("cannot read \"/data/a.jpg\": No such file or directory"));
+        assert!(!hint("cannot read /data/my pictures/a.jpg: No such file or directory (os error 2)"));
+        assert!(!hint("cannot read \"/data/my pictures/a.jpg\": No such file or directory"));
+        assert!(hint("cannot use /data/run.toml: cannot read my pictures/a.jpg: No such file or directory"));
         assert!(!hint("connection refused"));
     }
 }
