@@ -6,13 +6,15 @@ use std::cmp::Ordering;
 use peernet_stream::ExperimentPosition;
 
 /// Units of labels in lower case, each with its size in the base unit of its kind: bytes, seconds or hertz.
-const UNITS: [(&str, f64); 14] = [
+const UNITS: [(&str, f64); 16] = [
     ("b", 1.0),
     ("kb", 1e3),
     ("mb", 1e6),
     ("gb", 1e9),
+    ("tb", 1e12),
     ("kib", 1_024.0),
     ("mib", 1_048_576.0),
+    ("gib", 1_073_741_824.0),
     ("ns", 1e-9),
     ("µs", 1e-6),
     ("us", 1e-6),
@@ -144,6 +146,8 @@ mod tests {
     fn labels_are_sorted_by_unit_and_embedded_number() {
         let rows = sorted(&[&["2 MB"], &["30 kB"], &["800 B"], &["net-10"], &["1,000"], &["net-9"], &["—"]]);
         assert_eq!(rows.concat(), ["800 B", "1,000", "30 kB", "2 MB", "net-9", "net-10", "—"]);
+        let sizes = sorted(&[&["1 TB"], &["1.05 GB"], &["1 GiB"], &["1 MiB"]]);
+        assert_eq!(sizes.concat(), ["1 MiB", "1.05 GB", "1 GiB", "1 TB"]);
         assert_eq!(sorted(&[&["no"], &["-1"], &["0.5"], &["inf"]]).concat(), ["-1", "0.5", "inf", "no"]);
     }
 }
