@@ -54,6 +54,7 @@ fn ended_early(record: &RunRecord, rows: &Rows, times: &StartTimes) -> Option<En
     let progress = Progress {
         measured: counts.measured() + counts.unseen,
         warm_up: counts.warm_up,
+        episodes: rows.iter().filter_map(|row| row.value("episode")).reduce(f64::max).map(|last| last as u64),
         seconds: times.seconds(),
     };
     EndedEarly::from_progress(&limits(record), &progress, &record.reason)

@@ -65,6 +65,19 @@ fn record_adds_findings_to_those_of_rows() {
 }
 
 #[test]
+fn interrupted_run_of_episodes_is_reported() {
+    let findings = |reason: &str| {
+        let pipeline = serde_json::json!({ "limit": { "episodes": 6 } });
+        let record = RunRecord { reason: reason.into(), pipeline, ..RunRecord::default() };
+        let mut rows = rows(steady_totals(205));
+        rows.change(|row| row.episode = (row.iteration / 50) as u32);
+        Report::new(&TrustInput::from_run(&record, &rows)).findings
+    };
+    assert_eq!(findings("stopped")[0].text, "The run was interrupted after 4 of 6 episodes.");
+    assert!(findings("finished").iter().all(|finding| finding.about != "end"));
+}
+
+#[test]
 fn incomplete_run_is_reported_first() {
     let verdict_and_text = |limit: serde_json::Value, reason: &str| {
         let record = RunRecord {

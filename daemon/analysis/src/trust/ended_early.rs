@@ -27,6 +27,8 @@ pub struct Progress {
     pub measured: u64,
     /// Number of iterations in the warm-up.
     pub warm_up: u64,
+    /// Number of episodes before that of the last iteration, including the warm-up; `None` if it is not known.
+    pub episodes: Option<u64>,
     /// Time from the first to the last start after the warm-up, seconds; `None` if it is not known.
     pub seconds: Option<f64>,
 }
@@ -49,6 +51,8 @@ pub struct EndedEarly {
 pub enum LimitUnit {
     /// Iterations, successful or failed.
     Iterations,
+    /// Episodes, including the warm-up.
+    Episodes,
     /// Seconds of measuring.
     Seconds,
 }
@@ -58,7 +62,9 @@ impl EndedEarly {
     /// had no limits.
     pub fn from_progress(limits: &Limits, progress: &Progress, reason: &EndReason) -> Option<Self> {
         let interrupted = *reason == EndReason::Stopped;
+        let episodes = progress.episodes.map(|episodes| episodes as f64);
         let limits_and_reached = [
+            (limits.episodes, episodes, LimitUnit::Episodes),
             (limits.iterations, Some(progress.measured as f64), LimitUnit::Iterations),
             (limits.total, Some((progress.measured + progress.warm_up) as f64), LimitUnit::Iterations),
             (limits.duration_s, progress.seconds, LimitUnit::Seconds),
@@ -99,10 +105,11 @@ impl EndedEarly {
     /// Describes the progress of the run: `after 57 of 120 iterations`.
     pub(crate) fn progress_text(&self) -> String {
         let Self { reached, limit, unit, .. } = self;
+        let counted_text =
+            |item: &str| format!("after {} of {}", fixed(*reached, 0), counted(*limit as u64, item));
         match unit {
-            LimitUnit::Iterations => {
-                format!("after {} of {}", fixed(*reached, 0), counted(*limit as u64, "iteration"))
-            }
+            LimitUnit::Iterations => counted_text("iteration"),
+            LimitUnit::Episodes => counted_text("episode"),
             LimitUnit::Seconds => format!("after {} of {}\u{202f}s", fixed(*reached, 1), significant(*limit)),
         }
     }
@@ -115,9 +122,11 @@ mod tests {
     #[test]
     fn finished_run_of_short_episodes_is_complete() {
         let limits = Limits { total: Some(900.0), episodes: Some(30.0), ..Limits::default() };
-        let progress = Progress { measured: 400, warm_up: 50, seconds: Some(9.0) };
+        let progress = Progress { measured: 400, warm_up: 50, episodes: Some(29), seconds: Some(9.0) };
         assert_eq!(EndedEarly::from_progress(&limits, &progress, &EndReason::Finished), None);
         assert!(EndedEarly::from_progress(&limits, &progress, &EndReason::Stopped).is_some());
+        let only_episodes = Limits { total: None, ..limits };
+        assert_eq!(EndedEarly::from_progress(&only_episodes, &progress, &EndReason::Finished), None);
         let without_episodes = Limits { episodes: None, ..limits };
         assert!(EndedEarly::from_progress(&without_episodes, &progress, &EndReason::Finished).is_some());
     }

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use peernet_analysis::accuracy::Accuracy;
+use peernet_analysis::compare::needs_column;
 use peernet_analysis::loaded::RowsDamage;
 use peernet_analysis::record::{Clocks, FORMAT, ModelRecord, to_utc};
 use peernet_analysis::trust::{Report, TrustInput};
@@ -145,6 +146,26 @@ fn truncated_file_gives_complete_rows() {
         None,
         "there are no counts without run.json"
     );
+}
+
+#[test]
+fn comparison_reads_columns_of_incompleteness() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let incompleteness = |limit: serde_json::Value| {
+        let pipeline = serde_json::json!({ "limit": limit });
+        let written = RunRecord { reason: "stopped".into(), pipeline, ..record() };
+        let text = serde_json::to_vec(&written).expect("JSON");
+        std::fs::write(folder.path().join("run.json"), text).expect("writable");
+        let whole = ResultFolder::open(folder.path()).expect("readable").incompleteness();
+        let compared = ResultFolder::open_columns(folder.path(), &needs_column).expect("readable");
+        assert_eq!(whole, compared.incompleteness(), "{limit}");
+        whole
+    };
+    let mut rows = rows(10);
+    rows.iter_mut().for_each(|row| row.episode = 2);
+    write(folder.path(), &rows);
+    let of_episodes = incompleteness(serde_json::json!({ "episodes": 3 }));
+    assert_eq!(of_episodes.as_deref(), Some("the run was interrupted after 2 of 3 episodes"));
 }
 
 #[test]

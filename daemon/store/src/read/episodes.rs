@@ -88,6 +88,11 @@ pub(super) async fn last_measured_start(readers: &Readers, run: i64) -> Result<O
     Ok(row.map(|row| wall(row.started_ns)))
 }
 
+/// Returns the number of episodes before that of the last iteration; `None` if no iteration is stored.
+pub(super) async fn earlier_episodes(readers: &Readers, run: i64) -> Result<Option<u64>, StoreError> {
+    Ok(last_row(readers, run).await?.map(|row| row.episode.into()))
+}
+
 /// Returns the starts of the failed iterations that charts mark.
 pub(super) async fn failed_starts(readers: &Readers, run: i64) -> Result<Vec<WallTime>, StoreError> {
     let Some(last) = last_row(readers, run).await? else { return Ok(Vec::new()) };

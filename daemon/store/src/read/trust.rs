@@ -14,7 +14,7 @@ use peernet_statistics::TwoModes;
 use peernet_stream::EndReason;
 use serde::Deserialize;
 
-use super::episodes::{failed_starts, first_measured_start, last_measured_start};
+use super::episodes::{earlier_episodes, failed_starts, first_measured_start, last_measured_start};
 use super::statistics::{stage_buckets, statistics, whole_runs};
 use crate::error::StoreError;
 use crate::quantity_statistics::DelayAccuracy;
@@ -27,16 +27,17 @@ const MAX_BUCKETS: usize = 120;
 pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<TrustInput, StoreError> {
     let number = run.summary.number;
     let numbers = [number];
-    let (run_statistics, stages_over_time, first, last) = tokio::try_join!(
+    let (run_statistics, stages_over_time, first, last, episodes) = tokio::try_join!(
         statistics(readers, &numbers),
         stages_over_time(readers, number),
         first_measured_start(readers, number),
-        last_measured_start(readers, number)
+        last_measured_start(readers, number),
+        earlier_episodes(readers, number)
     )?;
     let standstill_s = standstill_length(readers, run, stages_over_time.first()).await?;
     let run_statistics = run_statistics.into_iter().next().unwrap_or_default();
     let times = StartTimes { first, last, standstill_s };
-    let input = collect_input(run, times, &run_statistics, &stages_over_time);
+    let input = collect_input(run, times, episodes, &run_statistics, &stages_over_time);
     Ok(TrustInput { two_modes: two_modes(readers, number, &run_statistics).await?, ..input })
 }
 
@@ -105,10 +106,11 @@ async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBucket
 }
 
 /// Collects the values from which the trust findings of a run are computed. `stages_over_time` is the result of
-/// [`stages_over_time()`].
+/// [`stages_over_time()`], `episodes` that of [`earlier_episodes()`].
 fn collect_input(
     run: &RunDetail,
     times: StartTimes,
+    episodes: Option<u64>,
     run_statistics: &RunStatistics,
     stages_over_time: &[StageBuckets],
 ) -> TrustInput {
@@ -131,12 +133,19 @@ fn collect_input(
     // An agent of another version may write the configuration in another form. The trust findings then do not mention
     // the run's limit and rate.
     let configured: Option<ConfiguredLimitAndLoad> = toml::from_str(&run.configuration).ok();
+    let progress = missing_events.map(|missing_events| Progress {
+        measured: counts.measured() + missing_events,
+        warm_up: counts.warm_up,
+        episodes,
+        // If the first iterations were deleted, the time counts from the start of the run.
+        seconds: StartTimes { first: times.first.or(Some(run.summary.started)), ..times }.seconds(),
+    });
     let input = TrustInput {
         conditions: run.conditions.clone(),
         counts,
         in_progress: run.summary.ended.is_none(),
         ended_early: configured
-            .and_then(|configured| ended_early(run, &counts, &times, missing_events?, configured.limit)),
+            .and_then(|configured| ended_early(&run.summary, &configured.limit, &progress?)),
         starts: Starts {
             hz: configured.and_then(|configured| configured.load.hz),
             missing: missing_events,
@@ -216,22 +225,9 @@ impl From<&RunSummary> for Starts {
 
 /// Compares a run that has ended with the limits in its configuration. `None` if the run is still running, or reached
 /// its limits.
-fn ended_early(
-    run: &RunDetail,
-    counts: &Counts,
-    times: &StartTimes,
-    missing_events: u64,
-    limit: Limits,
-) -> Option<EndedEarly> {
-    let summary = &run.summary;
-    summary.ended?;
-    let progress = Progress {
-        measured: counts.measured() + missing_events,
-        warm_up: counts.warm_up,
-        // If the first iterations were deleted, the time counts from the start of the run.
-        seconds: StartTimes { first: times.first.or(Some(summary.started)), ..*times }.seconds(),
-    };
-    EndedEarly::from_progress(&limit, &progress, summary.reason.as_ref().unwrap_or(&EndReason::Unknown))
+fn ended_early(run: &RunSummary, limits: &Limits, progress: &Progress) -> Option<EndedEarly> {
+    run.ended?;
+    EndedEarly::from_progress(limits, progress, run.reason.as_ref().unwrap_or(&EndReason::Unknown))
 }
 
 #[cfg(test)]

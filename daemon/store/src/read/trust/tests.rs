@@ -61,7 +61,13 @@ fn times(run: &RunDetail) -> StartTimes {
 }
 
 fn report(run: &RunDetail, stages: Vec<StageStatistics>) -> Report {
-    Report::new(&collect_input(run, times(run), &RunStatistics { stages, ..RunStatistics::default() }, &[]))
+    Report::new(&collect_input(
+        run,
+        times(run),
+        Some(9),
+        &RunStatistics { stages, ..RunStatistics::default() },
+        &[],
+    ))
 }
 
 /// Returns a run of 300 iterations in 59 s, with a configuration and the reason of its end.
@@ -93,6 +99,11 @@ fn run_that_ended_before_its_limit_is_reported() {
     assert_eq!(
         end_finding(&detail(with_duration, "stopped")),
         finding(Grade::Doubtful, "The run was interrupted after 59.0 of 80.0\u{202f}s.")
+    );
+    let with_episodes = "name = \"line\"\n\n[limit]\nepisodes = 12\n";
+    assert_eq!(
+        end_finding(&detail(with_episodes, "stopped")),
+        finding(Grade::Doubtful, "The run was interrupted after 9 of 12 episodes.")
     );
     for without_finding in
         [&configuration(300), "name = \"line\"\n", "# cannot be written down: why\n", "= not TOML"]
@@ -132,7 +143,7 @@ fn drawn_latencies_and_overrun_are_collected() {
     run.facts.push(("Replayed".to_owned(), "inference is drawn from x".to_owned()));
     let stages = vec![node("drawn-latency", 300, 0.01), node("overrun", 300, 0.002)];
     let statistics = RunStatistics { stages, ..RunStatistics::default() };
-    let input = collect_input(&run, StartTimes::default(), &statistics, &[]);
+    let input = collect_input(&run, StartTimes::default(), None, &statistics, &[]);
     assert_eq!((input.replayed.as_deref(), input.overrun), (Some("inference is drawn from x"), Some(0.002)));
     assert_eq!(input.drawn, Some(0.01));
 }
@@ -182,7 +193,7 @@ fn missing_events_count_in_rate_as_in_result_files() {
                 gaps: 1,
             });
         }
-        let stored = collect_input(&run, times(&run), &RunStatistics::default(), &[]).starts;
+        let stored = collect_input(&run, times(&run), None, &RunStatistics::default(), &[]).starts;
         let of_files = TrustInput::from_run(&record(missing), &rows).starts;
         assert_eq!(stored.actual_hz(), of_files.actual_hz());
         assert_eq!(of_files.actual_hz(), Some((299 + missing) as f64 / 299.0));
@@ -297,7 +308,7 @@ fn rows_of_files_and_roll_ups_give_same_trust_input() {
         bounds: bounds.to_vec(),
         ..RunStatistics::default()
     };
-    let stored = collect_input(&detail("", "finished"), StartTimes::default(), &statistics, &[]);
+    let stored = collect_input(&detail("", "finished"), StartTimes::default(), None, &statistics, &[]);
     let near = |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a - b).abs() < 1e-9);
     assert!(
         near(input.split.unexplained(), stored.split.unexplained()),
