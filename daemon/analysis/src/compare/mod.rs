@@ -314,9 +314,9 @@ pub fn needs_column(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let columns = STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
     let columns = columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, FIRST_TOKEN]);
-    // `at` is the start of an iteration. The last start stands for the end of a run whose end is not recorded. The last
-    // episode shows how much of a run that was interrupted is missing.
-    let columns = columns.chain(&[DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, "at", "episode"]);
+    // `at` is the start of an iteration. The last start stands for the end of a run whose end is not recorded. The
+    // starts of the first and the last iteration, and the last episode, show how much of an interrupted run is missing.
+    let columns = columns.chain(&[DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, "at", "iteration", "episode"]);
     columns.chain(&EPISODE_VALUES).chain(&SCORES.map(Quality::name)).any(|name| *name == column)
 }
 

@@ -166,6 +166,10 @@ fn comparison_reads_columns_of_incompleteness() {
     write(folder.path(), &rows);
     let of_episodes = incompleteness(serde_json::json!({ "episodes": 3 }));
     assert_eq!(of_episodes.as_deref(), Some("the run was interrupted after 2 of 3 episodes"));
+    // The clock was set back by 100 s, so that the last iteration does not have the latest start.
+    rows.iter_mut().skip(5).for_each(|row| row.at -= 100.0);
+    write(folder.path(), &rows);
+    assert_eq!(incompleteness(serde_json::json!({ "duration_s": 600.0 })), None, "the duration is unknown");
 }
 
 #[test]
