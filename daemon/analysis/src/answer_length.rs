@@ -24,27 +24,30 @@ const MIN_LENGTH_RATIO: f64 = 1.5;
 
 /// Returns the name of the quantity that is the length of an answer: a quantity that counts tokens of the answer, or else
 /// one that counts tokens of the question. If there are several, the first in alphabetical order is returned. If no
-/// quantity counts tokens, `download-bytes` is returned.
+/// quantity counts tokens, `download-bytes` is returned. `names` are the names of columns or of nodes.
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
-    names
-        .filter(|name| is_tokens(name))
-        .min_by_key(|name| (counts_question_tokens(name), *name))
-        .unwrap_or(ANSWER_BYTES)
+    // The node's name comes before the column's name, because the store does not have the names of the node's parents.
+    let tokens = names.filter_map(|name| Some((tokens_of_column(name)?, name)));
+    let first = tokens.min_by_key(|(node, name)| (counts_question_tokens(node), *node, *name));
+    first.map_or(ANSWER_BYTES, |(_, name)| name)
 }
 
-fn counts_question_tokens(name: &str) -> bool {
-    QUESTION_WORDS.iter().any(|word| name.contains(word))
+/// Returns whether a node that counts tokens counts those of the question.
+fn counts_question_tokens(node: &str) -> bool {
+    QUESTION_WORDS.iter().any(|word| node.contains(word))
 }
 
 /// Returns the name of the quantity that counts the tokens of an answer; `None` if no tokens of answers are counted.
 pub fn answer_tokens<'a>(names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    Some(answer_length(names)).filter(|name| is_tokens(name) && !counts_question_tokens(name))
+    let counts_answer_tokens =
+        |name: &&str| tokens_of_column(name).is_some_and(|node| !counts_question_tokens(node));
+    Some(answer_length(names)).filter(counts_answer_tokens)
 }
 
 /// Returns whether these quantities are those of a language model whose server reports no numbers of tokens: chunks of
 /// answers are counted, and tokens of answers are not. In this case, [`NO_USAGE`] is shown.
 pub fn lacks_usage<'a>(names: impl Iterator<Item = &'a str> + Clone) -> bool {
-    let counts_chunks = |name: &str| name.rsplit('_').next() == Some(ANSWER_CHUNKS);
+    let counts_chunks = |name: &str| node_of_column(name) == ANSWER_CHUNKS;
     names.clone().any(counts_chunks) && answer_tokens(names).is_none()
 }
 
@@ -53,10 +56,15 @@ pub fn is_tokens(name: &str) -> bool {
     name.ends_with(TOKENS_SUFFIX)
 }
 
-/// Returns the name of a column that counts tokens, with the name of the stage removed: `output-tokens` for
-/// `inference_output-tokens`. `None` for columns that do not count tokens.
+/// Returns the name of the node of a column that counts tokens: `output-tokens` for `inference_output-tokens`. `None`
+/// for columns that do not count tokens.
 pub fn tokens_of_column(column: &str) -> Option<&str> {
-    is_tokens(column).then(|| column.rsplit_once('_').map_or(column, |(_, name)| name))
+    is_tokens(column).then(|| node_of_column(column))
+}
+
+/// Returns the name of a column without the names of its node's parents.
+fn node_of_column(column: &str) -> &str {
+    column.rsplit_once('_').map_or(column, |(_, node)| node)
 }
 
 /// Returns whether the lengths of the answers differ enough for a figure of latency against length.
@@ -240,5 +248,16 @@ mod tests {
             [answer_tokens(["prompt-tokens"].into_iter()), answer_tokens(["total"].into_iter())],
             [None; 2]
         );
+    }
+
+    #[test]
+    fn length_is_chosen_by_name_of_node() {
+        for (columns, nodes) in [
+            (["a_prompt-tokens", "input-crop_output-tokens"], ["prompt-tokens", "output-tokens"]),
+            (["a_zeta-tokens", "b_alpha-tokens"], ["zeta-tokens", "alpha-tokens"]),
+        ] {
+            let [of_columns, of_nodes] = [columns, nodes].map(|names| answer_tokens(names.into_iter()));
+            assert_eq!([of_columns, of_nodes], [Some(columns[1]), Some(nodes[1])]);
+        }
     }
 }

@@ -187,6 +187,12 @@ impl Rows {
         names().filter(is_node).collect()
     }
 
+    /// Returns the names of the columns that have a number in at least one row that is in the statistics.
+    pub fn columns_in_statistics(&self) -> impl Iterator<Item = &str> + Clone {
+        let names = self.names.iter().map(|name| &**name);
+        names.filter(move |name| self.values_in_statistics(name).next().is_some())
+    }
+
     /// Returns the rows, in order.
     pub fn iter(&self) -> Iter<'_> {
         Iter { rows: self, indexes: 0..self.len() }

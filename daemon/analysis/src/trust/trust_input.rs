@@ -156,8 +156,6 @@ pub fn names_of_distributions<'a>(names: impl Iterator<Item = &'a str> + Clone) 
 }
 
 fn two_modes(rows: &Rows) -> Vec<(String, TwoModes)> {
-    let with_values = rows.names().iter().map(AsRef::as_ref);
-    let with_values = with_values.filter(|name| rows.values_in_statistics(name).next().is_some());
     let modes_of = |name: &str| {
         let mut summary = Summary::default();
         rows.values_in_statistics(name).for_each(|value| summary.record(value));
@@ -166,7 +164,7 @@ fn two_modes(rows: &Rows) -> Vec<(String, TwoModes)> {
         let node = tokens_of_column(name).unwrap_or(name);
         Some((node.to_owned(), summary.two_modes()?))
     };
-    names_of_distributions(with_values).into_iter().filter_map(modes_of).collect()
+    names_of_distributions(rows.columns_in_statistics()).into_iter().filter_map(modes_of).collect()
 }
 
 impl DelayQuality {

@@ -17,7 +17,7 @@ const MILLISECONDS: &str = "ms";
 
 /// Returns whether the lengths of the answers of a run are counted in tokens, like those of a language model.
 pub(super) fn has_tokens(rows: &Rows) -> bool {
-    rows.names().iter().any(|name| is_tokens(name) && rows.values_in_statistics(name).next().is_some())
+    rows.columns_in_statistics().any(is_tokens)
 }
 
 /// Returns the figure with a point for the length and the latency of each answer.
@@ -26,12 +26,7 @@ pub(super) fn drawings(
     rows: &Rows,
     columns: &Columns,
 ) -> Result<Vec<Drawing>, MissingData> {
-    let columns_with_values = rows
-        .names()
-        .iter()
-        .map(|name| &**name)
-        .filter(|name| rows.values_in_statistics(name).next().is_some())
-        .collect::<Vec<&str>>();
+    let columns_with_values: Vec<&str> = rows.columns_in_statistics().collect();
     // `answer_length` returns the name of a column. Without a column of tokens, this is `download-bytes`.
     let x =
         columns.x.clone().unwrap_or_else(|| answer_length(columns_with_values.iter().copied()).to_owned());
