@@ -43,17 +43,16 @@ impl UnaccountedTime {
     /// replaces both directions.
     pub fn of(durations: &IterationDurations<'_>) -> Self {
         let IterationDurations { total, stages, both_ways, unattributed, .. } = *durations;
-        let sum_of_stages = |is_included: fn(&Name) -> bool| {
-            let included = stages.iter().filter(|(name, _)| is_included(name));
-            included.map(|(_, seconds)| seconds).sum::<f64>()
-        };
         let (network, unattributed) = match (both_ways, durations.has_unknown_delay) {
             (Some(both), _) => (Some((BOTH_DIRECTIONS, both)), unattributed),
-            // All stages are known, so the rest of the total is unattributed.
-            (None, false) => (None, Some(total - sum_of_stages(|_| true))),
+            // If the unattributed time is not known, stages are missing, as in an observed system whose peer sent no
+            // stamps. The rest of the total then has no name.
+            (None, false) => (None, unattributed),
             // Neither the time in the network nor the unattributed time is known, but their sum is.
             (None, true) if durations.is_answered => {
-                (Some((NETWORK_AND_REST, total - sum_of_stages(|name| !is_one_way(name)))), None)
+                let others = stages.iter().filter(|(name, _)| !is_one_way(name));
+                let rest = total - others.map(|(_, seconds)| seconds).sum::<f64>();
+                (Some((NETWORK_AND_REST, rest)), None)
             }
             // Without an answer, the rest may also be time on the other host or a wait for a lost message.
             (None, true) => (None, None),
@@ -118,5 +117,21 @@ mod tests {
         assert_eq!(parts(None, true), expected.map(|(name, s)| (name.to_owned(), s)));
         let lost: Vec<String> = parts(None, false).into_iter().map(|(name, _)| name).collect();
         assert_eq!(lost, ["sensing", "upload", "inference"], "without an answer, the rest has no name");
+    }
+
+    #[test]
+    fn unattributed_time_is_unknown_if_not_measured() {
+        for measured in [None, Some(0.150)] {
+            let durations = IterationDurations {
+                total: 0.200,
+                stages: &[(stage::INFERENCE, 0.050)],
+                both_ways: None,
+                unattributed: measured,
+                has_unknown_delay: false,
+                is_answered: true,
+            };
+            let expected = UnaccountedTime { network: None, unattributed: measured };
+            assert_eq!(UnaccountedTime::of(&durations), expected);
+        }
     }
 }

@@ -77,6 +77,7 @@ fn network_and_unattributed_time_may_share_a_row() {
 #[test]
 fn lateness_row_follows_unattributed_time() {
     let mut detail = samples::iteration();
+    detail.row.unattributed = detail.row.total;
     let late = Measure::Timer(Some(Span::from_micros(500)));
     detail.tree.add(NodeId::ROOT, Name::from(look::LATENESS), Span::ZERO, late);
     let timeline = Timeline::of(&detail);
