@@ -1,6 +1,6 @@
 //! Choice of the differing facts that become columns, and sentences about the other differing facts.
 
-use super::labels::{EMPTY_CELL, readable_name};
+use super::labels::{EMPTY_CELL, differ, readable_name};
 
 /// Maximum number of values that a sentence lists for a fact without a column. Also the maximum number of
 /// configurations that the sentence lists for a value.
@@ -130,7 +130,7 @@ pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
 impl Column {
     /// Returns whether at least two labels differ.
     pub fn differs(&self) -> bool {
-        self.labels.windows(2).any(|pair| pair[0] != pair[1])
+        differ(&self.labels)
     }
 
     /// Returns whether some of the labels are hashes, paths or long lists.

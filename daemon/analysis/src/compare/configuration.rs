@@ -90,7 +90,7 @@ impl Configurations {
         };
         let columns = tabulate(&pairs).into_iter().map(column);
         let ChosenColumns { mut columns, rest } =
-            columns::choose_columns(columns.filter(|column| differ(&column.labels)).collect());
+            columns::choose_columns(columns.filter(Column::differs).collect());
         let is_unlabelled = |group: usize| columns.iter().all(|column| column.labels[group] == EMPTY_CELL);
         let all_labelled = (0..groups.len()).all(|group| !is_unlabelled(group));
         let insert_folders = |index: usize, columns: &mut Vec<Column>| {
