@@ -59,13 +59,8 @@ impl Loaded {
         let record_counts = self.record.counts;
         let row_counts = Counts::from_rows(&self.rows, record_counts.unseen);
         let has_record_counts = self.record.format > 0 && record_counts != Counts::default();
-        let total = |counts: Counts| {
-            let counts = [counts.ok, counts.failed, counts.lost, counts.timeout, counts.warm_up];
-            // The counts come from a file, which can contain any numbers.
-            counts.into_iter().fold(0, u64::saturating_add)
-        };
         let differ = has_record_counts && row_counts != record_counts;
-        differ.then(|| match (total(row_counts), total(record_counts)) {
+        differ.then(|| match (self.rows.len() as u64, record_counts.measured_with_warm_up()) {
             (rows, measured) if rows == measured => RowsDamage::Outcomes,
             (rows, measured) => RowsDamage::Length { rows, measured },
         })

@@ -50,6 +50,14 @@ impl Counts {
         self.outcomes().total()
     }
 
+    /// Returns the number of iterations of all outcomes with the warm-up, but without the iterations in
+    /// [`unseen`](Self::unseen).
+    pub fn measured_with_warm_up(&self) -> u64 {
+        let counts = [self.ok, self.failed, self.lost, self.timeout, self.warm_up];
+        // Counts from a file can be any numbers.
+        counts.into_iter().fold(0, u64::saturating_add)
+    }
+
     /// Returns the number of iterations whose outcome is not `ok`, without the warm-up.
     pub const fn all_failed(&self) -> u64 {
         self.outcomes().all_failed()

@@ -86,7 +86,7 @@ impl RunProgress {
 
     /// Returns the number of finished iterations.
     fn done(&self) -> u64 {
-        self.counts.measured() + self.counts.warm_up
+        self.counts.measured_with_warm_up()
     }
 
     /// Returns whether all iterations are finished. Only `limit.total` is compared, because the number of warm-up
