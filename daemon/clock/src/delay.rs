@@ -27,8 +27,8 @@ impl Interval {
         self.hi - self.lo
     }
 
-    /// Returns whether the interval of a delay is wider than half the delay. The verdict of such a delay is
-    /// [`Verdict::Limited`].
+    /// Returns whether the interval of a delay is wider than half the delay. The verdict of such a
+    /// delay is [`Verdict::Limited`] or worse.
     pub fn is_wide_for(self, delay: Span) -> bool {
         self.width() > Span::from_nanos(delay.abs().nanos() / 2)
     }
@@ -96,7 +96,8 @@ const MIN_SHARE_RECIPROCAL: u64 = 20;
 pub enum Verdict {
     /// The interval contains the true delay and is at most half as wide as the delay.
     Ok,
-    /// The interval contains the true delay but is wider than half of the delay.
+    /// The interval contains the true delay but is wider than half of the delay, or a jump of a
+    /// clock was suspected at most one window of exchanges before.
     Limited,
     /// There are no recent exchanges, or too few; or the newest exchanges contradict the others, and neither of the two
     /// groups is refuted yet.

@@ -8,6 +8,7 @@ use axum::Router;
 use axum::extract::State;
 use axum::routing::get;
 use peernet_aggregator::LiveState;
+use peernet_statistics::number::{count, counted};
 use peernet_store::HostRow;
 
 use super::registration::{LiveTopic, NavigationEntry, PageRegistration};
@@ -80,13 +81,13 @@ fn hosts(app: &AppState, snapshot: &LiveState, stored: &[HostRow]) -> Hosts {
         0 if snapshot.absent > 0 => startup::WAITING.to_owned(),
         0 => "No host has reported yet".to_owned(),
         1 => format!("1 host, {}connected", if connected == 1 { "" } else { "not " }),
-        all if all == connected => format!("{all} hosts, all connected"),
-        all => format!("{connected} of {all} hosts are connected"),
+        all if all == connected => format!("{}, all connected", counted(all as u64, "host")),
+        all => format!("{} of {} hosts are connected", count(connected as u64), count(all as u64)),
     };
     let past_title = match snapshot.hosts.len() {
         0 => "No host had reported".to_owned(),
         1 => format!("{connected} of 1 host was connected"),
-        all => format!("{connected} of {all} hosts were connected"),
+        all => format!("{} of {} hosts were connected", count(connected as u64), count(all as u64)),
     };
     let live: HashSet<_> = snapshot.hosts.iter().map(|host| host.id).collect();
     let past_hosts: Vec<&HostRow> = stored.iter().filter(|row| !live.contains(&row.id)).collect();

@@ -7,6 +7,7 @@ use axum::Router;
 use axum::extract::State;
 use axum::routing::get;
 use peernet_aggregator::{LiveState, PipelineSnapshot};
+use peernet_statistics::number::{count, counted};
 use peernet_stream::PipelineState;
 
 use super::registration::{LiveTopic, NavigationEntry, PageRegistration};
@@ -81,12 +82,11 @@ fn pipelines(app: &AppState, snapshot: &LiveState) -> Pipelines {
     let title = match all.len() {
         0 if startup::is_waiting_for_agents(snapshot, app.started_at) => startup::WAITING.to_owned(),
         0 => "No pipeline has reported yet".to_owned(),
-        1 => format!("1 pipeline, {running} running"),
-        many => format!("{many} pipelines, {running} running"),
+        all => format!("{}, {} running", counted(all as u64, "pipeline"), count(running as u64)),
     };
     let past_title = match all.len() {
         0 => "No pipeline had reported".to_owned(),
-        many => format!("{running} of {many} pipelines ran"),
+        all => format!("{} of {} pipelines ran", count(running as u64), count(all as u64)),
     };
     let shown = &all[..all.len().min(list_limits::MAX_IN_LIST)];
     let rows = PipelineTable::new(shown).rows;

@@ -120,11 +120,17 @@ async fn long_lists_are_truncated_with_a_note() {
     let html = overview_of(&live_state, Vec::new()).await;
     assert_eq!(html.matches("class=\"chart live-chart").count(), 100);
     assert_eq!(html.matches("the first 100 of 2,000").count(), 2);
-    assert!(html.contains(">2000 pipelines running"));
+    assert!(html.contains(">2,000 pipelines running, 4,000 to look at"), "{html}");
+    assert!(html.contains("and 3,995 more"), "{html}");
 
     let (app, _folder) = samples::app().await;
-    for update in [pipelines::update(&app, &live_state), hosts::update(&app, &live_state)] {
+    let updates = [
+        (pipelines::update(&app, &live_state), ">2,000 pipelines, 2,000 running<"),
+        (hosts::update(&app, &live_state), ">2,000 hosts, all connected<"),
+    ];
+    for (update, title) in updates {
         let parts = update.expect("renders").parts;
+        assert!(parts.iter().any(|(_, html)| html.contains(title)), "{title}: {parts:?}");
         assert!(parts.iter().any(|(_, html)| html.contains("the first 500 of 2,000")), "{parts:?}");
         let tables = parts.iter().map(|(_, html)| html.matches("<tr><th scope=\"row\"").count());
         let tables: Vec<usize> = tables.filter(|rows| *rows > 0).collect();

@@ -39,7 +39,8 @@ pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
             "the interval that contains the true delay is narrower than half the delay: take the figure as it is"
         }
         Verdict::Limited => {
-            "sound, but the interval is wider than half the delay: read it as an interval, not as a figure"
+            "sound, but the interval is wider than half the delay, or a jump of a clock was suspected in the 10 s before: \
+             read it as an interval, not as a figure"
         }
         Verdict::Stale => {
             "too few exchanges at that time (fewer than three since the link came up or a clock was stepped, or none lately), so \

@@ -4,7 +4,7 @@ use peernet_aggregator::{HostSnapshot, LiveState, PipelineSnapshot};
 use peernet_analysis::trust::NOTABLE_SHARE;
 use peernet_clock::WallTime;
 use peernet_logger::Name;
-use peernet_statistics::number::{count, estimated_duration, long_duration, percent};
+use peernet_statistics::number::{count, counted, estimated_duration, long_duration, percent};
 use peernet_stream::PipelineState;
 
 use super::chip::{Chip, Tone};
@@ -27,8 +27,8 @@ pub(crate) struct Health {
     /// `true` if known agents may still reconnect after a restart of the aggregator.
     pub is_starting: bool,
     pub notes: Vec<Note>,
-    /// Number of notes that are not shown.
-    pub hidden_notes: usize,
+    /// Text such as `and 55 more` after the notes; `None` if all notes are shown.
+    pub hidden_notes: Option<String>,
 }
 
 impl Health {
@@ -50,8 +50,7 @@ impl Health {
         let running = snapshot.pipelines.iter().filter(|one| one.state == PipelineState::Running).count();
         let subject = match running {
             0 => "No pipeline".to_owned(),
-            1 => "1 pipeline".to_owned(),
-            many => format!("{many} pipelines"),
+            _ => counted(running as u64, "pipeline"),
         };
         // `2 pipelines running`, but `No pipeline is running`.
         let (present_verb, past_verb) = if running > 1 {
@@ -63,10 +62,11 @@ impl Health {
         };
         let rest = match notes.len() {
             0 => String::new(),
-            many => format!(", {many} to look at"),
+            many => format!(", {} to look at", count(many as u64)),
         };
         let is_starting = startup::is_waiting_for_agents(snapshot, since);
         let hidden_notes = notes.len().saturating_sub(MAX_NOTES);
+        let hidden_notes = (hidden_notes > 0).then(|| format!("and {} more", count(hidden_notes as u64)));
         notes.truncate(MAX_NOTES);
         Self {
             title: if is_starting {

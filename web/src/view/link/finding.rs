@@ -39,7 +39,9 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
     match offset.verdict {
         Verdict::Stale if is_young(offset) => return format!("{route}: {TOO_YOUNG}"),
         Verdict::Stale => {
-            return format!("{route}: the clocks were not compared lately; the bound has grown to {bound}");
+            return format!(
+                "{route}: the clocks were not compared lately, or the newest exchanges contradict the others; the bound is {bound}"
+            );
         }
         _ => {}
     }
@@ -62,7 +64,7 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
         (Some(Verdict::Ok), Some(_)) => format!("{}, download times cannot", trusted("upload")),
         (Some(_), Some(Verdict::Ok)) => format!("{}, upload times cannot", trusted("download")),
         (Some(Verdict::Limited) | None, Some(Verdict::Limited) | None) => {
-            format!("{route}: delays are too short for a clock bound of {bound}; read them as intervals")
+            format!("{route}: the clocks are known to {bound}; read delays as intervals")
         }
         (Some(Verdict::Stepped), _) | (_, Some(Verdict::Stepped)) => {
             format!(
@@ -113,9 +115,13 @@ fn meaning(delays: &Delays, is_young_link: bool) -> Meaning {
         }
         (Some(Verdict::Limited), Some(point)) => {
             let (lo, hi) = non_negative_bounds(point);
+            let reason = if point.bounds.is_wide_for(point.value) {
+                "too little for the width of its interval"
+            } else {
+                "but some delays have wider intervals, or a jump of a clock was suspected a moment ago"
+            };
             format!(
-                "takes about {}{SPACE}ms, too little for the width of its interval. Read it as {}{SPACE}ms: the true value \
-                 can be anywhere in it.",
+                "takes about {}{SPACE}ms, {reason}. Read it as {}{SPACE}ms: the true value can be anywhere in it.",
                 format_delay(point),
                 interval_ms(lo, hi)
             )

@@ -143,13 +143,13 @@ pub(crate) fn title(snapshot: &LiveState) -> String {
         all if all == good => format!("{subject}: one-way delays can be trusted on all of them"),
         _ => {
             let mut parts = Vec::new();
-            for (number, what) in [
+            for (link_count, what) in [
                 (good, "can be trusted"),
                 (limited, "with some delays known only as intervals"),
                 (bad, "cannot be trusted"),
             ] {
-                if number > 0 {
-                    parts.push(format!("{number} {what}"));
+                if link_count > 0 {
+                    parts.push(format!("{} {what}", number::count(link_count as u64)));
                 }
             }
             format!("{subject}: {}", parts.join(", "))

@@ -57,11 +57,13 @@ fn judge_direction(clocks: &DelayQuality) -> Option<Finding> {
         Verdict::Ok => finding(&about, Grade::Good, text),
         Verdict::Limited => with_advice(
             finding(&about, Grade::Doubtful, text),
-            "the interval is wider than half the delay: publish the interval, or the sum of upload and download",
+            "the interval is wider than half the delay, or a jump of a clock was suspected: publish the interval, or the sum of \
+             upload and download",
         ),
         Verdict::Stale => with_advice(
             finding(&about, Grade::Doubtful, text),
-            "the two clocks were rarely compared: check that the probes' port is open, or exchange samples more often",
+            "the two clocks were rarely compared, or exchanges contradicted each other: check that the probes' port is open, \
+             exchange samples more often, and see the incidents of the link",
         ),
         _ if unusable as f64 >= MAJORITY_SHARE * total as f64 => with_advice(
             finding(&about, Grade::Bad, text),

@@ -19,7 +19,7 @@ fn title_says_whether_delays_can_be_trusted() {
         title_of(&link(Some(0.00005), &[])),
         "cam-1 → rack-a: upload and download times can be trusted to ±0.050\u{202f}ms"
     );
-    assert!(title_of(&link(Some(0.004), &[])).contains("read them as intervals"));
+    assert!(title_of(&link(Some(0.004), &[])).contains("read delays as intervals"));
     // The true offset may be farther from the estimate than half the width of its bounds.
     let mut off_centre = link(Some(0.0005), &[]);
     let offset = off_centre.live.latest_sample.offset.as_mut().expect("known");
@@ -79,7 +79,34 @@ fn verdicts_are_explained_with_numbers_of_the_link() {
         explanations[0].text,
         "takes 6.30\u{202f}ms, 9.7 times half the width of its interval. The true value lies between 5.65 and 6.95\u{202f}ms."
     );
-    assert!(explanations[1].text.contains("Read it as 0.00 – 1.25\u{202f}ms"), "{}", explanations[1].text);
+    assert_eq!(
+        explanations[1].text,
+        "takes about 0.60\u{202f}ms, too little for the width of its interval. Read it as 0.00 – 1.25\u{202f}ms: the true value can be \
+         anywhere in it."
+    );
+}
+
+#[test]
+fn narrow_limited_delays_are_attributed_to_suspected_jump() {
+    let mut link = link(Some(0.00005), &[]);
+    for point in link.history.iter_mut().map(Arc::make_mut) {
+        let delays = [&mut point.up, &mut point.down].into_iter().flatten();
+        delays.for_each(|delays| delays.verdict = Verdict::Limited);
+    }
+    let subject = Subject::live(&link);
+    let text = title(&subject, Zone::Utc);
+    assert!(text.contains("read delays as intervals"), "{text}");
+    for meaning in meanings(&subject) {
+        assert!(meaning.text.contains("a jump of a clock was suspected"), "{}", meaning.text);
+    }
+}
+
+#[test]
+fn stale_offset_with_enough_exchanges_has_two_possible_reasons() {
+    let mut link = link(Some(0.00065), &[]);
+    link.live.latest_sample.offset.as_mut().expect("known").verdict = Verdict::Stale;
+    let text = title(&Subject::live(&link), Zone::Utc);
+    assert!(text.contains("not compared lately, or the newest exchanges contradict the others"), "{text}");
 }
 
 #[test]
