@@ -2,8 +2,9 @@
 //! with a million recorded tree nodes is compared with a run with the given number of nodes. The aggregator receives both runs
 //! over ZeroMQ.
 //!
-//! `cargo bench -p peernet-web --bench pages -- [NODES] [FOLDER]`: 100 million nodes take some minutes and about 6 GB.
-//! With `FOLDER`, the databases are kept there and used again by later runs.
+//! `cargo bench -p peernet-web --bench pages -- [NODES] [FOLDER]`: by default 100 million nodes, which
+//! take some minutes and about 6 GB. With `FOLDER`, the databases are kept there and used again by
+//! later runs.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
