@@ -157,6 +157,7 @@ fn busy_pipeline_counts_dropped_messages() {
     // One or two messages were sensed, the newest among them: the first one may have been replaced before the sensor
     // read it. In that case, no second message arrives, and the second iteration fails.
     let sensed = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
+    // A sensed message has the number of messages that it replaced, so all ten are counted.
     assert_eq!(sensed + sensed * api.mean(run, "dropped-samples"), 10.0);
     // Texts have no header, so there is no capture time.
     assert!(api.stage_statistics(run, "capture-delay").is_none());

@@ -146,7 +146,8 @@ fn no_type_has_a_banned_name() {
     assert!(banned.is_empty(), "names that do not say what these types are: {banned:#?}");
 }
 
-/// Returns the paragraphs of a document outside tables and blocks of code.
+/// Returns the paragraphs of a document outside tables and blocks of code, with the numbers of their
+/// first lines.
 fn paragraphs(document: &Document) -> Vec<(usize, String)> {
     let mut paragraphs: Vec<(usize, String)> = Vec::new();
     let mut is_open = false;

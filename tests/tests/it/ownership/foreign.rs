@@ -92,7 +92,7 @@ fn foreign_reports_leave_run_unchanged() {
     );
     let (run, robot) = row.trim().split_once(' ').expect("one run");
     let (run, robot): (RunId, HostId) = (run.parse().expect("an id"), robot.parse().expect("an id"));
-    let gaps_of_run = |fleet: &peernet_tests::Fleet| fleet.api.json("/api/v1/runs/1")["gaps"].clone();
+    let gaps_of_run = |fleet: &Fleet| fleet.api.json("/api/v1/runs/1")["gaps"].clone();
     let before = (gaps_of_run(&fleet), fleet.api.json("/api/v1/runs/1")["reason"].clone());
 
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events_port);
@@ -158,9 +158,9 @@ fn foreign_reports_leave_run_unchanged() {
 }
 
 #[test]
-fn hosts_with_the_same_run_id_have_separate_runs() {
+fn hosts_with_same_run_id_have_separate_runs() {
     let mut rng = TestRng::new("claimed runs");
-    let mut fleet = peernet_tests::Fleet::new(&[], "");
+    let mut fleet = Fleet::new(&[], "");
     let (first_peer, second_peer) = (
         MisbehavingPeer::connect(fleet.deployment.events_port),
         MisbehavingPeer::connect(fleet.deployment.events_port),

@@ -8,6 +8,10 @@ use super::start_fleet;
 
 /// Maximum number of stored hosts.
 const MAX_HOSTS: usize = 50;
+/// Number of connections over which invented hosts say hello.
+const CONNECTIONS: usize = 320;
+/// Number of hosts that only say hello, on each connection.
+const HELLOS_PER_CONNECTION: usize = 62;
 
 #[test]
 fn invented_hosts_leave_pages_and_metrics_bounded() {
@@ -15,11 +19,11 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
     let mut fleet = start_fleet(&format!("max_hosts = {MAX_HOSTS}"));
     let bytes = |path: &str| fleet.api.get(path).expect("answers").1.len();
     let (metrics_before, list_before) = (bytes("/metrics"), bytes("/api/v1/hosts"));
-    // Some hosts only say hello, on many connections, and some prove their id.
+    // Most hosts only say hello. On ten of the connections, further hosts prove their ids.
     let peers: Vec<MisbehavingPeer> =
-        (0..320).map(|_| MisbehavingPeer::connect(fleet.deployment.events_port)).collect();
+        (0..CONNECTIONS).map(|_| MisbehavingPeer::connect(fleet.deployment.events_port)).collect();
     for misbehaving_peer in &peers {
-        for _ in 0..62 {
+        for _ in 0..HELLOS_PER_CONNECTION {
             let name = format!("invented-{}", rng.below(1 << 30));
             misbehaving_peer.send_message(&ToAggregator::Hello(InventedHost::new(&name, &mut rng).hello));
         }
@@ -63,7 +67,7 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
     record_measurements(
         "invented hosts",
         &[
-            ("that said hello", thousands(320.0 * 62.0)),
+            ("that said hello", thousands((CONNECTIONS * HELLOS_PER_CONNECTION) as f64)),
             ("that proved their id", proven.to_string()),
             ("hosts in the list afterwards", host_count.to_string()),
             ("bytes of /metrics before and afterwards", format!("{metrics_before} {metrics_after}")),

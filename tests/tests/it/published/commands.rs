@@ -89,8 +89,9 @@ fn published_commands_work_unchanged() {
             .all(|host| record[host]["clock"].as_str().is_some_and(|text| !text.is_empty())),
         "{record:#}"
     );
-    // Both hosts share one free-running clock, and the wall clock is read a moment after it. The programs are in two
-    // network namespaces and cannot know that they share the clock, so they measure the offset.
+    // Both hosts share one free-running clock, and the wall clock is read up to 3 µs after it. The
+    // programs are in two network namespaces and cannot know that they share the clock, so they
+    // measure the offset.
     for key in ["first_offset", "last_offset"] {
         let offset = &record["clocks"]["upload"][key];
         let bounds = offset["lo"].as_f64().zip(offset["hi"].as_f64());

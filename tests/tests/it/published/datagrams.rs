@@ -101,6 +101,7 @@ fn iterations_over_bad_path_are_answered_or_lost() {
         for ((raw, lo), hi) in raw.into_iter().zip(lo).zip(hi) {
             let (Some(raw), Some(lo), Some(hi)) = (raw, lo, hi) else { continue };
             let truth = raw - receiver_ahead;
+            // The jitter of 3 ms may shorten the delay of the wire; 1 ms is a margin.
             assert!(truth >= delay - 0.004, "{name}: {truth}");
             // The interval is for the free-running clocks; the wall clocks are read up to 3 µs later.
             assert!(lo - 3e-6 <= truth && truth <= hi + 3e-6, "{name}: {truth} is not in [{lo}, {hi}]");

@@ -33,6 +33,7 @@ fn measure(lab: &Lab, model: &str, server_options: &str, client_options: &str, r
 fn slow_model_is_measured_with_longer_timeout() {
     let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("my_model.py"), MODEL).expect("writable");
+    // Returns the outcomes of all iterations, after a check that each reason contains all parts.
     let outcomes_with_reason = |results: &str, parts: &[&str]| {
         let data = lab.data(results);
         for reason in data.column("reason") {
@@ -48,7 +49,8 @@ fn slow_model_is_measured_with_longer_timeout() {
     assert_eq!(outcomes_with_reason("client", &parts), ["timeout", "timeout"]);
     assert!(parts.iter().all(|part| end.log.contains(part)), "{}", end.log);
 
-    // The model's own limit is shorter, so its reason is seen first.
+    // The server's limit for the model is shorter than the client's default limit, so the client
+    // gets the model's reason.
     let end = measure(&lab, "my_model::Slow", "--timeout 0.4", "", "server");
     assert_eq!(end.code(), 75, "{}", end.log);
     let parts = ["my_model::Slow did not answer within 0.4 s", "timeout_ms", "--timeout"];

@@ -31,11 +31,11 @@ fn start(deployment: &LoopbackDeployment, keys: &str) -> (Process, Process) {
 
 /// Returns the folder of the model's process in `/proc`, once the process exists.
 fn wait_for_worker(deployment: &LoopbackDeployment) -> PathBuf {
-    let number = wait_until("the process of the model", || {
+    let pid = wait_until("the process of the model", || {
         let text = fs::read_to_string(deployment.folder().join("pid")).ok()?;
         (!text.is_empty()).then_some(text)
     });
-    PathBuf::from("/proc").join(number)
+    PathBuf::from("/proc").join(pid)
 }
 
 #[test]

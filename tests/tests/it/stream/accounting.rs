@@ -49,6 +49,7 @@ fn produced_events_are_stored_or_counted_as_dropped() {
     for (agent, counts) in fleet.agents.iter().zip(&counts_of_agents) {
         let host = &stored_events.hosts[&agent.name];
         assert_eq!(host.missing, counts.dropped, "{host:?}, {counts:?}");
+        // The agent ran until `Fleet::stop`, so it may have sent further events after these counts.
         assert!(host.events >= counts.acknowledged && host.quarantined == 0, "{host:?}, {counts:?}");
         assert_eq!(stored_events.count_missing(agent.spooled_iterations()), 0);
         record_measurements(
@@ -63,7 +64,7 @@ fn produced_events_are_stored_or_counted_as_dropped() {
     }
 }
 
-/// Returns the metrics of a host.
+/// Returns the values of all metrics of a host, by name.
 fn metrics_of(fleet: &Fleet, host: &str) -> BTreeMap<String, u64> {
     let (_, text) = fleet.api.get("/metrics").expect("the aggregator answers");
     let label = format!("host=\"{host}\"");

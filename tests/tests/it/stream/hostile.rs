@@ -169,6 +169,7 @@ fn foreign_batches_are_refused_and_repeated_ones_ignored() {
     assert!(reason.contains("name"), "{reason}");
     impostor.hello.host.name = "impostor".parse().expect("a name");
     impostor.open_session(&other_peer);
+    // A session of another host does not permit batches of the victim either.
     batches.iter().for_each(|batch| other_peer.send(batch));
 
     // The host itself may repeat batches.
@@ -202,7 +203,8 @@ fn hello_flood_excludes_no_agent() {
     }
     let reason = InventedHost::new("one-more", &mut rng).expect_refusal(&misbehaving_peer);
     assert!(reason.contains("connection"), "{reason}");
-    // Many connections, many with the normal agent's name, wrong versions, and long texts.
+    // Many connections, every second one with the normal agent's name. Each has a wrong version, a
+    // long text, or an impossible number of the oldest batch.
     let peers: Vec<MisbehavingPeer> =
         (0..60).map(|_| MisbehavingPeer::connect(fleet.deployment.events_port)).collect();
     for (number, misbehaving_peer) in peers.iter().enumerate() {

@@ -7,8 +7,9 @@ use peernet_tests::{EventCounts, Fleet, Stopwatch, TestRng, record_measurements,
 
 use super::{SMALL_SPOOL, assert_nothing_lost, setting, wait_for_turn};
 
-/// One agent measures as fast as it can, so its spool is almost always full and losses are reported among all
-/// other events. The other agent loses only the ends of its runs, which were in memory when it was killed.
+/// `hasty` measures as fast as it can, so its spool is almost always full and losses are reported
+/// among all other events. `steady` loses only the ends of its runs, which were in memory when it
+/// was killed.
 const AGENTS: [&str; 2] = ["hasty", "steady"];
 const STEADY_HZ: f64 = 1_000.0;
 

@@ -1,4 +1,4 @@
-//! Test of an agent behind a link with a quarter of the rate that it produces.
+//! Test of an agent whose events need about four times the rate of its link.
 
 use std::time::Duration;
 
