@@ -158,9 +158,11 @@ impl RowWriter {
     fn rewrite(&self, header: &Header) -> std::io::Result<(File, u64)> {
         let new_file = self.path.with_extension("csv.new");
         let result = cells::pad_rows(&self.path, &new_file, header).and_then(|()| {
-            std::fs::rename(&new_file, &self.path)?;
-            let mut file = OpenOptions::new().write(true).open(&self.path)?;
+            // The new file is opened before it is renamed. If opening failed after the renaming,
+            // rows would still be written to `self.file`, which then has no name, and be lost.
+            let mut file = OpenOptions::new().write(true).open(&new_file)?;
             let complete_bytes = file.seek(SeekFrom::End(0))?;
+            std::fs::rename(&new_file, &self.path)?;
             Ok((file, complete_bytes))
         });
         result.inspect_err(|_| {

@@ -28,7 +28,7 @@ fn labels_outside_model_classes_are_reported() {
 fn sentences_have_skipped_starts_and_accuracy() {
     let mut rows = rows(20);
     for row in &mut rows {
-        // One score is not valid.
+        // A valid score is 0 or 1. Iteration 10 has no valid score and counts as not scored.
         let score = if row.iteration == 10 { 0.5 } else { f64::from(u8::from(row.iteration % 4 != 0)) };
         row.values.extend([("top-1".into(), score), ("skipped-starts".into(), 2.0)]);
     }
