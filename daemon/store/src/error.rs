@@ -47,7 +47,7 @@ pub enum OpenError {
         /// Kind of the file.
         what: &'static str,
     },
-    /// Another process has locked the database.
+    /// The database cannot be locked. Usually another process holds the lock.
     #[error("cannot start the aggregator: {0}")]
     Lock(#[from] LockError),
     /// The write-ahead log of another database lies beside the file.

@@ -83,8 +83,8 @@ fn read_id(file: &File) -> io::Result<Option<u32>> {
 }
 
 /// Returns whether the write-ahead log belongs to another database. The log contains copies of page 1, and each copy
-/// has an id. The log belongs to another database if, in the part that SQLite would apply, at least one copy has
-/// another id than `database_id`, and no copy has `database_id`.
+/// has an id. The log belongs to another database if, in the frames with valid checksums, at least
+/// one copy has another id than `database_id`, and no copy has `database_id`.
 fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
     let log = match File::open(log) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),

@@ -15,7 +15,7 @@ pub enum LockError {
     Taken {
         /// The database.
         path: PathBuf,
-        /// The other process, if it is known.
+        /// Description of the other process, with its pid if the kernel lists the lock.
         holder: String,
     },
     /// The file cannot be created, opened or locked.

@@ -18,8 +18,12 @@ pub(crate) const MAGIC: u32 = 0x377f_0682;
 /// The newest version of each page that is in the write-ahead log.
 ///
 /// A checkpoint copies pages from the log into the main file one after the other. The checkpoint leaves out pages whose
-/// older version a reader still needs. Therefore the main file alone may mix versions of different times. The checksums
-/// of the log are not verified, so this value may contain pages of a transaction that is not committed.
+/// older version a reader still needs. Therefore the main file alone may mix versions of different
+/// times.
+///
+/// The checksums and the commit marks of the log's frames are not examined. Therefore this value
+/// may contain pages that are not completely written, and pages of a transaction that is not
+/// committed.
 #[derive(Debug)]
 pub(super) struct LogPages {
     file: File,

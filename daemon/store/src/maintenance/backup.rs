@@ -104,11 +104,11 @@ pub struct Backup {
 }
 
 impl Backup {
-    /// Checks that `database` can be read, that `target` does not exist, and that the target's disk has space. The copy
-    /// is first written under the name `<target>.partial`.
+    /// Checks that `database` can be read, that `target` does not exist, and that the target's disk
+    /// has space. Then creates the file `<target>.partial`, to which the copy is written first.
     ///
     /// # Errors
-    /// When a check fails.
+    /// When a check fails, or the file cannot be created.
     pub async fn prepare(database: &Path, target: &Path) -> Result<Self, BackupError> {
         if !database.is_file() {
             return Err(BackupError::Missing(database.to_owned()));

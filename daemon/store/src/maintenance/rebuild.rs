@@ -18,8 +18,8 @@ pub enum RebuildError {
     /// The database does not exist.
     #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
-    /// Another process has locked the database, most likely the aggregator.
-    #[error("cannot rebuild roll-ups while another process may write to the database: {0}")]
+    /// The database cannot be locked. Usually an aggregator holds the lock.
+    #[error("cannot rebuild roll-ups without the lock of the database: {0}")]
     Lock(#[from] LockError),
     /// The database cannot be opened or brought up to date.
     #[error(transparent)]

@@ -42,8 +42,8 @@ pub enum RepairError {
     /// The database does not exist.
     #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
-    /// Another process has locked the database, most likely the aggregator.
-    #[error("cannot repair the database while another process may write to it: {0}")]
+    /// The database cannot be locked. Usually an aggregator holds the lock.
+    #[error("cannot repair the database without its lock: {0}")]
     Lock(#[from] LockError),
     /// Another process reads or writes the database without the lock, so SQLite keeps the write-ahead log for it.
     #[error("cannot repair the database {path}: another process has it open, so its newest data cannot be moved from the write-ahead log (-wal) into the file; stop the process (`fuser {path}` shows it) and repeat the repair", path = .0.display())]
