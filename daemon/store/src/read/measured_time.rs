@@ -26,7 +26,7 @@ pub(crate) async fn measured_time(
 ) -> Result<Option<MeasuredTime>, StoreError> {
     let widths = StoredWidths::read(readers, run.number).await?;
     let Some((width_s, (first_bucket_s, last_bucket_s))) = widths.finest_complete() else { return Ok(None) };
-    // While all iterations and all buckets of a second are stored, the times are exact.
+    // While all iterations and all buckets of one second each are stored, the times are exact.
     if run.last_deleted_iteration == 0 && width_s == WIDTHS_S[0] {
         let read_start = async |statement: &'static str| {
             let row: Option<Row> = sqlx::query_as(statement)

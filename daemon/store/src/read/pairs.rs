@@ -16,10 +16,10 @@ use crate::types::ValuePairs;
 const WHAT: &str = "pairs of values";
 /// Number of concurrent reads; each reads an equal part of the selected iterations.
 const CONCURRENT_READS: usize = 4;
-/// Fractional part of the golden ratio. From one interval to the next, the position within the interval moves by this
-/// share of the interval's length. Multiples of an irrational number never have the same fraction, so positions do not
-/// repeat.
-const GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
+/// Fractional part of the golden ratio. From one interval of [`select_numbers`] to the next, the
+/// position within the interval moves by this share of the interval's length. Multiples of an
+/// irrational number never have the same fraction, so positions do not repeat.
+const GOLDEN_RATIO_FRACTION: f64 = 0.618_033_988_749_895;
 
 /// A node with one of the two names, or a node `sensing`, which may be the parent of such a node.
 #[derive(FromRow)]
@@ -122,7 +122,7 @@ fn select_numbers(first: i64, last: i64, max_pairs: u32) -> Vec<i64> {
     let start = |interval: u32| (u128::from(total) * u128::from(interval) / u128::from(max_pairs)) as u64;
     let number = |interval: u32| {
         let (from, to) = (start(interval), start(interval + 1));
-        let position = ((to - from) as f64 * (f64::from(interval) * GOLDEN_RATIO).fract()) as u64;
+        let position = ((to - from) as f64 * (f64::from(interval) * GOLDEN_RATIO_FRACTION).fract()) as u64;
         first.saturating_add_unsigned(from + position.min(to - from - 1))
     };
     (0..max_pairs).map(number).collect()
@@ -147,15 +147,15 @@ mod tests {
 
     proptest! {
         #[test]
-        fn each_interval_has_one_number(first in 1i64..i64::MAX, all in 1i64..3_000_000, max_pairs in 0u32..4_000) {
-            let last = first.saturating_add(all - 1);
-            let (numbers, all) = (select_numbers(first, last, max_pairs), length(first, last));
-            prop_assert_eq!(numbers.len() as u64, all.min(u64::from(max_pairs)));
+        fn each_interval_has_one_number(first in 1i64..i64::MAX, total in 1i64..3_000_000, max_pairs in 0u32..4_000) {
+            let last = first.saturating_add(total - 1);
+            let (numbers, total) = (select_numbers(first, last, max_pairs), length(first, last));
+            prop_assert_eq!(numbers.len() as u64, total.min(u64::from(max_pairs)));
             prop_assert!(numbers.windows(2).all(|pair| pair[0] < pair[1]));
             prop_assert!(numbers.iter().all(|number| (first..=last).contains(number)));
-            let interval = all as f64 / f64::from(max_pairs.max(1));
-            let far = numbers.windows(2).any(|pair| (pair[1] - pair[0]) as f64 > 2.0 * interval + 2.0);
-            prop_assert!(!far, "numbers are more than two intervals apart");
+            let interval = total as f64 / f64::from(max_pairs.max(1));
+            let has_wide_gap = numbers.windows(2).any(|pair| (pair[1] - pair[0]) as f64 > 2.0 * interval + 2.0);
+            prop_assert!(!has_wide_gap, "numbers are more than two intervals apart");
         }
     }
 }

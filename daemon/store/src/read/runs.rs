@@ -119,7 +119,7 @@ pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<Exp
 async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>, StoreError> {
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
     let totals = statistics::whole_runs(readers, &numbers, &stage::TOTAL).await?;
-    // These functions use one query for all runs of a list.
+    // Each query reads all runs of the list, so a longer list needs no more queries.
     let deadline_missed = deadline_missed_summaries(readers, rows).await?;
     let actuators = actuator_results(readers, rows).await?;
     let summaries = rows.iter().map(|row| {

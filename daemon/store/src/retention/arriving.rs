@@ -33,7 +33,8 @@ const EXTEND: &str = "UPDATE arrival SET to_s = max(to_s, ?3), first = min(first
      WHERE kind = ?1 AND owner = ?2 AND from_s > ?6 \
        AND from_s = (SELECT max(newest.from_s) FROM arrival AS newest WHERE newest.kind = ?1 AND newest.owner = ?2)";
 /// Inserts a row of `arrival`: ?1 kind, ?2 owner, ?3 second at which the arrivals began, ?4 now, ?5 and ?6 first and
-/// last number of the range. A row with this key may exist already: the row for all earlier data has the second 0.
+/// last number of the range. A row with this key may exist already: a row for all data that arrived
+/// earlier has the second 0, and a new storage clock starts at 0.
 const INSERT: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) VALUES (?1, ?2, ?3, ?4, ?5, ?6) \
      ON CONFLICT (kind, owner, from_s) DO UPDATE SET to_s = max(to_s, excluded.to_s), \
      first = min(first, excluded.first), last = max(last, excluded.last)";

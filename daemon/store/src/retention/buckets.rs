@@ -39,7 +39,8 @@ pub(super) async fn delete(
     seconds: Extent,
     max_cost: u64,
 ) -> Result<DeletedRows, sqlx::Error> {
-    // A column of the result may be NULL: min() and max() return NULL if the range has no bucket.
+    // The closure has one result type for three statements: min() and max() return NULL if the
+    // range has no bucket, and `AFTER` returns no row.
     let query = |statement| sqlx::query_scalar(statement).bind(run).bind(width_s);
     let first: Option<i64> =
         query(OLDEST).bind(seconds.first).bind(seconds.last).fetch_one(&mut *connection).await?;

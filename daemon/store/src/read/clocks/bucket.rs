@@ -26,11 +26,12 @@ impl Bucket {
         self.sum.add_with(&row.point_without_offset()?, width, || row.offset())
     }
 
-    /// Returns the bucket as a point; `None` if the bucket is empty.
-    pub(super) fn point(self, width: u32) -> Option<ClockPoint> {
-        let end = self.number.saturating_add(1).saturating_mul(i64::from(width) * 1_000_000_000);
+    /// Returns the bucket as a point; `None` if the bucket is empty. `width_s` is the width of the
+    /// bucket in seconds.
+    pub(super) fn point(self, width_s: u32) -> Option<ClockPoint> {
+        let end = self.number.saturating_add(1).saturating_mul(i64::from(width_s) * 1_000_000_000);
         let point = self.sum.into_point()?;
         // A point that is one clock sample keeps the stored time, to which its offset belongs.
-        Some(ClockPoint { at: if width == 1 { point.at } else { wall(end) }, ..point })
+        Some(ClockPoint { at: if width_s == 1 { point.at } else { wall(end) }, ..point })
     }
 }

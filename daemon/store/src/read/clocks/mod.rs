@@ -127,19 +127,19 @@ pub(crate) async fn series(
         .await
         .map_err(readers.error_for(WHAT))?;
     let (Some(first), Some(last)) = extent else { return Ok(empty_series) };
-    let width = width(first, last, max_points.clamp(1, MAX_POINTS));
+    let width_s = bucket_width_s(first, last, max_points.clamp(1, MAX_POINTS));
     let repeats = RepeatedTimes::read(readers, link, (first, last)).await?;
-    let mut points = Points { width, repeats, points: Vec::new(), bucket: None };
+    let mut points = Points { width_s, repeats, points: Vec::new(), bucket: None };
     let pool = readers.pool();
     // Each bucket of one second is one row, so the query needs no ranges.
-    if width == 1 {
+    if width_s == 1 {
         let rows = sqlx::query_as::<_, Row>(sql::CLOCK_SAMPLES).bind(link).bind(first).bind(last);
         let mut rows = rows.fetch(&pool);
         while let Some(row) = rows.try_next().await.map_err(readers.error_for(WHAT))? {
             points.add(&row)?;
         }
     } else {
-        let ranges = bucket_ranges(first, last, width)?;
+        let ranges = bucket_ranges(first, last, width_s)?;
         let buckets = sqlx::query_scalar::<_, String>(sql::CLOCK_BUCKETS).bind(link).bind(ranges);
         let mut buckets = buckets.fetch(&pool);
         while let Some(bucket) = buckets.try_next().await.map_err(readers.error_for(WHAT))? {
@@ -150,16 +150,16 @@ pub(crate) async fn series(
             rows.iter().try_for_each(|row| points.add(row))?;
         }
     }
-    Ok(ClockSeries { bucket_s: width, points: points.into_points() })
+    Ok(ClockSeries { bucket_s: width_s, points: points.into_points() })
 }
 
 /// Returns the first and the last time of each bucket, as JSON. A query that returns one row per bucket costs far less
 /// than a query that returns one row per second.
-fn bucket_ranges(first: i64, last: i64, width: u32) -> Result<String, StoreError> {
-    let nanos = i64::from(width) * 1_000_000_000;
+fn bucket_ranges(first: i64, last: i64, width_s: u32) -> Result<String, StoreError> {
+    let width_ns = i64::from(width_s) * 1_000_000_000;
     let mut from = first;
-    let ranges = (bucket_number_of(first, width)..=bucket_number_of(last, width)).map(|number| {
-        let through = number.saturating_add(1).saturating_mul(nanos).min(last);
+    let ranges = (bucket_number_of(first, width_s)..=bucket_number_of(last, width_s)).map(|number| {
+        let through = number.saturating_add(1).saturating_mul(width_ns).min(last);
         [std::mem::replace(&mut from, through.saturating_add(1)), through]
     });
     let ranges: Vec<[i64; 2]> = ranges.collect();
@@ -168,7 +168,8 @@ fn bucket_ranges(first: i64, last: i64, width: u32) -> Result<String, StoreError
 
 /// Collects clock samples into points.
 struct Points {
-    width: u32,
+    /// Width of a bucket, seconds.
+    width_s: u32,
     repeats: RepeatedTimes,
     points: Vec<ClockPoint>,
     /// The bucket of the newest clock sample, which becomes the next point.
@@ -183,7 +184,7 @@ impl Points {
         if self.repeats.is_superseded(row.relation_period, row.at_ns) {
             return Ok(());
         }
-        let number = bucket_number_of(row.at_ns, self.width);
+        let number = bucket_number_of(row.at_ns, self.width_s);
         if self.bucket.as_ref().is_some_and(|bucket| bucket.number() != number) {
             self.finish();
         }
@@ -192,7 +193,7 @@ impl Points {
 
     /// Converts the current bucket to a point.
     fn finish(&mut self) {
-        let point = self.bucket.take().and_then(|bucket| bucket.point(self.width));
+        let point = self.bucket.take().and_then(|bucket| bucket.point(self.width_s));
         self.points.extend(point);
     }
 
@@ -202,13 +203,14 @@ impl Points {
     }
 }
 
-/// Returns the smallest width with which the range has at most `max_points` buckets. The possible widths are
-/// [`BUCKET_WIDTHS_S`]; after the last of these widths, each width is twice the previous width.
-fn width(first: i64, last: i64, max_points: u32) -> u32 {
+/// Returns the smallest width of a bucket, in seconds, with which the range has at most
+/// `max_points` buckets. The possible widths are [`BUCKET_WIDTHS_S`]; after the last of these
+/// widths, each width is twice the previous width.
+fn bucket_width_s(first: i64, last: i64, max_points: u32) -> u32 {
     let [.., day] = BUCKET_WIDTHS_S;
-    let wider_widths = successors(day.checked_mul(2), |width| width.checked_mul(2));
-    let fits = |width: &u32| {
-        u64::try_from(bucket_number_of(last, *width) - bucket_number_of(first, *width))
+    let wider_widths = successors(day.checked_mul(2), |width_s| width_s.checked_mul(2));
+    let fits = |width_s: &u32| {
+        u64::try_from(bucket_number_of(last, *width_s) - bucket_number_of(first, *width_s))
             .is_ok_and(|difference| difference < u64::from(max_points))
     };
     let mut widths = BUCKET_WIDTHS_S.into_iter().chain(wider_widths.clone());
@@ -217,8 +219,8 @@ fn width(first: i64, last: i64, max_points: u32) -> u32 {
 
 /// Returns the number of the bucket that contains a clock sample, counted from 1970. `at_ns` is the end of the second
 /// that the sample describes.
-fn bucket_number_of(at_ns: i64, width: u32) -> i64 {
-    bucket_number(wall(at_ns), width)
+fn bucket_number_of(at_ns: i64, width_s: u32) -> i64 {
+    bucket_number(wall(at_ns), width_s)
 }
 
 impl Row {

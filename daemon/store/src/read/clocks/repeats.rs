@@ -56,7 +56,7 @@ impl RepeatedTimes {
         Ok(repeats)
     }
 
-    /// Returns whether a relation period after `relation_period` contains this time.
+    /// Returns whether a relation period that arrived after `relation_period` contains this time.
     pub(super) fn is_superseded(&self, relation_period: i64, at_ns: i64) -> bool {
         let Some(position) = self.positions.get(&relation_period) else { return false };
         let supersedes =

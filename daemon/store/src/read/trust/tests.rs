@@ -321,19 +321,19 @@ fn rows_of_files_and_roll_ups_give_same_trust_input() {
         input.restarts.iter().map(|restarts| (restarts.owner, restarts.count)).collect::<Vec<_>>()
     };
     assert_eq!(restarts(&input), restarts(&stored));
-    for (rows, stored) in input.clocks.iter().zip(&stored.clocks) {
-        assert_eq!((&rows.stage, &rows.verdicts), (&stored.stage, &stored.verdicts));
+    for (of_rows, of_store) in input.clocks.iter().zip(&stored.clocks) {
+        assert_eq!((&of_rows.stage, &of_rows.verdicts), (&of_store.stage, &of_store.verdicts));
         // The store has sketches, whose quantiles have an error of up to 1 %.
         let within =
             |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a / b - 1.0).abs() < 0.011);
-        let [of_rows, of_store] =
-            [rows, stored].map(|clocks| clocks.interval.expect("every delay has bounds"));
+        let [interval, stored_interval] =
+            [of_rows, of_store].map(|clocks| clocks.interval.expect("some delays have bounds"));
         assert!(
-            within(rows.delay, stored.delay)
-                && within(Some(of_rows.lo), Some(of_store.lo))
-                && within(Some(of_rows.hi), Some(of_store.hi))
-                && of_rows.method == of_store.method,
-            "{rows:?} {stored:?}"
+            within(of_rows.delay, of_store.delay)
+                && within(Some(interval.lo), Some(stored_interval.lo))
+                && within(Some(interval.hi), Some(stored_interval.hi))
+                && interval.method == stored_interval.method,
+            "{of_rows:?} {of_store:?}"
         );
     }
     assert_eq!((input.clocks.len(), stored.clocks.len()), (2, 2));
