@@ -1,5 +1,7 @@
 //! Errors of writing results.
 
+use std::fs::File;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Error of writing a file of results.
@@ -19,12 +21,14 @@ impl WriteError {
     }
 }
 
-/// Writes a complete file, replacing an existing one. A file that cannot be written completely is removed.
+/// Writes a complete file, replacing an existing one. A file that cannot be written completely is
+/// removed. An existing file that cannot be opened stays as it is.
 ///
 /// # Errors
 /// If the file cannot be written.
 pub fn write_file(path: &Path, content: &[u8]) -> Result<(), WriteError> {
-    std::fs::write(path, content).map_err(|error| {
+    let mut file = File::create(path).map_err(WriteError::at(path))?;
+    file.write_all(content).map_err(|error| {
         let mut error = WriteError::at(path)(error);
         // An incomplete picture or table would look like a result. A pipe or a device at `path` must stay, so only
         // regular files are removed.
@@ -35,4 +39,30 @@ pub fn write_file(path: &Path, content: &[u8]) -> Result<(), WriteError> {
         }
         error
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn existing_file_that_cannot_be_opened_stays() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("series.png");
+        // Nobody can open this regular file for writing, not even root.
+        std::os::unix::fs::symlink("/proc/sys/kernel/osrelease", &path).expect("a link");
+        let error = write_file(&path, b"new").expect_err("the file is read-only").to_string();
+        assert!(error.contains("series.png"), "{error}");
+        assert!(path.is_file(), "the link is not removed");
+    }
+
+    #[test]
+    fn device_that_cannot_be_written_stays() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("series.png");
+        std::os::unix::fs::symlink("/dev/full", &path).expect("a link");
+        let error = write_file(&path, b"new").expect_err("the disk is full").to_string();
+        assert!(error.contains("No space left"), "{error}");
+        assert!(path.exists(), "the link is not removed");
+    }
 }
