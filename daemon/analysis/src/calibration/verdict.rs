@@ -1,4 +1,5 @@
-//! Verdict of a study, in one sentence.
+//! Verdict of a calibration: whether the intercepts of the fitted lines, which are the delays of an
+//! empty message, agree with the clock bounds.
 
 use peernet_clock::Verdict as DelayVerdict;
 use peernet_statistics::number::{counted, error_ms, mean_std, range_ms};
@@ -128,13 +129,13 @@ impl Verdict {
             1 => "once".to_owned(),
             times => format!("{times} times"),
         };
-        let clocks = match self.kind {
+        let clocks_text = match self.kind {
             // These verdicts do not depend on a clock relation.
             VerdictKind::Exact | VerdictKind::Unsynchronised | VerdictKind::Insufficient => "",
             _ => ", and the clocks were related again: each delay uses the relation at its time",
         };
         self.sentence.push_str(&format!(
-            "; the peer went away {times} during the study and came back (restarted, or the network broke){clocks}"
+            "; the peer went away {times} during the study and came back (restarted, or the network broke){clocks_text}"
         ));
         self
     }
@@ -163,15 +164,15 @@ impl Verdict {
             (true, false) => format!("the intercept of the {} lies", up.name),
             _ => format!("the intercept of the {} lies", down.name),
         };
-        // A wrong offset lengthens one direction and shortens the other by the same amount, so the two distances have
-        // different signs.
+        // A wrong offset lengthens the delays of one direction and shortens those of the other
+        // direction, so the two distances have different signs.
         let reason = if up_distance * down_distance < 0.0 {
             let limit = clocks.max_drift_ppm.map_or_else(String::new, |ppm| format!(" than {ppm} ppm"));
             format!(
-                "one direction is too long by the amount that the other is too short, so the clocks are at fault: they drift apart faster{limit} (max_drift_ppm), or a stamp is wrong"
+                "one direction is too long and the other is too short, so the clocks are at fault: they drift apart faster{limit} (max_drift_ppm), or a stamp is wrong"
             )
         } else {
-            "errors of the clocks alone cannot cause this: the delay does not grow in a straight line with size over this link (see latency.png); try sizes closer together".to_owned()
+            "an error of the clocks would make one direction too long and the other too short, which is not the case: the delay probably does not grow in a straight line with size over this link (see latency.png); try sizes closer together".to_owned()
         };
         let sentence = format!(
             "of the intercepts, {intercepts}, {subject_and_verb} outside what the clock bounds allow ({allowed}); {reason}"

@@ -104,6 +104,16 @@ cuda:0  can      105.550              +85.290          +85.290
     }
 
     #[test]
+    fn sentence_on_ranking_excludes_unranked_line() {
+        let mut runs = paper();
+        runs[1].record.facts.push(("Model".to_owned(), "echo".to_owned()));
+        let comparison = Comparison::new(&runs);
+        assert_eq!((comparison.best, comparison.unranked.as_slice()), (Some(0), [1].as_slice()));
+        let sentence = "orin; the other ranked line differs from it with 95 % confidence; not ranked, because the model computes nothing: cuda:0, lan.";
+        assert!(comparison.text().contains(sentence), "{}", comparison.text());
+    }
+
+    #[test]
     fn line_of_few_iterations_has_no_interval() {
         let mut runs = paper();
         runs[1].rows.change(|row| row.warm_up = row.iteration > 20);

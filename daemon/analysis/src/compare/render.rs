@@ -218,8 +218,8 @@ impl Comparison {
         reasons.into_iter().map(sentence).collect()
     }
 
-    /// Returns the sentence about the best line, the lines that cannot be distinguished from it, and the lines that
-    /// were not compared with it.
+    /// Returns the sentence about the best line, the lines that cannot be distinguished from it,
+    /// and the lines that were not compared with it. `None` if no line is the best.
     fn ranking_sentence(&self) -> Option<String> {
         let best = &self.lines[self.best?];
         let names = |lines: &[usize]| {
@@ -232,8 +232,9 @@ impl Comparison {
             clauses
                 .push(format!("with 95 % confidence it cannot be distinguished from {}", names(&self.ties)));
         } else if tested == others && others > 0 {
-            let subject = if others == 1 { "the other line" } else { "every other line" };
-            clauses.push(format!("{subject} differs from it with 95 % confidence"));
+            let ranked = if self.unranked.is_empty() { "" } else { "ranked " };
+            let quantifier = if others == 1 { "the" } else { "every" };
+            clauses.push(format!("{quantifier} other {ranked}line differs from it with 95 % confidence"));
         }
         if !self.untested.is_empty() {
             // Each edge has its own results, so each edge needs enough iterations.
