@@ -57,9 +57,10 @@ pub struct ClockBucket {
 }
 
 impl ClockBucket {
-    /// Adds a point. `point.offset` is ignored: `load_offset` returns the offset of the point instead. It is called
-    /// only if the bucket needs the offset, because building an offset from a stored row takes most of the time.
-    /// `width` is the width of the offset's bounds; `None` without an offset.
+    /// Adds a point. `point.offset` is ignored: `load_offset` returns the offset of the point
+    /// instead. `load_offset` is called only if the bucket needs the offset, because building an
+    /// offset from a stored row takes most of the time. `width` is the width of the offset's
+    /// bounds; `None` without an offset.
     ///
     /// # Errors
     /// The error of `load_offset`.

@@ -26,8 +26,9 @@ pub fn concurrent_groups<'a, R, E: PartialEq>(
     groups
 }
 
-/// Returns the complete groups: those with the number of edges that the experiment records. If it records none, those
-/// with as many edges as the largest group of the same configuration.
+/// Returns the complete groups: those with the number of edges that the experiment records. If it
+/// records none, those with as many edges as the largest group of the same configuration. A group
+/// outside of experiments is complete.
 // An incomplete group is left out: without one of its edges, the other edges got more of the cloud than configured.
 pub fn complete_groups<'a, R>(
     groups: Vec<Vec<&'a R>>,

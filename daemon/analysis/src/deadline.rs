@@ -38,11 +38,11 @@ impl Misses {
         let mut has_deadline = false;
         let (mut successful, mut late, mut failed) = (0, 0, 0);
         for row in rows.into_iter().filter(|row| !row.warm_up()) {
-            let missed = row.value(DEADLINE_MISSED);
-            has_deadline |= missed.is_some();
+            let missed_value = row.value(DEADLINE_MISSED);
+            has_deadline |= missed_value.is_some();
             if row.is_in_statistics() {
                 successful += 1;
-                late += u64::from(missed == Some(1.0));
+                late += u64::from(missed_value == Some(1.0));
             } else {
                 failed += 1;
             }
@@ -70,6 +70,8 @@ mod tests {
     use super::*;
     use crate::rows::{Outcome, Row, Rows};
 
+    /// Returns a row; the first iteration is the warm-up. `missed` is the value of
+    /// [`DEADLINE_MISSED`].
     fn row(iteration: u64, outcome: Outcome, missed: Option<f64>) -> Row {
         Row {
             iteration,

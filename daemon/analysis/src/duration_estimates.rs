@@ -5,7 +5,7 @@ use peernet_statistics::Moments;
 /// Estimated duration of a run of each configuration, seconds.
 #[derive(Clone, Debug)]
 pub struct DurationEstimates {
-    /// Expected durations before the first run.
+    /// Duration that was expected before the first run of each configuration; `None` if not known.
     expected: Vec<Option<f64>>,
     /// Durations of the finished runs of each configuration.
     finished: Vec<Moments>,

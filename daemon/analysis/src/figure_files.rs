@@ -25,7 +25,8 @@ const NUMBERED_FIGURES: [&str; 4] = ["payload-latency", "payload-throughput", "t
 /// Maximum number of bytes of `data.csv` that are read to find the end of its header.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 
-/// Returns the names of the files in a result folder that are figures of the results, whatever their kind.
+/// Returns the names of the files in a result folder that are figures of the results, or captions
+/// of these figures.
 // A file is recognised by its exact name, because figures of earlier results are removed, and files that a person added
 // must stay.
 pub fn figure_files(dir: &Path) -> Vec<String> {

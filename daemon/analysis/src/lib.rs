@@ -16,8 +16,9 @@
 //! Medians from files have confidence intervals. Medians from roll-ups have none, because the bootstrap needs single
 //! values.
 //!
-//! Writing tables is the only I/O. `peernet-results` reads and writes files of results, and `peernet-figures` draws
-//! figures.
+//! The only I/O is the writing of tables and of `calibration.json`, and the search for figure files
+//! in a folder ([`figure_files`]). `peernet-results` reads and writes files of results, and
+//! `peernet-figures` draws figures.
 
 pub mod accuracy;
 pub mod actuator_results;

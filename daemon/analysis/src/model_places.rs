@@ -49,10 +49,10 @@ impl ModelPlaces {
         };
         let models: Vec<(String, Vec<Vec<usize>>)> = names.into_iter().map(model).collect();
         let (compared, others): (Vec<_>, Vec<_>) = models.into_iter().partition(ran_at_several_places);
-        let is_only_place = |kind: &str| places.iter().filter(|(other, _)| other == kind).count() == 1;
+        let has_one_place = |kind: &str| places.iter().filter(|(other, _)| other == kind).count() == 1;
         let name = |(kind, device): &(String, String)| {
             let place = place_word(kind);
-            if is_only_place(kind) || device.is_empty() {
+            if has_one_place(kind) || device.is_empty() {
                 place.to_owned()
             } else {
                 format!("{place}, {device}")

@@ -87,12 +87,21 @@ mod tests {
         let at = |second| WallTime::from_unix_nanos(second * 1_000_000_000);
         let line = Line::through(&[(at(0), 1.0), (at(10), 3.0)]).expect("estimates");
         assert_eq!((line.level, line.slope), (2.0, 0.0));
+    }
+
+    #[test]
+    fn line_has_slope_of_steady_drift() {
+        let at = |second| WallTime::from_unix_nanos(second * 1_000_000_000);
         let drift = |second: i64| (at(second), 1e-6 * second as f64);
         let line = Line::through(&(0..20).map(drift).collect::<Vec<_>>()).expect("estimates");
         assert!(
             (line.slope - 1e-6).abs() < 1e-12 && line.middle == at(0) + Span::from_seconds(10),
             "{line:?}"
         );
-        assert_eq!(OffsetTrend::of(&[]).at(1, at(5)), 0.0);
+    }
+
+    #[test]
+    fn trend_without_points_is_zero() {
+        assert_eq!(OffsetTrend::of(&[]).at(1, WallTime::from_unix_nanos(5_000_000_000)), 0.0);
     }
 }

@@ -73,9 +73,9 @@ impl SortedValues {
         Some(if limit > 0.0 { largest.min(limit) } else { largest })
     }
 
-    /// Returns the standard error of the median, from the two values that bound the median with 95 % confidence (McKean
-    /// and Schrader 1984). The method makes no assumption about the shape of the distribution. `None` with fewer than 6
-    /// values.
+    /// Returns the standard error of the median, from the two values that bound the median with
+    /// about 95 % confidence (McKean and Schrader 1984). The method makes no assumption about the
+    /// shape of the distribution. `None` with fewer than 6 values.
     pub fn median_error(&self) -> Option<f64> {
         let [lower, upper] = ranks_around_median(self.0.len() as u64)?.map(|rank| self.0[rank as usize - 1]);
         Some((upper - lower) / (2.0 * Z95))
@@ -103,9 +103,10 @@ pub(crate) fn weighted_median<T>(
     median.map(|(item, _)| item)
 }
 
-/// Returns two ranks, counted from 1: of `n` sorted values, the values with these ranks bound the median with 95 %
-/// confidence. `None` with fewer than 6 values, because even the smallest and the largest of 5 values bound the median
-/// only with 94 % confidence.
+/// Returns two ranks, counted from 1: of `n` sorted values, the values with these ranks bound the
+/// median with about 95 % confidence. The confidence is 92 to 98 %, because a rank is a whole
+/// number. `None` with fewer than 6 values, because no ranks of 5 values give 95 % confidence: even
+/// the smallest and the largest value bound the median only with 94 % confidence.
 pub(crate) fn ranks_around_median(n: u64) -> Option<[u64; 2]> {
     (n >= 6).then_some(())?;
     let lower = ((n as f64 + 1.0) / 2.0 - Z95 * (n as f64 / 4.0).sqrt()).round().max(1.0) as u64;

@@ -27,7 +27,8 @@ pub(super) fn length(values: &[f64]) -> f64 {
 }
 
 /// Returns the width of the window: twice the smallest lag after which the values are not correlated, which means that
-/// the next five or more correlations lie within ±2 √(log₁₀ n / n). `None` if the values do not vary.
+/// the next five or more correlations lie within ±2 √(log₁₀ n / n). The width is at most the
+/// largest lag that is examined, which is about √n + 5. `None` if the values do not vary.
 fn window(centred: &[f64]) -> Option<usize> {
     let n = centred.len() as f64;
     let variance = covariance(centred, 0);

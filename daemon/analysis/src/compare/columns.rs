@@ -19,7 +19,7 @@ pub struct Column {
     pub labels: Vec<String>,
 }
 
-/// Columns that distinguish configurations.
+/// Candidates for columns, divided into those that were chosen and the rest.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ChosenColumns {
     /// Columns that distinguish the configurations.

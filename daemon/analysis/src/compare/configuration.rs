@@ -92,13 +92,13 @@ impl Configurations {
         let ChosenColumns { mut columns, rest } =
             columns::choose_columns(columns.filter(Column::differs).collect());
         let is_unlabelled = |group: usize| columns.iter().all(|column| column.labels[group] == EMPTY_CELL);
-        let all_labelled = (0..groups.len()).all(|group| !is_unlabelled(group));
+        let has_unlabelled_group = (0..groups.len()).any(is_unlabelled);
         let insert_folders = |index: usize, columns: &mut Vec<Column>| {
             let column = Column { axis: "run".to_owned(), labels: folder_names(runs, &groups) };
             columns.insert(index, column);
         };
         if groups.len() > 1 {
-            if !all_labelled {
+            if has_unlabelled_group {
                 // The column of folders comes first: otherwise the row of a run without labels would begin with empty
                 // cells only.
                 insert_folders(0, &mut columns);

@@ -87,11 +87,11 @@ impl Differences {
     /// Returns a row for each stage. All numbers of a column have the same number of decimals.
     fn rows(&self) -> Vec<Vec<String>> {
         let stages = || self.stages.iter();
-        let max_decimals = |difference: fn(&StageDifference) -> Difference| {
+        let shared_decimals = |difference: fn(&StageDifference) -> Difference| {
             column_decimals(stages().map(|stage| difference(stage).margin()))
         };
-        let mean_decimals = max_decimals(|stage| stage.mean_difference);
-        let median_decimals = max_decimals(|stage| stage.median_difference);
+        let mean_decimals = shared_decimals(|stage| stage.mean_difference);
+        let median_decimals = shared_decimals(|stage| stage.median_difference);
         let clock_errors = stages().filter_map(|stage| stage.clock_error).filter(|error| *error > 0.0);
         let clock_decimals =
             clock_errors.map(|error| decimals(error * 1e3, 2).min(MAX_MS_DECIMALS)).max().unwrap_or_default();

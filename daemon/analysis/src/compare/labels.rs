@@ -143,7 +143,8 @@ pub(super) fn executions(positions: &[Option<&ExperimentPosition>]) -> Vec<Strin
 }
 
 impl RunFacts<'_> {
-    /// Returns the facts as pairs of name and label. The columns of the paper's table come first.
+    /// Returns the facts as pairs of name and label; the label of an unknown fact is empty. The
+    /// columns of the paper's table come first.
     fn pairs(&self) -> Vec<(String, String)> {
         let pair = |axis: &str, label: Option<&str>| (axis.to_owned(), label.unwrap_or_default().to_owned());
         let mut pairs = vec![
@@ -163,7 +164,7 @@ impl RunFacts<'_> {
 
 /// Makes columns of the pairs of name and label of each run. The columns are in the order in which their names first
 /// appear. Names that differ only in case are the same column, such as the field `Model` of an experiment and the
-/// `model` of a run outside of experiments.
+/// `model` of a run outside of experiments. Missing and empty labels become `—`.
 pub fn tabulate(pairs: &[Vec<(String, String)>]) -> Vec<Column> {
     let mut axes: Vec<&String> = Vec::new();
     for (axis, _) in pairs.iter().flatten() {

@@ -43,9 +43,9 @@ impl LatencyBar {
             (iterations, means.sum())
         };
         let count_and_mean = |latency: Latency| (latency.count, latency.mean);
-        let total_mean = total.map_or_else(sum_of_stages, count_and_mean);
+        let total_count_and_mean = total.map_or_else(sum_of_stages, count_and_mean);
         let split = StageSplit::new(sent, |name| match column {
-            _ if stage::TOTAL == *name => Some(total_mean),
+            _ if stage::TOTAL == *name => Some(total_count_and_mean),
             // If runs are compared by the sum of their stages, no time is outside of the stages.
             TotalColumn::SumOfStages if stage::UNATTRIBUTED == *name => Some((iterations, 0.0)),
             _ => latency_of(name).map(count_and_mean),

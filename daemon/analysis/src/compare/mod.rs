@@ -93,8 +93,8 @@ pub struct Comparison {
     pub axes: Vec<String>,
     /// One line for each configuration, in the order of the input.
     pub lines: Vec<Line>,
-    /// Index of the line with the smallest mean of [`total_column`](Self::total_column). `None` for a single line, or
-    /// if no line has a mean.
+    /// Index of the line with the smallest mean of [`total_column`](Self::total_column). `None` if
+    /// fewer than two lines can be ranked, or if none of them has a mean.
     pub best: Option<usize>,
     /// Indices of the lines whose difference from the best may be chance: its 95 % confidence interval contains zero.
     pub ties: Vec<usize>,
@@ -151,8 +151,8 @@ pub struct Line {
     pub scores: [Option<QualityEstimate>; SCORES.len()],
     /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
     pub unknown_labels: Option<UnknownLabels>,
-    /// Mean of [`total_column`](Comparison::total_column) minus that of the best line. `None` for the best line itself,
-    /// or without a mean.
+    /// Mean of [`total_column`](Comparison::total_column) minus that of the best line. `None` for
+    /// the best line itself, for a line that is not ranked, and without a mean.
     pub difference_to_best: Option<Difference>,
     /// Moments of [`total_column`](Comparison::total_column), for each repeat.
     repeat_moments: Vec<Moments>,
@@ -161,7 +161,7 @@ pub struct Line {
 /// Latency of a configuration, seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latency {
-    /// Mean over all iterations.
+    /// Mean over the iterations with this latency.
     pub mean: f64,
     /// Sample standard deviation; `None` below two values.
     pub std: Option<f64>,

@@ -82,9 +82,10 @@ impl ClockInterval {
         Self { lo: throughput_for(self.hi), hi: throughput_for(self.lo), method: self.method }
     }
 
-    /// Returns the interval from an average and half the width. If the average is not negative, the lower end is at
-    /// least 0, because messages never arrive before they were sent. Only an observed system can have a negative
-    /// average.
+    /// Returns the interval from an average and half the width. If the average is not negative, the
+    /// lower end is at least 0, because messages never arrive before they were sent. The average
+    /// can be negative only in an observed system, where a delay is the difference between the
+    /// times at which two receivers got one message.
     fn from_half_width(average: f64, half_width: f64) -> Self {
         let lo = average - half_width;
         let lo = if average < 0.0 { lo } else { lo.max(0.0) };

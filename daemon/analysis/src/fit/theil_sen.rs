@@ -10,8 +10,8 @@ use crate::order::{SortedValues, kendall_variance};
 const MAX_BISECTIONS: usize = 80;
 
 /// Returns the line whose slope is the median of the slopes of all pairs of points with different x (Theil 1950), and
-/// whose intercept is the median of the residuals `y − slope · x`. `None` if there are fewer than three points, or if
-/// all points have the same x.
+/// whose intercept is the median of the residuals `y − slope · x`. `None` if there are fewer than
+/// three points, if all points have the same x, or if a coordinate is not finite.
 ///
 /// The interval of the slope is Sen's (1968), with his correction for equal x. Its ends are the slopes of two pairs.
 /// The ranks of these slopes follow from Kendall's statistic. The interval of the intercept combines two uncertainties:
@@ -139,7 +139,7 @@ impl Pairs {
 /// of `left`.
 fn merge(left: &[f64], right: &[f64], count: &mut u64) -> Vec<f64> {
     let mut merged = Vec::with_capacity(left.len() + right.len());
-    // Number of elements of `left` that are merged.
+    // Number of elements of `left` that are already in `merged`.
     let mut merged_left = 0;
     for &value in right {
         let lower = left[merged_left..].iter().take_while(|other| **other < value).count();

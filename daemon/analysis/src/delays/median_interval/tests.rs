@@ -69,8 +69,8 @@ fn page_interval_equals_file_with_zero_and_uneven_bounds() {
         (value, lo, value + 0.9 * width)
     };
     let delays: Vec<Delay> = (0..1_000).map(delay_with_ends).collect();
-    let sizes = |number: usize| 8.0 * (10e3 + 90e3 * pseudo_random(3 * number + 1));
-    let [of_delays, of_throughputs] = assert_page_equals_file(&delays, sizes);
+    let bits = |number: usize| 8.0 * (10e3 + 90e3 * pseudo_random(3 * number + 1));
+    let [of_delays, of_throughputs] = assert_page_equals_file(&delays, bits);
     assert!(of_delays.lo > 0.0 && of_throughputs.hi.is_finite());
     // Ends that are estimated from half widths differ from these ends.
     let values = summary(delays.iter().map(|one| one.0));
@@ -83,7 +83,7 @@ fn page_interval_equals_file_with_zero_and_uneven_bounds() {
     assert_eq!(estimated.method.remark(), Some("from half widths"));
     // Most lower ends are zero, so that the upper end of the throughput is infinite.
     let with_zero_ends: Vec<Delay> = delays.iter().map(|(value, _, hi)| (*value, 0.0, *hi)).collect();
-    let [of_delays, of_throughputs] = assert_page_equals_file(&with_zero_ends, sizes);
+    let [of_delays, of_throughputs] = assert_page_equals_file(&with_zero_ends, bits);
     assert_eq!((of_delays.lo, of_throughputs.hi), (0.0, f64::INFINITY));
 }
 
@@ -113,13 +113,13 @@ fn delay_without_bounds_leaves_median_without_interval() {
         [None, None]
     );
     // One of 40 delays has no interval.
-    let (delays, ends_of_39) = (summary([1e-3; 40].into_iter()), summary([1e-4; 39].into_iter()));
-    let ends = [ends_of_39.clone(), ends_of_39.clone()];
+    let (delays, of_39_delays) = (summary([1e-3; 40].into_iter()), summary([1e-4; 39].into_iter()));
+    let ends = [of_39_delays.clone(), of_39_delays.clone()];
     let incomplete = ClockedSummaries {
         values: &delays,
         ends: Some(&ends),
         delays: &delays,
-        half_widths: Some(&ends_of_39),
+        half_widths: Some(&of_39_delays),
     };
     let intervals = (incomplete.interval_of_median_delay(), incomplete.interval_of_median_throughput());
     assert_eq!(intervals, (None, None));
