@@ -25,7 +25,7 @@ use crate::check::{Problem, check, remarks};
 use crate::conditions::InspectionSettings;
 use crate::config::{AgentConfig, PipelineConfig, StartMode};
 use crate::error::StartError;
-use crate::event_queue::{EventTap, MissedEvents};
+use crate::event_queue::{EventTap, MissedEventCounters};
 use crate::host::{EventSinks, Host};
 use crate::identity::{StateLock, host_id, host_secret};
 use crate::incidents::{IncidentSubject, Incidents};
@@ -52,7 +52,7 @@ pub struct RunningAgent {
     live: LiveSources,
     serve_addresses: Vec<Address>,
     served_counts: watch::Receiver<ServedCounts>,
-    tap: Option<EventTap>,
+    missed_event_counters: MissedEventCounters,
     stoppable: StoppableParts,
 }
 
@@ -97,10 +97,11 @@ impl Agent {
         start(config, version, clock, stop, tap, results).await
     }
 
-    /// Starts the agent as [`start`](Self::start) does, for a program that runs it in the foreground. Each event also
-    /// goes to `tap`, with or without an aggregator. Measuring does not wait for the program: events that do not fit
-    /// into `tap` are dropped and counted ([`RunningAgent::events_missed_by_tap`]). `results` is the folder to which
-    /// the program writes results, if any; its free space is one of the conditions of a run.
+    /// Starts the agent as [`start`](Self::start) does, for a program that runs it in the
+    /// foreground. Each event also goes to `tap`, with or without an aggregator. Measuring does not
+    /// wait for the program: events that do not fit into `tap` are dropped and counted
+    /// ([`RunningAgent::missed_event_counters`]). `results` is the folder to which the program
+    /// writes results, if any; its free space is one of the conditions of a run.
     ///
     /// # Errors
     /// Those of [`start`](Self::start).
@@ -139,7 +140,8 @@ async fn start(
     let spool = crate::outbox::open_spool(&config, id, &clock).await?;
     let counter = spool.as_ref().map(|spool| spool.counter.clone()).unwrap_or_default();
     let (event_queue, receiver) = crate::event_queue::create(&config.agent, &clock, counter);
-    let event_queue = event_queue.with_tap(tap.clone());
+    let missed_event_counters = tap.as_ref().map(EventTap::missed_event_counters).unwrap_or_default();
+    let event_queue = event_queue.with_tap(tap);
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
     let bank = Arc::new(build_bank(&config, &clock, fingerprint_key.clone(), incidents.clone()));
     let (publish_clock, host_clock) = watch::channel(host_clock::initial_state(&clock));
@@ -210,7 +212,7 @@ async fn start(
     tracing::info!(host = %host.name, id = %host.id, "the agent has started");
     let stop_timeout = config.agent.stop_timeout();
     let stoppable = StoppableParts { tasks, outbox, io, stop_timeout, _state: state };
-    Ok(RunningAgent { host, bank, live, serve_addresses, served_counts, tap, stoppable })
+    Ok(RunningAgent { host, bank, live, serve_addresses, served_counts, missed_event_counters, stoppable })
 }
 
 /// Starts the tasks that watch this host's clocks and its hardware. Returns the receiver of the hardware's metrics.
@@ -326,9 +328,10 @@ impl RunningAgent {
         })
     }
 
-    /// Returns the numbers of events that did not fit into the tap of [`Agent::start_with_tap`].
-    pub fn events_missed_by_tap(&self) -> MissedEvents {
-        self.tap.as_ref().map(EventTap::missed_events).unwrap_or_default()
+    /// Returns the counters of events that did not fit into the tap of [`Agent::start_with_tap`].
+    /// More events may be missed until [`join`](Self::join) returns.
+    pub fn missed_event_counters(&self) -> MissedEventCounters {
+        self.missed_event_counters.clone()
     }
 
     /// Returns the current live update. It contains every pipeline with the one-second summaries that the aggregator

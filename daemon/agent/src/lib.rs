@@ -44,7 +44,7 @@ pub use argument_key::{argument_key, share_argument_key};
 pub use check::Problem;
 pub use config::AgentConfig;
 pub use error::{ReflectorError, StartError};
-pub use event_queue::MissedEvents;
+pub use event_queue::{MissedEventCounters, MissedEvents};
 pub use identity::{IdentityError, host_id, host_secret};
 pub use incidents::REMARK_LOG_TARGET;
 pub use link::Cloud;

@@ -7,7 +7,7 @@ mod tap;
 
 pub(crate) use self::counter::EventCounter;
 pub(crate) use self::tap::EventTap;
-pub use self::tap::MissedEvents;
+pub use self::tap::{MissedEventCounters, MissedEvents};
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -10,14 +10,15 @@ use tokio::sync::mpsc;
 #[derive(Clone, Debug)]
 pub(crate) struct EventTap {
     sender: mpsc::Sender<Event>,
-    missed_counters: Arc<MissedCounters>,
+    missed_event_counters: MissedEventCounters,
 }
 
-/// Counters of [`MissedEvents`].
-#[derive(Debug, Default)]
-struct MissedCounters {
-    iterations: AtomicU64,
-    others: AtomicU64,
+/// Counters of the events that did not fit into the channel to the program that runs the agent.
+/// Clones share the counters, so a clone can still be read after the agent has ended.
+#[derive(Clone, Debug, Default)]
+pub struct MissedEventCounters {
+    iterations: Arc<AtomicU64>,
+    others: Arc<AtomicU64>,
 }
 
 /// Numbers of events that did not fit into the channel to the program that runs the agent.
@@ -31,24 +32,30 @@ pub struct MissedEvents {
 
 impl EventTap {
     pub(crate) fn new(sender: mpsc::Sender<Event>) -> Self {
-        Self { sender, missed_counters: Arc::default() }
+        Self { sender, missed_event_counters: MissedEventCounters::default() }
     }
 
     /// Sends an event, or counts it as missed if the channel is full.
     pub(super) fn offer(&self, event: Event) {
-        let MissedCounters { iterations, others } = &*self.missed_counters;
+        let MissedEventCounters { iterations, others } = &self.missed_event_counters;
         let counter = if matches!(event, Event::Iteration(_)) { iterations } else { others };
         if self.sender.try_send(event).is_err() {
             counter.fetch_add(1, Ordering::Relaxed);
         }
     }
 
-    /// Returns the numbers of events that did not fit into the channel.
-    pub(crate) fn missed_events(&self) -> MissedEvents {
-        let MissedCounters { iterations, others } = &*self.missed_counters;
+    /// Returns the counters of the events that did not fit into the channel.
+    pub(crate) fn missed_event_counters(&self) -> MissedEventCounters {
+        self.missed_event_counters.clone()
+    }
+}
+
+impl MissedEventCounters {
+    /// Returns the numbers of events that did not fit into the channel so far.
+    pub fn read(&self) -> MissedEvents {
         MissedEvents {
-            iterations: iterations.load(Ordering::Relaxed),
-            others: others.load(Ordering::Relaxed),
+            iterations: self.iterations.load(Ordering::Relaxed),
+            others: self.others.load(Ordering::Relaxed),
         }
     }
 }
@@ -80,21 +87,23 @@ mod tests {
     fn events_beyond_tap_capacity_are_counted_as_missed() {
         let (sender, mut listener) = mpsc::channel(1);
         let tap = EventTap::new(sender);
-        let event_queue = EventQueue::discarding().with_tap(Some(tap.clone()));
+        let counters = tap.missed_event_counters();
+        let event_queue = EventQueue::discarding().with_tap(Some(tap));
         let (first, second) = (run_ended(), run_ended());
         event_queue.push_event(None, first.clone());
         event_queue.push_event(None, second.clone());
         let missed = MissedEvents { iterations: 0, others: 1 };
-        assert_eq!((listener.try_recv().ok(), tap.missed_events()), (Some(first), missed));
+        assert_eq!((listener.try_recv().ok(), counters.read()), (Some(first), missed));
         event_queue.push_event(None, second.clone());
-        assert_eq!((listener.try_recv().ok(), tap.missed_events()), (Some(second), missed));
+        assert_eq!((listener.try_recv().ok(), counters.read()), (Some(second), missed));
     }
 
     #[test]
     fn missed_iterations_are_counted_separately() {
         let (sender, _listener) = mpsc::channel(1);
         let tap = EventTap::new(sender);
-        let event_queue = EventQueue::discarding().with_tap(Some(tap.clone()));
+        let counters = tap.missed_event_counters();
+        let event_queue = EventQueue::discarding().with_tap(Some(tap));
         let pipeline = "line".parse().expect("a name");
         // The first event fills the channel.
         event_queue.push_event(None, run_ended());
@@ -102,7 +111,7 @@ mod tests {
             event_queue.push_iteration(&pipeline, iteration(number));
         }
         event_queue.push_event(None, run_ended());
-        assert_eq!(tap.missed_events(), MissedEvents { iterations: 2, others: 1 });
+        assert_eq!(counters.read(), MissedEvents { iterations: 2, others: 1 });
     }
 
     #[test]

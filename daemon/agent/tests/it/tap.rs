@@ -51,25 +51,26 @@ async fn program_receives_events_and_missed_events_are_counted() {
             }
         };
         tokio::time::timeout(WAIT_TIMEOUT, finished).await.expect("the pipeline finishes");
-        let events_missed_by_tap = running.events_missed_by_tap();
+        let missed_event_counters = running.missed_event_counters();
         stop.cancel();
         running.join().await.expect("stops well");
         let mut received_events = Vec::new();
         while let Some(event) = events.recv().await {
             received_events.push(event);
         }
+        let missed_events = missed_event_counters.read();
         let iterations = received_events.iter().filter(|event| matches!(event, Event::Iteration(_))).count();
         let ended = received_events.iter().filter(|event| matches!(event, Event::RunEnded(_))).count();
         if capacity > 104 {
             // The events are: model loaded, model unloaded, run started, run ended, and 100 iterations.
             assert_eq!(received_events.len(), 104);
-            assert_eq!((iterations, ended, events_missed_by_tap), (100, 1, MissedEvents::default()));
+            assert_eq!((iterations, ended, missed_events), (100, 1, MissedEvents::default()));
         } else {
             // The channel has the load of the model, the start of the run and 8 iterations. The
-            // numbers of missed events were read before the model was unloaded, so they do not
-            // include this event.
-            let missed_events = MissedEvents { iterations: 92, others: 1 };
-            assert_eq!((received_events.len(), events_missed_by_tap), (capacity, missed_events));
+            // missed events are the other 92 iterations, the end of the run, and the unloading of
+            // the model while the agent stops.
+            let expected = MissedEvents { iterations: 92, others: 2 };
+            assert_eq!((received_events.len(), missed_events), (capacity, expected));
         }
     }
 }

@@ -186,8 +186,17 @@ async fn watch<O: RunObserver>(
         print_to_stderr("stopping; work in progress may take some seconds, press Ctrl-C again to abandon it");
     }
     stop.cancel();
-    // Read before the end, because joining consumes the agent.
-    let missed_events = running.events_missed_by_tap();
+    // Joining consumes the agent, so the counters are taken before.
+    let missed_event_counters = running.missed_event_counters();
+    let join_result = tokio::select! {
+        result = running.join() => result,
+        _ = signals.next() => {
+            print_to_stderr("work in progress was abandoned");
+            Ok(())
+        }
+    };
+    // Read after the join, because events of work in progress may not fit into the channel either.
+    let missed_events = missed_event_counters.read();
     if missed_events.others > 0 {
         // Missed iterations are missing measurements. The command reports them with its results.
         tracing::warn!(
@@ -196,10 +205,7 @@ async fn watch<O: RunObserver>(
             counted(missed_events.others, "event")
         );
     }
-    tokio::select! {
-        result = running.join() => result.map_err(|error| Failure::new(Exit::Software, error))?,
-        _ = signals.next() => print_to_stderr("work in progress was abandoned"),
-    }
+    join_result.map_err(|error| Failure::new(Exit::Software, error))?;
     // Events of work that was in progress at the end.
     while let Ok(event) = events.try_recv() {
         observer.handle_event(event, None);
