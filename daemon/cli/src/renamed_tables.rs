@@ -1,6 +1,7 @@
 //! Tables of configuration files that were renamed. The former name of a table is read for one release.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
 
 use toml::Table;
 
@@ -35,14 +36,19 @@ impl RenamedTable {
             "the table [{former}] is now called [{current}]: rename it; version {removed_in} will not read the former name"
         )
     }
+
+    /// Records that this process has read the former name. Returns whether it was the first time.
+    fn record_use(&self) -> bool {
+        static USED_FORMER_NAMES: Mutex<BTreeSet<&str>> = Mutex::new(BTreeSet::new());
+        USED_FORMER_NAMES.lock().unwrap_or_else(PoisonError::into_inner).insert(self.former)
+    }
 }
 
-/// Returns the present name of a table. A process prints a deprecation line when it reads a former name for the first
-/// time.
-pub(crate) fn current_name(table: &str) -> &str {
-    static IS_ANNOUNCED: AtomicBool = AtomicBool::new(false);
+/// Replaces the former name of a table by its present name. Other names stay. Prints a deprecation
+/// line when this process reads the former name of the table for the first time.
+pub(crate) fn replace_former_name(table: &str) -> &str {
     let Some(renamed) = RENAMED_TABLES.iter().find(|renamed| renamed.former == table) else { return table };
-    if !IS_ANNOUNCED.swap(true, Ordering::Relaxed) {
+    if renamed.record_use() {
         print_to_stderr(format_args!("deprecated: {}", renamed.deprecation()));
     }
     renamed.current
@@ -58,7 +64,7 @@ pub(crate) fn rename_tables(document: &mut Table) -> Result<(), BothNames> {
         if document.contains_key(renamed.current) {
             return Err(BothNames(renamed));
         }
-        document.insert(current_name(renamed.former).to_owned(), table);
+        document.insert(replace_former_name(renamed.former).to_owned(), table);
     }
     Ok(())
 }
@@ -72,10 +78,21 @@ mod tests {
         let mut document: Table = "[rehearsal]\noffset_ms = 5\n[clock]\n".parse().expect("toml");
         assert_eq!(rename_tables(&mut document), Ok(()));
         assert_eq!(document.keys().collect::<Vec<_>>(), ["clock", "clock_fault"]);
-        assert_eq!((current_name("rehearsal"), current_name("clock")), ("clock_fault", "clock"));
+        let names = ["rehearsal", "clock"].map(replace_former_name);
+        assert_eq!(names, ["clock_fault", "clock"]);
+    }
 
+    #[test]
+    fn document_with_former_and_present_name_is_refused() {
         let mut both: Table = "[rehearsal]\n[clock_fault]\n".parse().expect("toml");
         let error = rename_tables(&mut both).expect_err("the document contains the table twice");
         assert!(error.to_string().starts_with("rehearsal: the file also has this table"), "{error}");
+    }
+
+    #[test]
+    fn each_former_name_is_new_once() {
+        let [first, second] =
+            ["first", "second"].map(|former| RenamedTable { former, current: "table", removed_in: "9.0.0" });
+        assert_eq!([&first, &second, &first].map(RenamedTable::record_use), [true, true, false]);
     }
 }

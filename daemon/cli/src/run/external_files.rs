@@ -20,7 +20,7 @@ impl ExternalFiles {
     }
 
     /// Returns a note if the file that names a run's peer had another text when the run was measured.
-    pub(super) fn changed_since(&self, run_record: &RunRecord, run: &Run) -> Option<String> {
+    pub(super) fn change_note(&self, run_record: &RunRecord, run: &Run) -> Option<String> {
         let (current, recorded) = (self.network(run)?, run_record.network_config.as_ref()?);
         (current.text != recorded.text).then(|| {
             format!(
@@ -44,7 +44,7 @@ mod tests {
         let run = |configuration| Run { number: 1, configuration, repeat: 0, folder: "001-r1".to_owned() };
         let message = |recorded: Option<NetworkConfig>, configuration| {
             let record = RunRecord { network_config: recorded, ..RunRecord::default() };
-            external_files.changed_since(&record, &run(configuration))
+            external_files.change_note(&record, &run(configuration))
         };
         let text = message(network("net.yaml", "devices: {a: b, c: d}"), 1).expect("it has changed");
         assert!(text.starts_with("net.yaml has changed"), "{text}");

@@ -23,7 +23,7 @@ pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external
     for run in finished {
         match load_results(folder, record, &run) {
             Ok(run_records) => change_notes.extend(
-                run_records.iter().filter_map(|run_record| external_files.changed_since(run_record, &run)),
+                run_records.iter().filter_map(|run_record| external_files.change_note(run_record, &run)),
             ),
             Err(reason) => {
                 print_to_stderr(format_args!("run {} is repeated: {reason}", run.number));

@@ -147,7 +147,7 @@ impl Plan {
         agent
     }
 
-    /// Returns the position of a run in an execution of the experiment.
+    /// Returns the position of a run in the execution of the experiment with this `id`.
     pub(super) fn experiment_position(&self, run: &Run, id: &str) -> ExperimentPosition {
         ExperimentPosition {
             name: self.name.to_string(),
@@ -196,8 +196,8 @@ fn name_suffix(labels: &[(String, String)]) -> String {
     name
 }
 
-/// Derives a seed from the numbers that identify its purpose. The seed has at most 53 bits, which every JSON program
-/// keeps.
+/// Derives a seed from the numbers that identify its purpose. The seed has at most 53 bits, so that
+/// programs that read JSON numbers as `f64` do not round it.
 fn derive_seed(numbers: &[u64]) -> u64 {
     numbers.iter().fold(0, |state, number| SplitMix64::new(state ^ number).bits()) >> 11
 }

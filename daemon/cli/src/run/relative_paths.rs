@@ -19,8 +19,8 @@ pub(super) fn hint_at_relative_paths<'a>(mut sentences: impl Iterator<Item = &'a
     sentences.any(misses_relative_path).then(base_hint)
 }
 
-/// Returns whether a sentence says that a file does not exist and the path before that is relative. The folder in
-/// which the program was started has nothing to do with an absolute path.
+/// Returns whether a sentence says that a file does not exist and names the file by a relative
+/// path. The folder in which the program was started does not matter for an absolute path.
 fn misses_relative_path(sentence: &str) -> bool {
     let Some((before, _)) = sentence.split_once(NO_SUCH_FILE) else { return false };
     let clause = before.rsplit(": ").next().unwrap_or_default();

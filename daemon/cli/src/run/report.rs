@@ -77,8 +77,9 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
         let files = [("txt", sensors.text()), ("md", sensors.markdown()), ("tex", sensors.latex())];
         save(folder.path(), "sensors", &files)?;
         if sensors.covers_all_runs {
-            // The comparison is omitted: stages after the sensor are empty, and it would rank the sensors by the
-            // shortest sensing, which does not make a sensor the best one.
+            // The comparison and the table of users are omitted, because the stages after the
+            // sensor are empty. The comparison would rank the sensors by the shortest sensing,
+            // which does not make a sensor the best one.
             parts.clear();
         }
         parts.push(sensors.text());

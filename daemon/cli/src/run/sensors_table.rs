@@ -9,7 +9,7 @@ use super::plan::{Plan, Run};
 
 const NOTE: &str = "Milliseconds. Period: from one sample to the next, mean ± standard deviation. Jitter: how far a period \
                     is from the median period. Sensing: from asking for a sample to having it, the median.";
-const UNNUMBERED: &str = " A sensor that does not number its samples cannot tell which it dropped (—).";
+const UNNUMBERED: &str = " A sensor that does not number its samples cannot tell how many it dropped (—).";
 
 /// Table with a row for each edge that measured only a sensor.
 pub(super) struct SensorsTable {

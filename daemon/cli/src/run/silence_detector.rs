@@ -17,9 +17,9 @@ pub(super) struct SilenceDetector {
 }
 
 impl SilenceDetector {
-    pub(super) fn new(processes: usize) -> Self {
+    pub(super) fn new(process_count: usize) -> Self {
         let now = Instant::now();
-        Self { last_reports: vec![Some(now); processes], next_check: now + SILENCE }
+        Self { last_reports: vec![Some(now); process_count], next_check: now + SILENCE }
     }
 
     /// Records that a process has reported.
@@ -32,7 +32,8 @@ impl SilenceDetector {
         tokio::time::sleep_until(self.next_check).await;
     }
 
-    /// Returns the processes among `indexes` that have become silent since the last check.
+    /// Returns the processes among `indexes` that have become silent since the last check, and sets
+    /// the time of the next check. A process is returned again only after it has reported.
     pub(super) fn newly_silent(&mut self, now: Instant, indexes: &BTreeSet<usize>) -> Vec<usize> {
         self.next_check = now + SILENCE / 6;
         let is_silent = |last: Option<Instant>| last.is_some_and(|last| now >= last + SILENCE);

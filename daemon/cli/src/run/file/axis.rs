@@ -130,11 +130,11 @@ impl Axis {
         }
     }
 
-    /// Returns whether this axis overwrites a field that the other, earlier axis sets.
-    pub(super) fn overwrites(&self, other: &Self) -> bool {
-        // A later axis may set a part of what an earlier one has set, but not replace the whole, which would make the
-        // earlier axis ineffective.
-        self.fields().any(|field| other.fields().any(|earlier| field.covers(earlier)))
+    /// Returns whether this axis overwrites a field that an earlier axis sets.
+    pub(super) fn overwrites(&self, earlier: &Self) -> bool {
+        // This axis may set a part of what the earlier axis sets, but not replace the whole, which
+        // would make the earlier axis ineffective.
+        self.fields().any(|field| earlier.fields().any(|earlier_field| field.covers(earlier_field)))
     }
 
     /// Returns whether this axis overwrites the field in every run.
@@ -182,7 +182,7 @@ fn variable_field(text: &str) -> Result<Field, AxisError> {
     if !VARIABLE_TABLES.contains(&field.table()) {
         return Err(AxisError::UnknownTable(text.to_owned()));
     }
-    // The other tables may change completely; of `[experiment]` most keys are about all runs together.
+    // Most keys of `[experiment]` apply to all runs together. All keys of other tables may vary.
     let experiment_key = text.strip_prefix("experiment.").map(|rest| rest.split('.').next().unwrap_or(rest));
     if field.table() == "experiment" && !experiment_key.is_some_and(|key| VARIABLE_KEYS.contains(&key)) {
         return Err(AxisError::SameForAll(text.to_owned()));
@@ -198,7 +198,7 @@ pub(super) fn label(value: &Value) -> Option<String> {
         Value::Float(number) => Some(number.to_string()),
         Value::Boolean(true) => Some("yes".to_owned()),
         Value::Boolean(false) => Some("no".to_owned()),
-        // Their text is too long for a column; `[[axis.value]]` gives them a label.
+        // These values have no short text for a column. `[[axis.value]]` gives them a label.
         Value::Datetime(_) | Value::Array(_) | Value::Table(_) => None,
     }
 }
@@ -222,9 +222,16 @@ mod tests {
         )
         .expect("reads");
         assert_eq!((labels(&long), long.values[1].sets.len()), (vec!["no".into(), "yes".into()], 2));
-        let deeper =
-            read("name = 'Width'\nfield = 'pipeline.transforms[0].width'\nvalues = [1]").expect("reads");
-        assert!(long.overwrites(&deeper) && !deeper.overwrites(&long));
+    }
+
+    #[test]
+    fn list_overwrites_its_entry_but_not_conversely() {
+        let axis = |name: &str, field: &str| {
+            read(&format!("name = '{name}'\nfield = '{field}'\nvalues = [1]")).expect("reads")
+        };
+        let list = axis("Resize", "pipeline.transforms");
+        let entry = axis("Width", "pipeline.transforms[0].width");
+        assert!(list.overwrites(&entry) && !entry.overwrites(&list));
     }
 
     #[test]

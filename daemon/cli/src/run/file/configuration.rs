@@ -213,7 +213,7 @@ fn parses_as<T: DeserializeOwned>(table: Table) -> bool {
     Value::Table(table).try_into::<T>().is_ok()
 }
 
-/// Adds the axes that may have set the invalid value to an error.
+/// Adds to an error the axes that may have set the invalid value.
 fn name_axes(problem: ConfigurationError, combination: &Combination<'_>) -> ConfigurationError {
     let text = problem.to_string();
     // The text of every error begins with the key.

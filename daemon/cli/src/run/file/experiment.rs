@@ -10,8 +10,9 @@ use peernet_networks::Address;
 use serde::{Deserialize, Serialize};
 use toml::Value;
 
-/// Maximum number of concurrent edges. Each is a process with its own sockets, clock probes and, if it computes
-/// itself, model: more of them on one host would measure that host, and not the network or the server.
+/// Maximum number of concurrent edges. Each edge is a process with its own sockets and clock
+/// probes, and with a model of its own if it computes itself. More processes on one host would
+/// measure that host, and not the network or the server.
 const MAX_USERS: u32 = 64;
 /// Longest run in seconds: a year.
 const MAX_RUN_S: f64 = 365.0 * 86_400.0;
@@ -148,8 +149,8 @@ impl Experiment {
         self.episodes
     }
 
-    /// Returns the iterations that are left out of statistics: with episodes as in the paper, otherwise the usual
-    /// five iterations.
+    /// Returns the iterations that are left out of statistics. Default: with episodes, the warm-up
+    /// of the paper; otherwise the usual five iterations.
     pub(super) fn warm_up(&self) -> WarmUp {
         let default = match self.episodes {
             Some(_) => WarmUp { iterations: 0, episodes: 1, steps: 1 },

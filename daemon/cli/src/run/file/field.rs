@@ -4,7 +4,7 @@ use std::fmt;
 
 use toml::{Table, Value};
 
-use crate::renamed_tables::current_name;
+use crate::renamed_tables::replace_former_name;
 
 /// Path of a field.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -45,7 +45,7 @@ impl Field {
                 return Err(FieldError::Path(text.to_owned()));
             }
             // Files of earlier releases use the earlier names of tables; only the first key is a table's name.
-            let key = if steps.is_empty() { current_name(key) } else { key };
+            let key = if steps.is_empty() { replace_former_name(key) } else { key };
             steps.push(Step::Key(key.to_owned()));
             for index in indices.split_terminator(']') {
                 let number = index.strip_prefix('[').and_then(|number| number.parse().ok());

@@ -23,7 +23,7 @@ pub(in crate::run) enum SetError {
     Field(#[from] FieldError),
     #[error("change axes in the file; --only executes some of the runs")]
     Axis,
-    #[error("the number is too large; the largest is {}, the smallest {}", i64::MAX, i64::MIN)]
+    #[error("the number is not between {} and {}", i64::MIN, i64::MAX)]
     Number,
     /// Each value of an axis sets the field itself.
     #[error("{field} has no effect: the axis {axis} sets it in all runs; change it in the file")]
@@ -94,12 +94,16 @@ mod tests {
         assert_eq!(value("a.b='18446744073709551615'"), Value::String("18446744073709551615".to_owned()));
         assert_eq!(value("a.b="), Value::String(String::new()));
         assert_eq!(value("a.b=1\nc = 2"), Value::String("1\nc = 2".to_owned()));
+    }
+
+    #[test]
+    fn invalid_override_is_refused_with_reason() {
         for (text, message) in [
             ("a.b", "FIELD=VALUE"),
             ("a..b=1", "not the path"),
             ("axis[0].values=[1]", "in the file"),
-            ("a.b=18446744073709551615", "too large; the largest is 9223372036854775807"),
-            ("a.b=-99_999_999_999_999_999_999", "too large"),
+            ("a.b=18446744073709551615", "not between -9223372036854775808 and 9223372036854775807"),
+            ("a.b=-99_999_999_999_999_999_999", "the number is not between"),
         ] {
             let error = FieldOverride::read(text).expect_err(text);
             assert!(error.to_string().contains(message), "{error}");

@@ -145,10 +145,10 @@ impl File {
     }
 
     /// Checks the number of runs before any is planned.
-    fn check_run_count(&self, configurations: usize) -> Result<(), MatrixError> {
+    fn check_run_count(&self, configuration_count: usize) -> Result<(), MatrixError> {
         let repeats = self.experiment.repeats.get();
-        let runs = configurations as u64 * u64::from(repeats);
-        if runs <= matrix::MAX_RUNS as u64 { Ok(()) } else { Err(MatrixError::TooManyRuns(runs)) }
+        let run_count = configuration_count as u64 * u64::from(repeats);
+        if run_count <= matrix::MAX_RUNS as u64 { Ok(()) } else { Err(MatrixError::TooManyRuns(run_count)) }
     }
 
     fn parse(mut document: Table, path: &Path) -> Result<Self, FileError> {

@@ -14,7 +14,8 @@ use crate::network::parse_network_kind;
 use crate::paper_commands::{DeviceAddresses, addresses};
 use crate::run::relative_paths::base_hint;
 
-/// Network configurations, each read once, so that remarks about a file appear once for all combinations.
+/// Addresses of devices by file and network. They are kept, so that remarks about a file do not
+/// appear again for every combination.
 #[derive(Default)]
 pub(super) struct DeviceFiles(BTreeMap<(PathBuf, &'static str), Result<DeviceAddresses, Arc<Failure>>>);
 
@@ -40,18 +41,23 @@ impl DeviceFiles {
         // The address of a device depends on the network, so a file is read once for each network.
         let key = (path.to_owned(), kind.name());
         let addresses = self.0.entry(key).or_insert_with(|| addresses(path, kind).map_err(Arc::new));
-        addresses.as_ref().map_err(|failure| match path.is_relative() && !path.exists() {
-            true => PeerError::MissingRelativeFile(Arc::clone(failure)),
-            false => PeerError::File(Arc::clone(failure)),
+        addresses.as_ref().map_err(|failure| {
+            let failure = Arc::clone(failure);
+            if path.is_relative() && !path.exists() {
+                PeerError::MissingRelativeFile(failure)
+            } else {
+                PeerError::File(failure)
+            }
         })
     }
 }
 
-/// Replaces a device's name in `pipeline.placement.peer` by its address, and for an address of ROS 2 adds the file's
-/// settings to `pipeline.placement.session.ros2`. Returns the file.
+/// Replaces a device's name in `pipeline.placement.peer` by its address, and for an address of
+/// ROS 2 adds the file's settings to `pipeline.placement.session.ros2`. Returns the file that has
+/// the device; `None` if the pipeline names no device.
 ///
 /// # Errors
-/// When the file cannot be read or has no such device.
+/// When no file is configured, or it cannot be read or has no such device.
 pub(super) fn resolve(
     pipeline: &mut Table,
     network: Option<&Network>,

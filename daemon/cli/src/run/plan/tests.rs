@@ -97,7 +97,7 @@ fn payloads_depend_on_seed_repeat_and_user_only() {
     let Some(SensorConfig::Text(text)) = sensor(&other, &other.runs[0], 0) else { panic!("it is a text") };
     let other_seed = text.seed;
     assert_ne!(other_seed, seed(run(other.runs[0].configuration, 0), 0));
-    assert!(other_seed < 1 << 53, "every JSON program keeps the seed");
+    assert!(other_seed < 1 << 53, "an f64 represents the seed exactly");
 }
 
 const PROGRAMS: &str = "\
