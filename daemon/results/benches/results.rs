@@ -76,6 +76,7 @@ fn peak_kib() -> u64 {
 fn iteration(number: u64) -> Iteration {
     let anchor = Anchor { host: HostId::from_bytes([7; 16]), wall: wall(number) };
     let mut tree = Tree::new(stage::ITERATION, anchor);
+    // Returns up to 1 ms: the upper 20 bits as nanoseconds. The factor is that of Knuth's MMIX.
     let noise = |salt: u64| (number.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(salt) >> 44) as i64;
     let timer = |micros: i64, salt: u64| Measure::Timer(Some(Span::from_nanos(micros * 1000 + noise(salt))));
     let transit = |micros: i64, salt: u64| {

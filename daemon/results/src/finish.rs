@@ -2,7 +2,7 @@
 //! written.
 
 use std::fs::{File, Permissions};
-use std::io::{BufWriter, ErrorKind, Write};
+use std::io::{BufWriter, ErrorKind, IntoInnerError, Write};
 use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
@@ -98,7 +98,8 @@ fn is_complete(path: &Path, rows: &Rows) -> bool {
         && expected.next().is_none()
 }
 
-/// Writes a new file and renames it, so that the file is always complete.
+/// Writes the rows to a new file and renames it to `path`, so that the file at `path` is always
+/// complete.
 fn replace(path: &Path, rows: &Rows) -> Result<(), WriteError> {
     let new_file = path.with_extension("csv.new");
     let result = write_rows(&new_file, rows).and_then(|()| std::fs::rename(&new_file, path));
@@ -119,7 +120,8 @@ fn write_rows(path: &Path, rows: &Rows) -> std::io::Result<()> {
         bytes.clear();
     }
     out.write_all(&bytes)?;
-    out.flush()
+    // The caller renames the file; after a power failure, an unsynced file could be empty.
+    out.into_inner().map_err(IntoInnerError::into_error)?.sync_all()
 }
 
 /// Writes a file that only its owner and its group can read, because arguments of programs may contain secrets.

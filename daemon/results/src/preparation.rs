@@ -43,17 +43,18 @@ pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, 
     }
     std::fs::create_dir_all(dir).map_err(creation_error(dir))?;
     // The folder is locked before its entries are read, so that no other program adds files in between.
-    let lock = lock(dir);
+    let lock_result = lock(dir);
     if overwrite == Overwrite::Replace {
-        return Ok((dir.to_owned(), lock?));
+        return Ok((dir.to_owned(), lock_result?));
     }
     let mut entries = std::fs::read_dir(dir).map_err(creation_error(dir))?;
     let is_empty = entries.next().is_none();
-    match (is_empty, lock, overwrite) {
+    match (is_empty, lock_result, overwrite) {
         (true, Ok(lock), _) => Ok((dir.to_owned(), lock)),
+        // The folder contains files, or another program has locked it.
         (_, _, Overwrite::Subfolder) => {
             let path = subfolder(dir).map_err(creation_error(dir))?;
-            let lock = self::lock(&path)?;
+            let lock = lock(&path)?;
             Ok((path, lock))
         }
         (false, Ok(_), _) => Err(FolderError::NotEmpty(dir.to_owned())),

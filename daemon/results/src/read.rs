@@ -28,7 +28,7 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
         return Err(FolderError::NoResults(folder));
     }
     // The record belongs to `data.csv` only, not to other files in the folder.
-    let record = if data.ends_with(DATA) { record(&folder.join(RECORD))? } else { None };
+    let record = if data.ends_with(DATA) { read_record(&folder.join(RECORD))? } else { None };
     // A program that writes a record also writes warm-up flags.
     let warm_up = if record.is_none() { PUBLISHED_WARM_UP_ROWS } else { 0 };
     let (rows, has_warm_up_flags) =
@@ -43,7 +43,7 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
 }
 
 /// Reads the record; `None` if the file does not exist.
-fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
+fn read_record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
     let read = || match path.metadata()? {
         metadata if metadata.is_file() => std::fs::read(path),
         _ => Err(std::io::Error::other("it is not a regular file")),

@@ -1,7 +1,7 @@
 //! Times of day along an axis.
 
-/// Possible distances between two marks, seconds. If a day is too short for an axis, the distance is a multiple
-/// of a day.
+/// Possible distances between two marks, seconds. If even marks a day apart are too many for an
+/// axis, the distance is a multiple of a day.
 const STEPS_S: [i64; 9] = [60, 120, 300, 600, 1_800, 3_600, 7_200, 14_400, DAY_S];
 /// Length of a day, seconds.
 const DAY_S: i64 = 86_400;

@@ -11,11 +11,11 @@ fn texts(scale: Scale, max_ticks: usize) -> Vec<String> {
 #[test]
 fn steps_are_one_two_or_five() {
     let cases = [(10.0, 5, 2.0), (15.0, 3, 5.0), (0.37, 5, 0.1), (1_800.0, 4, 500.0), (9.0, 1, 10.0)];
-    for (range, max_ticks, step) in cases {
+    for (range, max_steps, step) in cases {
         assert!(
-            (round_step(range, max_ticks) / step - 1.0).abs() < 1e-9,
-            "{range} {max_ticks}: {}",
-            round_step(range, max_ticks)
+            (round_step(range, max_steps) / step - 1.0).abs() < 1e-9,
+            "{range} {max_steps}: {}",
+            round_step(range, max_steps)
         );
     }
     assert_eq!([0.0, -3.0, f64::NAN, f64::INFINITY].map(|range| round_step(range, 5)), [1.0; 4]);

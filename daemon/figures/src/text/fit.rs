@@ -21,8 +21,9 @@ pub fn shorten(text: &str, size: f64, room: f64) -> String {
     longest_fitting.unwrap_or_else(|| "…".to_owned())
 }
 
-/// Shortens names that are shown together, so that different names remain different. If two names would look alike
-/// without their middles, `…` replaces the beginning and the end that they share instead: `…_s_…` and `…_m_…`.
+/// Shortens names that are shown together, so that different names remain different. If two names
+/// would look alike without their middles, `…` replaces the beginning and the end that they share
+/// instead: `net_s_int8` and `net_m_int8` become `…s…` and `…m…`.
 pub fn shorten_distinctly(names: &[&str], size: f64, room: f64) -> Vec<String> {
     let shortened: Vec<String> = names.iter().map(|name| shorten(name, size, room)).collect();
     // Returns the other names whose shortened text is that of the name with this index.

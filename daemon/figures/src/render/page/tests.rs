@@ -25,6 +25,10 @@ fn labels_that_would_touch_are_hidden() {
     let html = axis("xaxis", &ticks);
     assert_eq!(shown_at(&html, 18), ["100,000", "200,000", "300,000", "400,000"]);
     assert_eq!(shown_at(&html, 10), ["100,000", "300,000"], "{html}");
+}
+
+#[test]
+fn labels_at_ends_stay_within_picture() {
     let ends = axis_within("xaxis", &[0.0, 0.5, 1.0].map(|at| tick(at, "0.04")));
     let anchors: Vec<&str> =
         ends.split("text-anchor=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
