@@ -351,6 +351,11 @@ impl RunningAgent {
         }
     }
 
+    /// Waits for the failure of a task, which also stops the agent. [`join`](Self::join) then returns the failure.
+    pub async fn wait_for_failure(&mut self) {
+        self.stoppable.tasks.wait_for_failure().await;
+    }
+
     /// Waits until the token is cancelled or a task fails, then stops the agent within the configured time: pipelines
     /// finish the iterations in flight, runs end, and the outbox sends its events.
     ///

@@ -39,13 +39,14 @@ pub(crate) struct Tasks {
     stop: CancellationToken,
     set: JoinSet<Result<(), FailureCause>>,
     names: HashMap<Id, String>,
+    first_failure: Option<Failure>,
 }
 
 impl Tasks {
     /// Creates an empty set of tasks that end when `stop` is cancelled.
     pub(crate) fn new(stop: &CancellationToken) -> Self {
         // The token is a child of `stop`: a failing task ends this agent, but not an aggregator in the same process.
-        Self { stop: stop.child_token(), set: JoinSet::new(), names: HashMap::new() }
+        Self { stop: stop.child_token(), set: JoinSet::new(), names: HashMap::new(), first_failure: None }
     }
 
     /// Returns the token that asks the tasks to end.
@@ -103,9 +104,25 @@ impl Tasks {
         self.names.insert(id, name.to_owned());
     }
 
+    /// Waits for the first unexpected end of a task, which also stops the other tasks. Never returns if all tasks end
+    /// as expected. The wait can be cancelled; [`join`](Self::join) returns the failure.
+    pub(crate) async fn wait_for_failure(&mut self) {
+        self.wait_until_ended_or_failed().await;
+        if self.first_failure.is_none() {
+            std::future::pending().await
+        }
+    }
+
     /// Waits until all tasks have ended. The first unexpected end of a task stops the other tasks and is returned.
     pub(crate) async fn join(mut self) -> Result<(), Failure> {
-        let mut first_failure = Ok(());
+        while !self.set.is_empty() {
+            self.wait_until_ended_or_failed().await;
+        }
+        self.first_failure.map_or(Ok(()), Err)
+    }
+
+    /// Waits until all tasks have ended or a task has ended unexpectedly.
+    async fn wait_until_ended_or_failed(&mut self) {
         while let Some(task_result) = self.set.join_next_with_id().await {
             let (id, cause) = match task_result {
                 Ok((_, Ok(()))) => continue,
@@ -118,11 +135,9 @@ impl Tasks {
             // An agent that lost a part must not look healthy: the other parts are stopped, and the process ends with
             // an error.
             self.stop.cancel();
-            if first_failure.is_ok() {
-                first_failure = Err(failure);
-            }
+            self.first_failure.get_or_insert(failure);
+            return;
         }
-        first_failure
     }
 }
 
@@ -148,6 +163,14 @@ mod tests {
         let mut tasks = Tasks::new(&CancellationToken::new());
         tasks.spawn_required(&Handle::current(), "lazy", async {});
         assert_eq!(tasks.join().await.expect_err("lazy stopped").part, "lazy");
+    }
+
+    #[tokio::test]
+    async fn failure_is_returned_after_it_was_awaited() {
+        let mut tasks = Tasks::new(&CancellationToken::new());
+        tasks.spawn_required(&Handle::current(), "fragile", async { panic!("as planned") });
+        tasks.wait_for_failure().await;
+        assert_eq!(tasks.join().await.expect_err("fragile panicked").part, "fragile");
     }
 
     #[tokio::test]

@@ -158,7 +158,8 @@ async fn watch<O: RunObserver>(
     let (stop, (tap, mut events)) = (CancellationToken::new(), mpsc::channel(EVENT_CAPACITY));
     let running =
         Agent::start_with_tap(config, VERSION, Arc::clone(clock), stop.clone(), tap, results_dir).await;
-    let running = running.map_err(|error| Failure::new(Exit::Unavailable, describe_start_error(error)))?;
+    let mut running =
+        running.map_err(|error| Failure::new(Exit::Unavailable, describe_start_error(error)))?;
     let name = running.name().to_string();
     let mut served_counts = running.served_counts();
     let mut poll = tokio::time::interval(POLL_INTERVAL);
@@ -169,10 +170,8 @@ async fn watch<O: RunObserver>(
                 is_interrupted = true;
                 Some(AgentEnd::Interrupted)
             }
-            event = events.recv() => match event {
-                Some(event) => observer.handle_event(event, Some(&running)),
-                None => Some(AgentEnd::Failed("the agent ended by itself".to_owned())),
-            },
+            Some(event) = events.recv() => observer.handle_event(event, Some(&running)),
+            () = running.wait_for_failure() => Some(AgentEnd::Failed("a part of the agent failed".to_owned())),
             // With this branch, a server ends at its last answer and not up to a `POLL_INTERVAL` later.
             Ok(()) = served_counts.changed() => observer.poll_state(&running),
             _ = poll.tick() => observer.poll_state(&running),
@@ -205,10 +204,10 @@ async fn watch<O: RunObserver>(
             counted(missed_events.others, "event")
         );
     }
-    join_result.map_err(|error| Failure::new(Exit::Software, error))?;
-    // Events of work that was in progress at the end.
+    // Events of work that was in progress at the end, also if the agent failed: they are measurements.
     while let Ok(event) = events.try_recv() {
         observer.handle_event(event, None);
     }
+    join_result.map_err(|error| Failure::new(Exit::Software, error))?;
     Ok(AgentResult { end, name, missed_iterations: missed_events.iterations })
 }
