@@ -1,11 +1,14 @@
 //! Retention: the writer's task deletes old data between its commits. The task deletes a little at a time, so that no
 //! commit waits for long.
 //!
-//! The age of data is the time since its arrival, by the storage clock. Therefore neither a wrong wall clock of the
-//! aggregator nor a wrong wall clock of a robot makes data old. For each kind of data of each run or link, the table
-//! `arrival` holds the times of arrival. An index gives the row that is due next, so retention does not examine all
-//! runs: a step with nothing to do costs a few index lookups, at most once a second. The table `trimmed` tells readers
-//! and a rebuild up to which time data of a run is deleted. Deletions are recorded as an incident.
+//! The age of data is the time since its arrival, by the storage clock. Therefore neither a wrong
+//! wall clock of the aggregator nor a wrong wall clock of a robot makes data old. For each kind of
+//! data of each run or link, the table `arrival` holds the times of arrival. The writer first
+//! records recent arrivals in the row of their run or link, and retention later converts such a
+//! record to rows of `arrival`. An index gives the row of `arrival` that is due next, so retention
+//! does not examine all runs: a step with nothing to do costs a few index lookups, at most once a
+//! second. The table `trimmed` tells readers and a rebuild up to which time data of a run is
+//! deleted. Deletions are recorded as an incident.
 
 mod arrivals;
 mod arriving;
@@ -189,7 +192,7 @@ impl Retention {
         now: Stamp,
         max_cost: u32,
     ) -> Result<StepResult, sqlx::Error> {
-        // After a step with nothing to do, further calls cost nothing for a while.
+        // For `IDLE_PAUSE` after a step with nothing to do, further calls cost nothing.
         if self.idle_since.is_some_and(|idle_since| now.mono - idle_since < IDLE_PAUSE) {
             return Ok(StepResult::Done);
         }
@@ -243,19 +246,19 @@ impl Retention {
         now: MonoTime,
     ) -> Result<Option<Work>, sqlx::Error> {
         let until_s = now_s - self.periods.finest_resolution_s();
-        // Arrivals are converted first, because only rows of the table `arrival` become due.
+        // Recent arrivals are converted first, because only rows of the table `arrival` become due.
         if arriving::has_records(connection, until_s).await? {
-            return Ok(Some(Work::Arriving { until_s }));
+            return Ok(Some(Work::ConvertArrivals { until_s }));
         }
         for kind in Kind::ALL {
             if let Some(period_s) = self.periods.period_s(kind)
                 && arrivals::has_due(connection, kind, now_s - period_s).await?
             {
-                return Ok(Some(Work::Aged { kind, until_s: now_s - period_s }));
+                return Ok(Some(Work::DeleteAged { kind, until_s: now_s - period_s }));
             }
         }
         // The size is checked last, because the deletion of due data may free enough pages.
-        Ok(self.size.is_exceeded(connection, now).await?.then_some(Work::TooLarge))
+        Ok(self.size.is_exceeded(connection, now).await?.then_some(Work::ReduceSize))
     }
 
     /// Performs work within the open transaction.
@@ -268,15 +271,15 @@ impl Retention {
         deletions: &mut Vec<Deletion>,
     ) -> Result<(), sqlx::Error> {
         match work {
-            Work::Arriving { until_s } => {
+            Work::ConvertArrivals { until_s } => {
                 arriving::convert(connection, &self.periods, until_s, now_s, MAX_CONVERTED).await?;
             }
-            Work::Aged { kind, until_s } => {
+            Work::DeleteAged { kind, until_s } => {
                 arrivals::trim(connection, (kind, Cause::Age), until_s, now_s, max_cost, deletions).await?;
             }
-            Work::TooLarge => {
-                // If the table `arrival` has no iterations, the records of arriving data are converted, so that this
-                // data can be deleted, too.
+            Work::ReduceSize => {
+                // If the table `arrival` has no iterations, records of recent arrivals are converted
+                // without waiting, so that this data can be deleted, too.
                 if !arrivals::has_due(connection, Kind::Nodes, i64::MAX).await? {
                     arriving::convert(connection, &self.periods, i64::MAX, now_s, MAX_CONVERTED).await?;
                 }
@@ -292,13 +295,14 @@ impl Retention {
 /// Work of one transaction.
 #[derive(Debug)]
 enum Work {
-    /// Convert the records of arriving data that began at this second of the storage clock or before. They become rows
-    /// of the table `arrival`.
-    Arriving { until_s: i64 },
-    /// Delete the data of this kind that arrived at this second of the storage clock or before, a whole period ago.
-    Aged { kind: Kind, until_s: i64 },
+    /// Convert the records of recent arrivals that began at this second of the storage clock or
+    /// before to rows of the table `arrival`.
+    ConvertArrivals { until_s: i64 },
+    /// Delete the data of this kind that arrived at this second of the storage clock or before. The
+    /// second lies a whole period in the past.
+    DeleteAged { kind: Kind, until_s: i64 },
     /// Delete data because the database uses more bytes than the size limit.
-    TooLarge,
+    ReduceSize,
 }
 
 /// Rounds a reading of the storage clock down to whole seconds.

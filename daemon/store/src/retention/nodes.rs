@@ -14,8 +14,9 @@ const FIRST_COST_ESTIMATE: u64 = 32;
 /// Cost of deleting the row of an iteration, in rows of `node`. The row is also in two indexes.
 const ITERATION_COST: u64 = 4;
 
-/// The first iterations of a range of numbers: ?1 run, ?2 and ?3 first and last number, ?4 limit.
-const OLDEST: &str = "SELECT number, started_ns FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 \
+/// The iterations with the lowest numbers of a range: ?1 run, ?2 and ?3 first and last number, ?4
+/// limit.
+const LOWEST: &str = "SELECT number, started_ns FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 \
      ORDER BY number LIMIT ?4";
 /// Deletes the nodes of a range of iterations: ?1 run, ?2 and ?3 number of the first and of the last iteration. The
 /// next three statements have the same parameters.
@@ -28,7 +29,7 @@ const NODES_FROM: &str = "UPDATE run SET nodes_from = max(nodes_from, ?2) WHERE 
 
 #[cfg(test)]
 pub(super) const STATEMENTS: [(&str, &str); 6] = [
-    ("OLDEST", OLDEST),
+    ("LOWEST", LOWEST),
     ("NODE", NODE),
     ("TRANSIT", TRANSIT),
     ("ANCHOR", ANCHOR),
@@ -46,7 +47,7 @@ pub(super) async fn delete(
     let mut deleted = DeletedRows::default();
     let mut cost_per_iteration = FIRST_COST_ESTIMATE;
     loop {
-        let page: Vec<(i64, i64)> = sqlx::query_as(OLDEST)
+        let page: Vec<(i64, i64)> = sqlx::query_as(LOWEST)
             .bind(run)
             .bind(numbers.first)
             .bind(numbers.last)
@@ -72,6 +73,8 @@ pub(super) async fn delete(
                 let deletion = sqlx::query(statement).bind(run).bind(from).bind(through);
                 cost += deletion.execute(&mut *connection).await?.rows_affected();
             }
+            // The newest start is not always that of the last number: a host's clock may have been
+            // set back.
             let seconds = iterations.iter().map(|(_, started_ns)| started_ns.div_euclid(1_000_000_000));
             let newest_s = seconds.max().unwrap_or(i64::MIN);
             record_trimmed(connection, Kind::Nodes, run, newest_s.saturating_add(1)).await?;

@@ -74,6 +74,7 @@ impl GrowingBuckets {
         missing_buckets.sort_unstable();
         missing_buckets.dedup();
         if !missing_buckets.is_empty() {
+            // `read_buckets` sorts by bucket and series, so each list is sorted by series.
             for row in table::read_buckets(connection, self.run, width_s, &missing_buckets).await? {
                 let (bucket_s, series, packed) = row.into_parts()?;
                 width.buckets.entry(bucket_s).or_default().push((series, packed));
@@ -97,8 +98,8 @@ impl GrowingBuckets {
         Ok(())
     }
 
-    /// Removes all buckets from memory except the newest buckets of each width, and records the transaction that wrote
-    /// this run.
+    /// Removes all buckets from memory except the newest [`CACHED_BUCKETS`] of each width, and
+    /// records the transaction that wrote this run.
     pub(super) fn shrink(&mut self, transaction: u64) {
         self.last_transaction = transaction;
         for width in &mut self.widths {
