@@ -17,7 +17,7 @@ use super::integrity::log_pages::{FRAME_BYTES, HEADER_BYTES, MAGIC, log_path, re
 use super::integrity::pages::be32;
 
 /// Offset of the id within page 1, which is also the offset within the file.
-const ID_OFFSET: usize = 60;
+pub(crate) const ID_OFFSET: usize = 60;
 
 /// The write-ahead log at the path belongs to another file, which was at the database's path before.
 #[derive(Debug, thiserror::Error)]

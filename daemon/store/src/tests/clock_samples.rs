@@ -149,6 +149,7 @@ async fn sample_replaces_sample_of_same_second_and_relation_period() {
     let samples = [sample(test_store.cloud, 1, 40), repeated, stepped];
     store(&mut test_store, samples.clone()).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 2);
+    // The column `window` has the number of the relation period.
     assert_eq!(test_store.count("SELECT probes_lost FROM clock_sample WHERE window <> 7").await, 5);
     // A batch that arrives again replaces nothing.
     let work = test_store.batch_numbered(1, samples.map(event));
@@ -284,12 +285,12 @@ async fn store_and_page_merge_clock_points_equally() {
     let seconds = series(&test_store, 1_000).await;
     let buckets = series(&test_store, 6).await;
     assert_eq!((seconds.bucket_s, buckets.bucket_s, buckets.points.len()), (1, 10, 6));
-    let merged = seconds.points.chunk_by(|a, b| bucket_number(a.at, 10) == bucket_number(b.at, 10));
-    for (bucket, points) in buckets.points.iter().zip(merged) {
-        let mut page = ClockBucket::default();
-        points.iter().for_each(|point| page.add(point));
-        let page = page.into_point().expect("points");
-        assert_eq!(*bucket, ClockPoint { at: bucket.at, ..page });
+    let points_by_bucket = seconds.points.chunk_by(|a, b| bucket_number(a.at, 10) == bucket_number(b.at, 10));
+    for (bucket_of_store, points) in buckets.points.iter().zip(points_by_bucket) {
+        let mut bucket_of_page = ClockBucket::default();
+        points.iter().for_each(|point| bucket_of_page.add(point));
+        let bucket_of_page = bucket_of_page.into_point().expect("points");
+        assert_eq!(*bucket_of_store, ClockPoint { at: bucket_of_store.at, ..bucket_of_page });
     }
 }
 
@@ -347,7 +348,9 @@ async fn impossible_clock_values_are_stored_as_unknown() {
         .await
         .expect("answers")
         .points;
-    let offset_at = |at: usize| points[at].offset.as_ref();
+    // The first point is the sample of second 1. The samples with extreme times are outside of the
+    // series.
+    let offset_at = |index: usize| points[index].offset.as_ref();
     assert_eq!(offset_at(0).expect("known").skew_ppm, None);
     assert_eq!((offset_at(1), offset_at(2)), (None, None));
     assert_eq!(offset_at(3).expect("known").sources.len(), 2);
@@ -386,6 +389,8 @@ async fn quarantined_batch_leaves_gap_and_no_clock_samples() {
     let mut numbers = generate::Numbers::new(1);
     let foreign: Iteration =
         generate::iteration(RunId::random(), 9, (HostId::random(), test_store.cloud), &mut numbers);
+    // The sample is taken from a link, because the shared module `clocks` may have no unused
+    // function in this crate.
     let live = link(sample(test_store.cloud, 3, 40));
     let bad = test_store.batch(vec![event(sample(test_store.cloud, 2, 40)), Event::Iteration(foreign)]);
     let good = test_store.batch(vec![event(live.latest_sample)]);
@@ -396,11 +401,10 @@ async fn quarantined_batch_leaves_gap_and_no_clock_samples() {
         test_store.count("SELECT count(*) FROM clock_sample JOIN link ON link.id = clock_sample.link").await,
         1
     );
-    // The gap stands for both events of the quarantined batch. It begins with iteration 9, which started at 1.8 s.
-    assert_eq!(
-        test_store.count("SELECT count(*) FROM gap WHERE run IS NULL AND count = 2 AND from_ns = 1735689602000000000 - 200000000").await,
-        1
-    );
+    // The gap stands for both events of the quarantined batch. It begins with iteration 9, which
+    // started 1.8 s after `generate::at(0.0)`.
+    let gap = "SELECT count(*) FROM gap WHERE run IS NULL AND count = 2 AND from_ns = 1735689601800000000";
+    assert_eq!(test_store.count(gap).await, 1);
     let (_, newest_event_time) = &committed.hosts[&test_store.edge];
-    assert!(*newest_event_time < Some(NOW), "it is the time on the host's clock");
+    assert!(*newest_event_time < Some(NOW), "event times are by the host's clock");
 }

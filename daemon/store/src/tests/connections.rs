@@ -73,7 +73,11 @@ async fn connections_are_stored_within_time_of_clock_samples() {
         connection_report(&test_store, cloud, WallTime::from_unix_nanos(i64::MIN), 5),
     ];
     test_store.writer.store_connections(&samples).await.expect("stores");
-    assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 3);
+    assert_eq!(
+        test_store.count("SELECT count(*) FROM connection_sample").await,
+        3,
+        "the unknown host has no link"
+    );
     assert_eq!(
         test_store.count(
             "SELECT count(*) FROM connection_total WHERE edge = 'edge' AND cloud = 'cloud' AND network = 'zmq-tcp' AND pipeline = 'line' \
@@ -137,7 +141,7 @@ async fn writer_continues_after_sqlite_rollback() {
     test_store.commit(&[work]).await;
     let samples = [connection_report(&test_store, test_store.cloud, generate::at(2.0), 2)];
 
-    // When the disk is full, SQLite also rolls the whole transaction back.
+    // The trigger rolls the whole transaction back, as SQLite does when the disk is full.
     let full =
         "CREATE TRIGGER full BEFORE INSERT ON connection_sample BEGIN SELECT RAISE(ROLLBACK, 'undone'); END";
     let mut other = test_store.second_connection().await;

@@ -12,6 +12,7 @@ use tokio_util::sync::CancellationToken;
 use super::{NOW, STAMP, TestStore, open};
 use crate::RetentionConfig;
 use crate::error::OpenError;
+use crate::foreign_log::ID_OFFSET;
 use crate::incidents::PendingIncidents;
 use crate::integrity::Integrity;
 use crate::maintenance::{
@@ -37,7 +38,7 @@ async fn iterations(path: &Path) -> i64 {
 
 /// Returns the id in the database file. The write-ahead log may hold another id.
 fn file_id(path: &Path) -> [u8; 4] {
-    fs::read(path).expect("reads")[60..64].try_into().expect("four bytes")
+    fs::read(path).expect("reads")[ID_OFFSET..ID_OFFSET + 4].try_into().expect("four bytes")
 }
 
 fn log_of(path: &Path) -> PathBuf {
@@ -128,7 +129,8 @@ async fn log_of_idle_aggregator_identifies_its_database() {
     fs::copy(&copy, &path).expect("takes its place");
     assert!(matches!(start(&path).await, Err(OpenError::ForeignLog(_))));
 
-    // SQLite does not apply a log with wrong checksums. Such a log does no harm, so the database opens.
+    // SQLite does not apply a log with wrong checksums. Such a log does no harm, so the database
+    // opens. The overwritten bytes lie in the log's first page.
     let log = fs::File::options().write(true).open(log_of(&path)).expect("opens");
     log.write_all_at(&[0xa5; 4], 100).expect("writes");
     start(&path).await.expect("opens");
@@ -159,7 +161,7 @@ async fn database_of_killed_process_opens_with_its_log() {
         .write(true)
         .open(&test_store.path)
         .expect("opens")
-        .write_all_at(&[0; 4], 60)
+        .write_all_at(&[0; 4], ID_OFFSET as u64)
         .expect("writes");
     test_store.writer = open(&test_store.path).await;
     let (_third, path) = copy_as_killed(&test_store);

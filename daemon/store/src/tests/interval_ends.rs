@@ -66,7 +66,8 @@ impl TestStore {
             stage::DOWNLOAD_BYTES,
             stage::DOWNLOAD_LOGGER_BYTES,
         ];
-        // Both parts of a message, payload and logger data, have half of its bytes.
+        // A message has two parts, the payload and the logger data. Each part has half of the
+        // message's bytes.
         for name in sizes {
             if iteration.tree.find(&[name.as_str()]).is_none() {
                 iteration.tree.add(NodeId::ROOT, name, Span::ZERO, Measure::Value(bits / 16.0, Unit::BYTES));

@@ -160,6 +160,7 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
         assert_eq!((minutes.bucket_s, minutes.stages[0].points.len()), (60, 4));
         let all = test_store.store.series(1, &[stage::TOTAL], 1_000).await.expect("answers");
         assert_eq!(all.bucket_s, 10);
+        // Version 3 is the first version that stores clock samples.
         if version >= 3 {
             assert_eq!(test_store.store.links().await.expect("answers"), links);
             assert_eq!(test_store.store.recompute(1).await.expect("answers"), Some(recomputed));

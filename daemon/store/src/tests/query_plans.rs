@@ -22,8 +22,8 @@ const LARGE_TABLES: [(&str, &[&str]); 7] = [
     ("clock_sample", &["link=? AND at_ns", "link=? AND window=? AND at_raw_ns"]),
 ];
 
-/// Statements that read more than they return on purpose: name, table, and the reason why the number of rows is
-/// bounded.
+/// Statements that may read more rows than they return: name, table, and the reason why the number
+/// of rows is bounded.
 const EXCEPTIONS: [(&str, &str, &str); 4] = [
     ("SHAPES", "node", "the nodes of a few thousand iterations, from one number to another"),
     ("RUN_EXTENT", "iteration", "the first and the last row of the run, LIMIT 1"),
@@ -139,15 +139,15 @@ fn all_queries_are_constants_of_sql_module() {
                 continue;
             }
             let text = std::fs::read_to_string(&path).expect("a source file");
-            let calls = text.match_indices("sqlx::query").filter(|(at, _)| {
+            let wrong_calls = text.match_indices("sqlx::query").filter(|(at, _)| {
                 let rest = &text[at + "sqlx::query".len()..];
                 let argument = rest.split_once('(').map_or("", |(_, argument)| argument.trim_start());
-                // A variable `statement` always holds a constant of `sql`.
                 query_count += 1;
+                // A variable `statement` always holds a constant of `sql`.
                 !argument.starts_with("sql::") && !argument.starts_with("statement)")
             });
             let wrong: Vec<&str> =
-                calls.map(|(at, _)| text[at..].lines().next().unwrap_or_default()).collect();
+                wrong_calls.map(|(at, _)| text[at..].lines().next().unwrap_or_default()).collect();
             assert!(wrong.is_empty(), "{}: {wrong:?}", path.display());
         }
     }

@@ -105,11 +105,13 @@ pub(super) fn verdict_count(judgement: &Judgement, verdict: Verdict) -> u64 {
         .map_or(0, |(_, verdict_count)| *verdict_count)
 }
 
-/// Asserts for every delay of run 1 that the new bounds contain the true delay and lie within the previous bounds.
+/// Asserts for every delay of run 1 what [`assert_run_is_sound`] asserts.
 pub(super) async fn assert_sound(test_store: &TestStore, simulated: &SimulatedRun) {
     assert_run_is_sound(test_store, 1, simulated).await;
 }
 
+/// Asserts for every delay of a run that the new bounds contain the true delay and lie within the
+/// previous bounds. A delay without new bounds has the same judgement as before.
 pub(super) async fn assert_run_is_sound(test_store: &TestStore, run: i64, simulated: &SimulatedRun) {
     let mut judged_delays = 0;
     let samples = rejudge_delays(&test_store.store.readers, run, |delay| {
@@ -240,6 +242,7 @@ async fn delays_before_and_after_step_are_judged_separately() {
             }
         })
         .await;
+        // The column `window` has the number of the relation period.
         assert_eq!(test_store.count("SELECT count(DISTINCT window) FROM clock_sample").await, 2);
         let recomputed = recompute(&test_store).await;
         assert_sound(&test_store, &simulated).await;
@@ -301,6 +304,7 @@ async fn time_daemon_claims_are_used_as_in_first_judgement() {
         .await;
         let recomputed = recompute(&test_store).await;
         let (before, after) = judgements_of(&recomputed, "upload");
+        // Of the 300 iterations in 30 s, those of the first 10 s have no claim.
         if error_ms == 0 {
             assert_sound(&test_store, &simulated).await;
             assert_eq!(verdict_count(after, Verdict::Inconsistent), 0);

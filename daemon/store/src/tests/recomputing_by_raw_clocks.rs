@@ -64,6 +64,7 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
             },
         )
         .await;
+        // The column `window` has the number of the relation period.
         assert_eq!(test_store.count("SELECT count(DISTINCT window) FROM clock_sample").await, 1);
         let recomputed = recompute(&test_store).await;
         assert_sound(&test_store, &simulated).await;
@@ -77,9 +78,10 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
     }
 }
 
-/// Makes a simulation in which both machines were restarted. The simulation begins `after` the start of a previous
-/// simulation. The edge's free-running clock shows the same times as in the previous simulation, and the cloud's
-/// free-running clock shows about 12 s less. The offset of the clocks is thus another one.
+/// Makes a simulation in which both machines were restarted. The simulation begins `after` the
+/// start of a previous simulation. The edge's free-running clock shows the same times as in the
+/// previous simulation, and the cloud's free-running clock shows about 12 s less. The offset of the
+/// free-running clocks thus differs from that of the previous simulation.
 fn simulation_after_restart(test_store: &TestStore, after: Span) -> Simulation {
     let mut restarted = Simulation::new(test_store.hosts(), RelatedClocks::Raw);
     restarted.now = after;
@@ -126,6 +128,7 @@ async fn times_repeated_after_restart_are_not_rejudged() {
 #[tokio::test]
 async fn relation_periods_of_other_clocks_or_boots_are_not_used() {
     for change in [
+        // 1 is the position of `RelatedClocks::RawToWall` in `RelatedClocks::ALL`.
         "UPDATE clock_sample SET clocks = 1",
         "UPDATE clock_sample SET clocks = NULL",
         "UPDATE clock_sample SET at_raw_ns = NULL",

@@ -157,8 +157,8 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     let must_stay = |((run, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
         *run == 2 || *width_s == 0 || bucket_s + width_s > now_s - period_s(*width_s)
     };
-    // An iteration arrives at most an hour after it began. It is deleted with the iterations that arrived within the
-    // next hour.
+    // An iteration arrives at most an hour after it began. It is deleted with the iterations that
+    // arrived within the next hour. The 60 s are a tolerance.
     let may_stay = |((_, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
         bucket_s + width_s + 2 * RESOLUTION_S + 60 > now_s - period_s(*width_s)
     };
@@ -299,10 +299,10 @@ async fn step_is_bounded_and_idle_step_writes_nothing() {
     let mut remaining = test_store.count(rows).await;
     let mut steps = 0;
     while step(&mut retention, &mut connection, day(5.0)).await == StepResult::More {
-        let now = test_store.count(rows).await;
+        let remaining_after_step = test_store.count(rows).await;
         // A step may exceed its maximum cost a little.
-        assert!(remaining - now <= 400, "{remaining} {now}");
-        remaining = now;
+        assert!(remaining - remaining_after_step <= 400, "{remaining} {remaining_after_step}");
+        remaining = remaining_after_step;
         steps += 1;
     }
     assert!(steps > 40, "{steps}");
@@ -344,7 +344,8 @@ async fn late_arrivals_are_kept_for_their_period() {
     );
     assert_eq!(test_store.count("SELECT group_concat(kind) = '3600' FROM arrival WHERE owner = 1").await, 1);
 
-    // These iterations began before iterations that are already deleted.
+    // These iterations also arrive a hundred days after they began. All earlier iterations of the
+    // run are deleted.
     let events = iterations(&test_store, run, 300..=310);
     store_arrival(&mut test_store, events, day(104.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 11 * NODES_PER_ITERATION);

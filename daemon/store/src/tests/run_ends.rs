@@ -17,8 +17,9 @@ fn hello(test_store: &TestStore, process: u64) -> Work {
     super::hello(generate::host(test_store.edge, "edge"), process)
 }
 
-/// Returns the time, in seconds, and the reason of the end of each run; `None` for a run that has not ended.
-/// The assumed end of a run is the start of its last iteration. Iteration n starts at n / 5 seconds.
+/// Returns the time, in seconds, and the reason of the end of each run; `None` for a run that has
+/// not ended. The assumed end of a run is the start of its last iteration, or the start of the run
+/// if it has no iteration. Iteration n starts at n / 5 seconds.
 async fn run_ends(test_store: &TestStore) -> Vec<Option<(f64, String)>> {
     let mut runs = test_store.store.runs(&crate::RunFilter::default()).await.expect("answers");
     runs.reverse();

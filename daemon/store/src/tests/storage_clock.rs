@@ -35,7 +35,7 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
     let work = [hello(generate::host(test_store.edge, "edge"), 1)];
     test_store.writer.commit(&work, stamp_after(100)).await.expect("commits");
     assert_eq!(test_store.count(ELAPSED_S).await, 100);
-    // After one more second, the wall clock is set by a month.
+    // After one more second, the wall clock is a month ahead, and then a month behind.
     let month = Span::from_seconds(30 * 86_400);
     for wall in [stamp_after(101).wall + month, stamp_after(101).wall - month] {
         test_store

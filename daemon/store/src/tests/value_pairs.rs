@@ -144,7 +144,6 @@ async fn deleted_iterations_make_no_pairs() {
     let (test_store, _) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
     let mut retention = Retention::new(short_retention());
-    run_until_done(&mut retention, &mut connection, day(0.0)).await;
     let pairs_before = test_store.pairs("upload-bytes", 20).await;
     assert_eq!((pairs_before.points.len(), pairs_before.stored_iterations), (20, 288));
     run_until_done(&mut retention, &mut connection, day(4.0)).await;
