@@ -46,7 +46,8 @@ def measure(quick: bool) -> Section:
             _compare_others(comparison, path, errors_by_scene[f"{path.name}, idle, 0 ppm"], edge, cloud, seconds)
     section.table(table)
     section.say(
-        "On the same paths, what a user gets elsewhere. *chrony*: the stamps' difference minus the offset that chrony "
+        "On the same paths, what a user gets elsewhere. *PEERNet*: idle, 0 ppm; the larger error and the larger "
+        "width of both directions; *outside*: of both together. *chrony*: the stamps' difference minus the offset that chrony "
         "states; both clocks are equal, so each offset is an error. chrony follows the cloud's chronyd over the path "
         "with up to four polls a second; root delay and dispersion are the interval. *stamp-suite*: its one-way delays if "
         "the clocks are 500 ms apart; it assumes that they are equal. All in µs."
@@ -79,9 +80,8 @@ def _compare_others(
     table: Table, path: Path, ours: list[Errors], edge: Host, cloud: Host, seconds: float
 ) -> None:
     up, down = ours
-    table.row(
-        path.name, "PEERNet", micros(max(up.mean, down.mean)), micros(up.width), f"{up.outside + down.outside}"
-    )
+    error, width = max(up.mean, down.mean), max(up.width, down.width)
+    table.row(path.name, "PEERNet", micros(error), micros(width), f"{up.outside + down.outside}")
     chrony = others.chrony(edge, cloud, seconds)
     table.row("", "chrony", micros(chrony.error), micros(chrony.width), f"{chrony.outside:.0%}")
     stamp = others.stamp_suite(edge, cloud, AHEAD_S, (up.truth, down.truth))
