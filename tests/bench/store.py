@@ -11,7 +11,7 @@ from pathlib import Path
 
 from quantiles import spread
 
-# The iterations that statistics are made of.
+# Condition of the iterations that count: of one run, after the warm-up, successful.
 COUNTED = "iteration.run = ? AND iteration.warm_up = 0 AND iteration.outcome = 0"
 
 
@@ -33,7 +33,7 @@ def _open(database: Path) -> Iterator[sqlite3.Connection]:
 
 
 def run_of(database: Path, pipeline: str) -> Run | None:
-    """The newest run of a pipeline, if it is stored."""
+    """Returns the newest run of a pipeline; `None` if no run is stored."""
     with _open(database) as connection:
         row = connection.execute(
             "SELECT run.number, run.ended_ns IS NOT NULL, run.ok, run.failed + run.lost + run.timeout"
@@ -51,7 +51,10 @@ def missing(database: Path) -> int:
 
 
 def iterations_per_second(database: Path, run: Run) -> float:
-    """From the first to the last iteration that counts. Numbers are contiguous, so those not stored count too."""
+    """Returns the iterations per second between the first and the last iteration that counts.
+
+    The numbers of iterations have no gaps, so iterations that are not stored are included.
+    """
     with _open(database) as connection:
         first, last, begin, end = connection.execute(
             f"SELECT min(number), max(number), min(started_ns), max(started_ns) FROM iteration WHERE {COUNTED}",
@@ -63,7 +66,10 @@ def iterations_per_second(database: Path, run: Run) -> float:
 
 
 def samples(database: Path, run: Run, names: tuple[str, ...] | None = None) -> dict[str, list[float]]:
-    """The values of all nodes by name, in SI units, in the order of iterations; all names if `names` is `None`."""
+    """Returns the values of the nodes with these names, by name, in SI units.
+
+    Returns the values of all nodes if `names` is `None`.
+    """
     only = "" if names is None else f"AND name.text IN ({', '.join('?' * len(names))})"
     query = (
         "SELECT name.text, node.value FROM iteration"
@@ -78,7 +84,7 @@ def samples(database: Path, run: Run, names: tuple[str, ...] | None = None) -> d
 
 
 def stages(database: Path, run: Run) -> dict[str, dict[str, float]]:
-    """Count, median and 99th percentile of every node name."""
+    """Returns count, median and 99th percentile of every node name."""
     return {name: spread(values) for name, values in samples(database, run).items()}
 
 
@@ -93,13 +99,9 @@ class Delay:
     hi: float | None
     verdict: str
 
-    def edge_ns(self, direction: str) -> int:
-        """The edge's stamp."""
-        return self.sent_ns if direction == "upload" else self.received_ns
-
 
 def delays(database: Path, run: Run, name: str, *, wall: bool = False) -> list[Delay]:
-    """Returns the delays of one name in the order of iterations.
+    """Returns the delays of one name, in no particular order.
 
     Their stamps are of the wall clocks if `wall`, else of the free-running clocks.
     """

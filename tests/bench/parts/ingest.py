@@ -16,7 +16,7 @@ BENCH = ["cargo", "bench", "--locked", "--quiet", "--package", "peernet-aggregat
 # greatest memory in MiB, nodes lost.
 ROUND = re.compile(r"^\s*\d+\s+(\d+)\s+(\d+)\s+([\d.]+)\s+([\d.]+)\s+(\d+)\s+(-?\d+)$", re.MULTILINE)
 
-# What is promised on two cores, by the number of agents.
+# Nodes/s that are promised on two cores, by the number of agents; `None`: no rate is promised.
 RATE_AIMS = {1: None, 10: 500_000, 1_000: 350_000}
 RATIO_AIM = 0.6
 MEMORY_AIM_MIB = 512
@@ -56,7 +56,10 @@ def measure(quick: bool) -> Section:
 
 
 def generator(log: Path, port: int, agents: int, nodes: int, speed: float) -> Program:
-    """Starts a process of simulated agents. They send `nodes` in all, at `speed` times the rate of the aim."""
+    """Starts a process of simulated agents, which send about `nodes` nodes in all.
+
+    `speed` is a multiple of 500,000 nodes/s; of 350,000 nodes/s with 1,000 agents or more.
+    """
     return Program([_program(), "generator", f"tcp://127.0.0.1:{port}", agents, nodes, speed], log)
 
 

@@ -15,14 +15,17 @@ from report import Section, Table, rate
 from . import ingest
 
 PROBE_HZ = 50
-# Half of what the aggregator promises to store from ten agents.
+# Load: half of the 500,000 nodes/s that the aggregator promises to store from ten agents.
 LOAD_AGENTS = 10
 LOAD_SPEED = 0.5
 LOAD_NODES_PER_S = 250_000
 # The highest rate at which one agent spools without dropping events.
 FILL_HZ = 10_000
 LAG_AIM_S = 0.5
-CATCH_UP_AIM = 200_000
+CATCH_UP_AIM_NODES_PER_S = 200_000
+# A backlog counts as stored when fewer events wait. The probe adds events all the time, so the
+# number of waiting events need not become 0.
+CAUGHT_UP_EVENTS = 1_000
 
 
 def prepare() -> None:
@@ -87,27 +90,30 @@ def _while_catching_up(section: Section, quick: bool) -> tuple[str, list[float],
         began = time.monotonic()
         probe = daemons.daemon("edge", _agent(daemons, events, _pipeline()))
         count_times = CountTimes("edge", "probe")
-        # One item as soon as the backlog is stored.
+        # One time as soon as the backlog is stored.
         caught_up_at: list[float] = []
 
-        def is_behind() -> bool:
+        def note_catch_up() -> bool:
+            """Notes the time if the backlog is stored; returns whether it is not yet."""
             waiting = api.waiting_events("edge")
-            # The probe adds events all the time, so the number of waiting events need not become 0.
-            if waiting is not None and waiting < 1_000 and count_times.seen and count_times.seen[-1][1] > 0:
+            is_probe_counted = bool(count_times.seen) and count_times.seen[-1][1] > 0
+            if waiting is not None and waiting < CAUGHT_UP_EVENTS and is_probe_counted:
                 caught_up_at.append(time.monotonic())
             return not caught_up_at
 
-        poll(api, count_times, 50.0, is_behind)
+        poll(api, count_times, 50.0, note_catch_up)
         if not caught_up_at:
             raise Failure(f"the backlog of {backlog / 2**20:.0f} MiB was not caught up within 50 s")
         nodes, seconds = store.nodes(daemons.database), caught_up_at[0] - began
         lags = _lags(daemons, probe, count_times)
     section.say(
         f"Catching up: {nodes:,} nodes of one agent, {backlog / 2**20:.0f} MiB on its disk, were stored in {seconds:.1f} s, "
-        "from the agent's start to the last acknowledgement."
+        f"from the agent's start until fewer than {CAUGHT_UP_EVENTS:,} events waited."
     )
-    section.aim(f"catching up ≥ {CATCH_UP_AIM:,} nodes/s", rate(nodes / seconds), nodes / seconds >= CATCH_UP_AIM)
-    return "catching up from the agent's disk", lags, nodes / seconds
+    stored = nodes / seconds
+    promise = f"catching up ≥ {CATCH_UP_AIM_NODES_PER_S:,} nodes/s"
+    section.aim(promise, rate(stored), stored >= CATCH_UP_AIM_NODES_PER_S)
+    return "catching up from the agent's disk", lags, stored
 
 
 class _Api(Api):

@@ -20,7 +20,9 @@ ECHO = (Shape(1_000), Shape(150_000), Shape(1_200_000))
 SMALL_ANSWER = (Shape(150_000, 64), Shape(1_200_000, 64))
 STAGES = ("sensing", "encode", "upload", "queue", "inference", "download", "total", "unattributed")
 
+# Smallest aimed-for ratio of PEERNet's rate to that of `published`.
 RATE_AIM = 5.0
+# Largest aimed-for ratio of PEERNet's upload to that of bare TCP, for uploads of FULL bytes.
 UPLOAD_AIM = 1.15
 FULL = 1_200_000
 
@@ -42,10 +44,12 @@ class Results:
     def rates(self, name: str) -> list[float]:
         return [one.rate for one in self.slices[name]]
 
-    def stage(self, name: str, stage: str) -> list[float]:
+    def medians(self, name: str, stage: str) -> list[float]:
+        """Returns a program's medians of a stage, one per repeat, in seconds."""
         return [one.stages[stage]["p50"] for one in self.slices[name]]
 
     def spread(self, name: str, stage: str) -> dict[str, float] | None:
+        """Returns the spread of a stage over all repeats; `None` if the program lacks the stage."""
         spreads = [one.stages[stage] for one in self.slices[name] if stage in one.stages]
         return median_spread(spreads) if spreads else None
 
@@ -83,7 +87,7 @@ def measure(quick: bool) -> Section:
     for shape in ECHO:
         _stages(section, shape, results[shape])
     missing = sum(one.missing for result in results.values() for one in result.slices["peernet"])
-    section.say(f"Iterations measured but not stored, counted by the agent, over all of PEERNet's slices: {missing:,}.")
+    section.say(f"Events measured but not stored, counted by the agents, over all of PEERNet's slices: {missing:,}.")
     return section
 
 
@@ -116,7 +120,7 @@ def _rates(section: Section, results: dict[Shape, Results]) -> None:
 def _uploads(section: Section, results: dict[Shape, Results]) -> None:
     table = Table("upload, p50, µs", "PEERNet", "published", "bare TCP", "PEERNet to bare TCP")
     for shape, result in results.items():
-        ours, published, tcp = (result.stage(name, "upload") for name in CONTENDERS)
+        ours, published, tcp = (result.medians(name, "upload") for name in CONTENDERS)
         cost = ratio(ours, tcp)
         table.row(_name(shape), *(micros(median(one)) for one in (ours, published, tcp)), times(cost))
         if shape.up == FULL:

@@ -45,13 +45,19 @@ class Link:
     """What is between the two hosts."""
 
     name: str
+    # `None`: a veth pair without limit and delay.
     bits_per_second: int | None
+    # Delay of each direction.
     delay_ms: int
+    # Duration and number of the slices of each contender.
     seconds: int
     repeats: int
 
 
-LINKS = (Link("veth", None, 0, 2, 5), Link("100 Mbit/s, 5 ms", 100_000_000, 5, 4, 3))
+LINKS = (
+    Link("veth", bits_per_second=None, delay_ms=0, seconds=2, repeats=5),
+    Link("100 Mbit/s, 5 ms", bits_per_second=100_000_000, delay_ms=5, seconds=4, repeats=3),
+)
 
 
 def prepare() -> None:
@@ -70,7 +76,7 @@ def measure(quick: bool) -> Section:
     section.say(
         "An edge sends the bytes that each table names and an echo model returns them, one iteration after the other; "
         "edge agent, cloud agent and aggregator, every iteration stored. Without PEERNet: a ping-pong over one "
-        "TCP connection, one over UDP with the same datagrams, and round trips between two nodes of rospy, of roslibrust and of "
+        "TCP connection, one over UDP with datagrams of zmq-udp's length, and round trips between two nodes of rospy, of roslibrust and of "
         "rustdds. Medians over the "
         "repeats, one program after the other in turn; ratios taken repeat by repeat. Processor time: both agents, or both "
         "programs, per gigabyte in either direction. Answers in percent of what was sent."
@@ -82,7 +88,7 @@ def measure(quick: bool) -> Section:
 
 def _link(section: Section, link: Link, quick: bool) -> None:
     repeats, seconds = (1, 1) if quick else (link.repeats, link.seconds)
-    results = {size: Results() for size in SIZES}
+    results = {bytes_: Results() for bytes_ in SIZES}
     names = list(transports.CONTENDERS)
     with _hosts(link) as (edge, cloud), transports.Shared(edge, cloud) as shared:
         arena = Arena(edge, cloud, seconds, WARM_UP if link.bits_per_second is None else SLOW_WARM_UP)

@@ -48,12 +48,12 @@ def measure(quick: bool) -> Section:
                     figures = _deliver(edge, cloud, iterations, round_trip, name)
                     rates[name].append(iterations * NODES / figures["seconds"])
                     frames[name].append(figures["frames"])
-            gain = ratio(rates["on"], rates["off"])
+            share = ratio(rates["on"], rates["off"])
             round_trip_text = "the cable's" if round_trip == 0 else f"{round_trip} ms more"
             cells = [rate(median(by_control[name])) for by_control in (rates, frames) for name in CONTROL]
-            table.row(round_trip_text, *cells[:2], times(gain), *cells[2:])
+            table.row(round_trip_text, *cells[:2], times(share), *cells[2:])
             promise = f"one stream, {round_trip_text}: ≥ {AIM:g} × without control"
-            section.aim(promise, times(gain), gain >= AIM)
+            section.aim(promise, times(share), share >= AIM)
     section.table(table)
     return section
 

@@ -37,8 +37,9 @@ class Answer:
 
     # Start of the request, seconds since 1970.
     at: float
-    # Seconds from there to the end and to the first token.
+    # Seconds from the start to the end of the answer.
     total: float
+    # Seconds from the start to the first token.
     first: float
     # Number of parts that arrived; only PEERNet has it.
     parts: float | None = None
@@ -209,8 +210,9 @@ def _whole(section: Section, bench: Bench, repeats: int, ports: list[int]) -> No
         repeats_by_name.setdefault(name, []).append(spreads)
 
     for repeat in range(repeats):
-        # These clouds are new processes in each repeat. A process may stay on a faster or on a slower core, which changes
-        # the time of a request by up to 40 %.
+        # A process may stay on a faster or on a slower core, which changes the time of a request by
+        # up to 40 %. These clouds are new processes in each repeat, so that the medians do not
+        # depend on one core.
         with ExitStack() as clouds:
             clouds.enter_context(cloud(bench.folder, echo_port, _echo()))
             if baseline:
@@ -219,7 +221,7 @@ def _whole(section: Section, bench: Bench, repeats: int, ports: list[int]) -> No
             _in_turn(f"not streamed, processes {repeat + 1}", 1, [*names[first:], *names[:first]], add)
     section.say(
         f"An answer of {WHOLE_BYTES:,} bytes through the cloud: *not streamed*, by the model `echo`; in *one part*, by "
-        "the server above in one token. `total` of the latter includes the request to the server; *total without "
+        "the server above in one token. The `total` of *one part* includes the request to the server; its *total without "
         f"inference* does not. {repeats} repeats of {count:,} answers, in turn."
         + (f" *Baseline*: not streamed, by the build that `{BASELINE}` names." if baseline else "")
     )
@@ -249,6 +251,10 @@ def _in_turn(what: str, repeats: int, names: tuple[str, ...] | list[str], measur
 
 
 def _experiment(model: str, iterations: int, port: int | None, models: str) -> str:
+    """Returns an experiment that requests answers of a model.
+
+    The model is one of the cloud on `port`; if `port` is `None`, a local one, which the tables `models` describe.
+    """
     remote = f'{{ kind = "remote", peer = "tcp://127.0.0.1:{port}", model = "{model}" }}'
     placement = f'{{ kind = "local", model = "{model}" }}' if port is None else remote
     return f"""

@@ -15,7 +15,8 @@ from namespaces import Host, need_root
 from programs import Program, output, peer
 from report import Section, Table, micros
 
-# When a violation begins, seconds after the start of the edge; 0: from the start.
+# Time from the start of the edge to a violation that begins later than the edge; half the duration
+# if that is less.
 BEGINS_S = 8.0
 # Window of the estimator (`[clock] window_s`); wrong delays must end within it.
 WINDOW_S = 10.0
@@ -41,6 +42,7 @@ class Case:
     name: str
     path: Path
     scene: Scene
+    # Time from the start of the edge to the violation.
     begins_s: float = 0.0
     # Context in which the scene runs.
     disturbance: Callable[[Host, Host], AbstractContextManager[object]] = lambda edge, cloud: nullcontext()
@@ -56,8 +58,8 @@ def measure(quick: bool) -> Section:
     section.say(
         f"As above, with an assumption violated from the start or {BEGINS_S:g} s after it. *Wrong*: delays whose verdict is "
         "`ok` or `limited` and whose interval does not contain the truth, in both directions together; *until*: the last "
-        "of them, after the violation began; *largest*: by how much, µs; *again*: the first delay after the violation from "
-        f"which on 99 % are believed. The window is {WINDOW_S:g} s."
+        "of them, after the violation began; *largest*: the largest distance of a truth from its interval, µs; *again*: the "
+        f"first delay after the violation from which on 99 % are believed. The window is {WINDOW_S:g} s."
     )
     table = Table("violated", "path", "delays", "believed", "wrong", "until, s", "largest", "again, s")
     longest, early = 0.0, 0
@@ -79,7 +81,6 @@ def measure(quick: bool) -> Section:
 def _row(table: Table, case: Case, delays: list[JudgedDelay]) -> float:
     """Adds a row; returns the seconds from the beginning of the violation to its last wrong delay."""
     wrong = [one for one in delays if one.is_outside]
-    # Seconds from the beginning of the violation to the last wrong delay.
     until = max((one.at - case.begins_s for one in wrong), default=0.0)
     believed = sum(one.is_believed for one in delays)
     table.row(
@@ -96,16 +97,19 @@ def _row(table: Table, case: Case, delays: list[JudgedDelay]) -> float:
 
 
 def _again(case: Case, delays: list[JudgedDelay]) -> str:
-    """Returns the time from which on delays are good again; a dash if they always were."""
+    """Returns the seconds from the beginning of the violation until 99 % of the delays are believed.
+
+    Returns a dash if all delays after that beginning are believed.
+    """
     after = [one for one in delays if one.at >= case.begins_s]
     if all(one.is_believed for one in after):
         return "–"
-    begin, doubted = len(after), 0
-    for at in range(len(after) - 1, -1, -1):
-        doubted += not after[at].is_believed
-        if doubted <= 0.01 * (len(after) - at):
-            begin = at
-    return "not again" if begin == len(after) else f"{after[begin].at - case.begins_s:.1f}"
+    first, doubted = len(after), 0
+    for index in range(len(after) - 1, -1, -1):
+        doubted += not after[index].is_believed
+        if doubted <= 0.01 * (len(after) - index):
+            first = index
+    return "not again" if first == len(after) else f"{after[first].at - case.begins_s:.1f}"
 
 
 def _cases(seconds: float) -> list[Case]:
@@ -118,18 +122,17 @@ def _cases(seconds: float) -> list[Case]:
         Case("all clocks of a host jump by 39 ms", wire(20, 20), Scene(jump, seconds), BEGINS_S),
         Case("all clocks of a host jump by 39 ms", VETH, Scene(jump, seconds), BEGINS_S),
         Case("the wall clock is slewed by 500 and 40,000 ppm", wire(5, 40), Scene(Clocks(wall_steps=slews()), seconds)),
-        Case(f"probes are forged by {FORGED_MS} ms", wire(20, 20), Scene(Clocks(), seconds), 0.0, _forging),
+        Case(f"probes are forged by {FORGED_MS} ms", wire(20, 20), Scene(Clocks(), seconds), disturbance=_forging),
         Case(
             "one boot id, clocks 20 ms apart",
             LOOP,
-            Scene(Clocks(), seconds, "user", false_time_s=FALSE_TIME_S),
+            Scene(Clocks(), seconds, timestamps="user", false_time_s=FALSE_TIME_S),
         ),
         Case(
             "time daemons claim microseconds, the clocks are 10 ms apart",
             wire(5, 40),
             Scene(Clocks(ahead_s=0.01, discipline="unaware", settings=chrony), seconds),
-            0.0,
-            others.daemons_with_small_claims,
+            disturbance=others.daemons_with_small_claims,
         ),
     ]
 

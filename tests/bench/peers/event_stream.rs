@@ -65,9 +65,11 @@ struct Agent {
     spool: VecDeque<SpooledBatch>,
     one_way: Duration,
     is_controlled: bool,
+    /// Delayed messages to the aggregator, with the time at which each is sent.
     up: VecDeque<(Instant, Vec<u8>)>,
+    /// Delayed messages from the aggregator, with the time at which each is handled.
     down: VecDeque<(Instant, Bytes)>,
-    /// Request for an echo that is to be answered here.
+    /// Number of bytes in the request for an echo that is to be answered here.
     requested_echo: Option<u64>,
     frames: u64,
     bytes: u64,
@@ -85,7 +87,8 @@ impl Agent {
         };
         let spool_state = SpoolState::new(StreamId::random());
         let host = generate::host(HostId::random(), "edge");
-        let state_machine = Sending::new(config, host, HostSecret::random(), 1, spool_state);
+        let process = 1;
+        let state_machine = Sending::new(config, host, HostSecret::random(), process, spool_state);
         let (spool, up, down) = Default::default();
         Ok(Self {
             clock,
@@ -101,7 +104,7 @@ impl Agent {
         })
     }
 
-    /// Measures and spools this number of iterations.
+    /// Generates this number of iterations and spools them.
     fn fill(&mut self, iterations: u64) {
         let (run, edge, cloud) = (RunId::random(), self.state_machine.host(), HostId::random());
         let mut numbers = generate::Numbers::new(1);

@@ -1,4 +1,4 @@
-"""One end of a Python program that does the paper's program's work, for the comparison in `loop.py`.
+"""One end of a Python program that does the paper's program's work, for `loop.py` and `python.py`.
 
 Two pyzmq PAIR sockets, one per direction; the sender binds start_port + the receiver's number. A message is the pickle
 of (data, logger), and the logger's six nodes travel with it. `upload` is opened by the client before it pickles and
@@ -30,6 +30,7 @@ from peers.published_logger import Container, Node, Timer, Timing, Value, write_
 from quantiles import spread
 
 START_PORT = 5551
+# Numbers of the two ends, from which their ports follow.
 NUMBERS = {"client": 0, "server": 1}
 WARM_UP = 200
 LARGE_BLOCK = 512 << 10

@@ -33,7 +33,7 @@ class Node:
         raise NotImplementedError
 
     def log_section(self, name: str, kind: type[Node]) -> Node:
-        """A new child."""
+        """Adds a child and returns it."""
         child = kind(name, depth=self.depth + 1)
         self.children.append(child)
         return child
@@ -107,7 +107,7 @@ class Value(Node):
 
 
 class Timing:
-    """`with Timing(logger, "sensing"): …`"""
+    """Adds a timer to a node for the time of a block: `with Timing(logger, "sensing"): …`"""
 
     def __init__(self, parent: Node, name: str) -> None:
         self.parent = parent
@@ -122,7 +122,7 @@ class Timing:
 
 
 def write_csv(path: Path, iterations: list[Node]) -> None:
-    """One row per iteration, one column per node."""
+    """Writes one row per iteration, with the number and one column per node."""
     names = [child.name for child in iterations[0].children]
     with path.open("w", newline="") as file:
         writer = csv.writer(file)

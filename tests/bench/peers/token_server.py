@@ -47,7 +47,8 @@ class Server:
     def __init__(self, burst: int, paced: int, interval_s: float, stamps: Path) -> None:
         self.interval_s = interval_s
         self.stamps = stamps
-        self.answers = {}
+        # By model: the encoded tokens, and the encoded end of the stream.
+        self.answers: dict[str, tuple[list[bytes], bytes]] = {}
         for model, count in zip(MODELS, (burst, paced, 1), strict=True):
             texts = ["x" * WHOLE_BYTES] if model == "whole" else [f" t{number:04}" for number in range(count)]
             usage = {"prompt_tokens": 8, "completion_tokens": len(texts), "total_tokens": 8 + len(texts)}
