@@ -33,6 +33,7 @@ export async function open(browser, base, path, options = {}) {
   page.on("pageerror", (error) => errors.push(String(error)));
   page.on("requestfailed", (request) => {
     // The browser aborts requests in progress, such as a stream or an icon, when its page is left.
+    // Some tests block the live stream on purpose.
     const aborted = request.failure()?.errorText === "net::ERR_ABORTED";
     if (!aborted && !request.url().includes("/api/v1/live")) errors.push(`${request.url()}: ${request.failure()?.errorText}`);
   });

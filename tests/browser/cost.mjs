@@ -1,5 +1,6 @@
 // Measures the processor time of the overview in a browser. Usage: node cost.mjs URL SECONDS
-// Prints shares of a core as JSON, by the browser's counters of the page's main thread, in processor time and in elapsed time.
+// Prints as JSON the share of the time in which the page's main thread worked, by the browser's
+// counters: once in processor time (`processor`), once in elapsed time (`passed`).
 // PROFILE=FILE writes a profile of the scripts, which the developer tools can open.
 import { writeFileSync } from "node:fs";
 import { waitForCharts, launch, waitForUpdate, open } from "./browser.mjs";

@@ -22,16 +22,16 @@ async function waitForRun() {
   }
 }
 
-// Returns the newest runs with figures, one of each pipeline of the demo. At least two are needed.
-export async function latest() {
+// Returns the numbers of the newest run with figures of each of two pipelines of the demo.
+export async function newestRunNumbers() {
   const { runs } = await (await fetch(`${base}/api/v1/runs`)).json();
   const measured = runs.filter((run, at) => run.total && !run.experiment && runs.findIndex((one) => one.pipeline === run.pipeline) === at);
-  assert.ok(measured.length > 1, "two pipelines have measured something");
+  assert.ok(measured.length > 1, "fewer than two pipelines have a run with figures");
   return measured.slice(0, 2).map((run) => run.number);
 }
 
-// The experiment that run.sh executes.
-async function tasks() {
+// Returns the id of the experiment that run.sh executes.
+async function experimentId() {
   const { experiments } = await (await fetch(`${base}/api/v1/experiments`)).json();
   const experiment = experiments.find((one) => one.name === "tasks");
   assert.ok(experiment, `no run of an experiment "tasks" is stored by ${base}`);
@@ -55,8 +55,8 @@ before(async () => {
     hosts: "/hosts",
     host: `/hosts/${run.host}`,
     incidents: "/incidents",
-    compare: `/compare?runs=${(await latest()).join(",")}`,
-    experiment: `/compare?experiment=${await tasks()}`,
+    compare: `/compare?runs=${(await newestRunNumbers()).join(",")}`,
+    experiment: `/compare?experiment=${await experimentId()}`,
     compareEmpty: "/compare",
   };
 });

@@ -91,8 +91,8 @@ describe("titles and print", () => {
       await page.evaluate(() => dispatchEvent(new Event("beforeprint")));
       assert.notEqual(await ink(), dark);
       assert.equal(await page.locator(".top").isVisible(), false);
-      const wider = await page.evaluate(() => Array.from(document.querySelectorAll("canvas"), (one) => one.getBoundingClientRect().right - one.closest(".panel").getBoundingClientRect().right));
-      assert.ok(wider.every((over) => over <= 0), `${path}: charts leave their panels by ${wider} px`);
+      const overhangs = await page.evaluate(() => Array.from(document.querySelectorAll("canvas"), (one) => one.getBoundingClientRect().right - one.closest(".panel").getBoundingClientRect().right));
+      assert.ok(overhangs.every((one) => one <= 0), `${path}: charts leave their panels by ${overhangs} px`);
       const clipped = await page.evaluate(() => Array.from(document.querySelectorAll(".scroll"), (one) => getComputedStyle(one).overflowX).filter((how) => how !== "visible"));
       assert.deepEqual(clipped, [], path);
       await page.evaluate(() => dispatchEvent(new Event("afterprint")));

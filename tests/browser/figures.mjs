@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { describe, test } from "node:test";
 import { openWithData, waitForCharts, waitForUpdate, open } from "./browser.mjs";
-import { base, browser, latest, pages } from "./dashboard.mjs";
+import { base, browser, newestRunNumbers, pages } from "./dashboard.mjs";
 
 describe("navigation", () => {
   test("figures are updated, a run and its slowest iteration open", async () => {
@@ -80,8 +80,10 @@ describe("charts of few data", () => {
     assert.deepEqual(of("strip 0").map(({ value, symbol }) => [value, symbol]), [[3, "circle"]]);
   });
 
-  // Ten minutes at 2 Hz with one iteration of 1.4 s. A minute has 120 iterations, and a shorter bucket has too few for
-  // a percentile. The ten minutes end after the data of all other charts, so that they determine the time range.
+  // Ten minutes at 2 Hz with one iteration of 1.4 s, so that the mean of its second is 705 ms. A
+  // minute has 120 iterations, and a shorter bucket has too few for a percentile. The fourth minute
+  // has no percentile. The ten minutes end after the data of all other charts, so that they
+  // determine the time range.
   const slow = (chart) => {
     const from = (Math.floor(chart.from / 60) + 1) * 60, seconds = Array.from({ length: 600 }, (_, at) => at);
     const total = seconds.map((at) => (at === 333 ? 705 : 10)), points = [0, 60, 120, 240, 300, 360, 420, 480, 540].map((at) => [from + at, 11]);
@@ -98,6 +100,8 @@ describe("charts of few data", () => {
     const { p95 } = drawings[0], values = p95.map(({ value }) => value);
     assert.equal(Math.max(...values), 11, "no mean of percentiles of fewer iterations");
     assert.equal(values.filter((value) => value == null).length, 1, "the line stops where a bucket has no percentile");
+    // Each of the nine percentiles is drawn from the start to the end of its minute, and the gap is
+    // one more point.
     assert.deepEqual([p95[1].at - p95[0].at, values.length], [60e3, 19]);
   });
 
@@ -128,12 +132,12 @@ describe("trust and comparison of runs", () => {
   test("selected runs are compared, with and without script", async () => {
     for (const script of [true, false]) {
       const { page, errors, close } = await open(browser, base, "/runs", { script });
-      const numbers = await latest();
+      const numbers = await newestRunNumbers();
       for (const number of numbers) await page.locator(`input[name=runs][value="${number}"]`).check();
       await page.getByRole("button", { name: "Compare chosen" }).click();
       await page.waitForURL("**/compare?runs=*");
       assert.equal(await page.locator(".compare tbody tr").count(), numbers.length);
-      assert.equal(await page.locator(".bars svg.stages[role=img]").count() >= numbers.length, true);
+      assert.ok((await page.locator(".bars svg.stages[role=img]").count()) >= numbers.length);
       assert.match(await page.locator("h1").innerText(), /smallest mean|smaller mean|less than|do not differ/);
       await page.locator(".compare tbody a").first().click();
       await page.waitForURL("**/runs/*");

@@ -19,12 +19,13 @@ describe("charts", () => {
     return { wanted, found: rects.map(({ x, width }) => [x, width]), cut };
   }));
 
-  // Shifts the data so that the label of a minute touches the right edge.
+  // Shifts the data so that the label of a minute touches the right edge: the data then ends 8 s
+  // after this minute.
   function shiftLabelToEdge(data) {
-    const end = Math.max(...data.charts.map((chart) => chart.from + chart.n.length)), more = 240 - (end % 120) + 8;
+    const end = Math.max(...data.charts.map((chart) => chart.from + chart.n.length)), shift = 240 - (end % 120) + 8;
     for (const chart of data.charts) {
-      chart.from += more;
-      for (const list of [chart.cpu, chart.gpu]) list.forEach((point) => { point[0] += more; });
+      chart.from += shift;
+      for (const list of [chart.cpu, chart.gpu]) list.forEach((point) => { point[0] += shift; });
     }
   }
 
@@ -39,6 +40,7 @@ describe("charts", () => {
           assert.deepEqual(found, wanted, path);
           assert.deepEqual(cut, [], `${path}: labels that are cut off`);
         }
+        // The live stream is blocked, which the browser reports.
         assert.deepEqual(errors.filter((one) => !one.includes("live") && !one.includes("ERR_FAILED")), [], path);
         await close();
       }
@@ -72,7 +74,8 @@ describe("charts", () => {
 });
 
 describe("small screens", () => {
-  // Returns the illegible figures of a page: cut off, outside of it, or overlapping.
+  // Returns the illegible figures of a page: cut off, outside of the page, overlapping, or in a bar
+  // of stages wider than their stage or crossed by a whisker.
   const unreadable = (page) => page.evaluate(() => {
     const found = [], texts = [];
     const isCutting = (style) => [style.overflowX, style.overflowY].some((how) => how === "hidden" || how === "clip");
@@ -87,6 +90,7 @@ describe("small screens", () => {
         for (let one = node.parentElement; one.id !== "main"; one = one.parentElement) {
           const style = getComputedStyle(one), edge = one.getBoundingClientRect();
           const isOut = box.left < edge.left - 1 || box.right > edge.right + 1 || box.top < edge.top - 3 || box.bottom > edge.bottom + 3;
+          // The reader can scroll to a text that is outside of a scrollable element.
           if (isOut && ["auto", "scroll"].includes(style.overflowX)) isSeen = false;
           else if (isOut && isCutting(style) && style.display !== "inline") found.push(`${node.data.trim()}: cut off`);
         }
@@ -107,6 +111,7 @@ describe("small screens", () => {
       const stages = Array.from(text.parentElement.querySelectorAll("rect"), (rect) => rect.getBoundingClientRect());
       const outer = stages.find(({ left, right }) => left <= middle && middle <= right);
       if (inner.width > 0 && !(inner.left >= outer?.left && inner.right <= outer?.right)) found.push(`${text.textContent}: wider than its stage`);
+      // The whisker of the total is at half the height of a bar, as the labels are.
       for (const line of text.parentElement.querySelectorAll(".whisk2[y1='50%']")) {
         const over = line.getBoundingClientRect();
         if (inner.width > 0 && Math.min(inner.right, over.right) > Math.max(inner.left, over.left)) found.push(`${text.textContent}: crossed out`);

@@ -1,4 +1,5 @@
-// The dashboard's script writes numbers as the programs do: it is held to the cases that the crate `statistics` is held to.
+// Checks that the dashboard's script writes numbers as the programs do, with the test cases of the
+// crate `statistics`.
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { runInNewContext } from "node:vm";

@@ -1,4 +1,5 @@
-// Many tabs of one browser: hidden ones must hold no connection, because a browser has six for each server.
+// Many tabs of one browser: hidden tabs must hold no connection, because a browser opens at most six
+// to a server.
 import assert from "node:assert/strict";
 import { describe, test } from "node:test";
 import { waitForUpdate } from "./browser.mjs";
@@ -11,14 +12,14 @@ function simulateVisibility() {
   let hidden = false;
   Object.defineProperty(Document.prototype, "hidden", { get: () => hidden });
   Object.defineProperty(Document.prototype, "visibilityState", { get: () => (hidden ? "hidden" : "visible") });
-  globalThis.setHidden = (is) => {
-    hidden = is;
+  globalThis.setHidden = (isHidden) => {
+    hidden = isHidden;
     document.dispatchEvent(new Event("visibilitychange"));
   };
   globalThis.streams = [];
   globalThis.EventSource = class extends EventSource {
-    constructor(...given) {
-      super(...given);
+    constructor(...args) {
+      super(...args);
       globalThis.streams.push(this);
     }
   };
@@ -29,7 +30,7 @@ function simulateVisibility() {
     if (seconds.length) globalThis.seen.push([seconds[0].at, seconds[seconds.length - 1].at]);
   });
 }
-const open = (page) => page.evaluate(() => globalThis.streams.filter((one) => one.readyState !== EventSource.CLOSED).length);
+const openStreams = (page) => page.evaluate(() => globalThis.streams.filter((one) => one.readyState !== EventSource.CLOSED).length);
 const hide = (page) => page.evaluate(() => globalThis.setHidden(true));
 const show = (page) => page.evaluate(() => { globalThis.seen = []; globalThis.setHidden(false); });
 
@@ -42,11 +43,11 @@ describe("many tabs", () => {
       const page = await context.newPage();
       await page.goto("/", { timeout: 10000 });
       await waitForUpdate(page, "#part-now");
-      assert.equal(await open(page), 1, `tab ${count + 1} is live`);
+      assert.equal(await openStreams(page), 1, `tab ${count + 1} is live`);
       tabs.push(page);
       if (count < TABS - 1) await hide(page);
     }
-    assert.deepEqual(await Promise.all(tabs.map(open)), [...Array(TABS - 1).fill(0), 1]);
+    assert.deepEqual(await Promise.all(tabs.map(openStreams)), [...Array(TABS - 1).fill(0), 1]);
 
     const [first] = tabs, last = tabs[TABS - 1];
     const until = await first.evaluate(() => globalThis.seen.at(-1)[1]);
@@ -58,7 +59,7 @@ describe("many tabs", () => {
     const [from, to] = await first.evaluate(() => globalThis.seen[0]);
     assert.ok(from <= until + 1 && to > until + 8, `had ${until}, got ${from} to ${to}`);
     await waitForUpdate(first, "#part-now");
-    assert.deepEqual([await open(first), await open(last)], [1, 0]);
+    assert.deepEqual([await openStreams(first), await openStreams(last)], [1, 0]);
     assert.equal(await first.locator("#banner").isVisible(), false);
     await context.close();
   });

@@ -85,8 +85,8 @@ def check_latencies(observer, relays):
     """Waits until the medians of the pipelines `hop0`, `hop1`, … agree with those that the nodes print."""
 
     def medians(index):
-        """Returns the reported and the real median of a hop; None while there are too few messages."""
-        # A node prints `median SECONDS`.
+        """Returns the reported and the real median of a hop, seconds; None with too few messages."""
+        # A node prints `median SECONDS` after each WINDOW messages.
         printed = relays[index].newest("median")
         totals = [one["total"] for one in observer.answered_iterations(f"hop{index}")]
         if printed is None or len(totals) < WINDOW:

@@ -101,7 +101,7 @@ def main():
                 agent.stop()
             for where in ["local", "cloud"]:
                 [file] = glob.glob(os.path.join(results, "runs", f"*{where}*", "data.csv"))
-                check_rows(file, where == "cloud")
+                check_rows(file, is_remote=where == "cloud")
             server.finish()
     print("llama.cpp's server: all checks passed")
 

@@ -91,12 +91,12 @@ def check_garbage_disturbs_no_other_session(context, address):
     session = Session(context, address, "echo")
     # The byte 0x81 begins a map of one entry in MessagePack. The entry is missing.
     for garbage in [[b"garbage"], [b""], [b"\x81", b"x"], [os.urandom(1000)] * 3]:
-        stranger = context.socket(zmq.DEALER)
-        stranger.connect(address)
-        stranger.send_multipart(garbage)
+        misbehaving_peer = context.socket(zmq.DEALER)
+        misbehaving_peer.connect(address)
+        misbehaving_peer.send_multipart(garbage)
         session.request([b"unharmed"])
         assert session.answer()[1] == [b"unharmed"]
-        stranger.close(linger=1000)
+        misbehaving_peer.close(linger=1000)
     session.close()
 
 

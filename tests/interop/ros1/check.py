@@ -173,7 +173,7 @@ def check_connections_have_nodelay():
             assert options and all(options), options
 
 
-def check_own_address_is_found_without_variables():
+def check_own_address_is_found_without_ros_ip():
     environment = {name: value for name, value in os.environ.items() if name != "ROS_IP"}
     environment["ROS_MASTER_URI"] = f"http://localhost:{master.port}"
     with Process(OURS, "latch", "talker", "/text", "found", environment=environment) as talker:
@@ -182,7 +182,7 @@ def check_own_address_is_found_without_variables():
         talker.finish()
 
 
-def check_no_master_is_named():
+def check_error_names_unreachable_master():
     environment = dict(os.environ, ROS_MASTER_URI="http://127.0.0.1:9")
     done = subprocess.run([OURS, "state", "lonely", "/t"], env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
     expected = "no ROS master answers at http://127.0.0.1:9: Connection refused (os error 111)"
@@ -190,7 +190,7 @@ def check_no_master_is_named():
 
 
 def measure():
-    """Round trips over two topics, one message at a time."""
+    """Prints round trips over two topics, one message at a time, and the rates over one topic."""
     print(f"\n{'round trips':24}{'bytes':>10}{'median us':>11}{'p99 us':>9}{'per s':>8}")
     for title, pinger, echoer in [("ours, rospy echoes", ours, rospy), ("rospy, rospy echoes", rospy, rospy),
                                   ("ours, ours echoes", ours, ours)]:
@@ -201,7 +201,6 @@ def measure():
                     figures = re.search(r"median (\d+) p99 (\d+) rate (\d+)", ping.wait_for("median"))
                     ping.finish()
                 print(f"{title:24}{length:>10}{figures[1]:>11}{figures[2]:>9}{figures[3]:>8}")
-
 
     print(f"\n{'one way':24}{'bytes':>10}{'per s':>11}")
     for title, source, sink in [("ours to rospy", ours, rospy), ("rospy to ours", rospy, ours),

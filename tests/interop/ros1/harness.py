@@ -32,8 +32,9 @@ class Master:
             return False
 
     def publishers(self, topic):
-        state = xmlrpc.client.ServerProxy(self.uri).getSystemState("/check")[2]
-        return dict(map(tuple, [(name, sorted(nodes)) for name, nodes in state[0]])).get(topic, [])
+        """Returns the names of the nodes that publish a topic, sorted."""
+        publishers, _subscribers, _services = xmlrpc.client.ServerProxy(self.uri).getSystemState("/check")[2]
+        return {name: sorted(nodes) for name, nodes in publishers}.get(topic, [])
 
     def kill(self):
         self.process.send_signal(signal.SIGKILL)
