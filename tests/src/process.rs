@@ -41,9 +41,19 @@ pub struct ProcessEnd {
 
 #[derive(Debug, Default)]
 struct Log {
-    /// Written lines, and the number of readers that have ended.
-    lines: Mutex<(Vec<String>, usize)>,
+    written: Mutex<WrittenText>,
     changed: Condvar,
+}
+
+/// Everything that a program has written so far.
+#[derive(Debug, Default)]
+struct WrittenText {
+    /// Lines that ended with a line feed, which is removed.
+    lines: Vec<String>,
+    /// Ends of outputs that were closed without a line feed. They may be truncated lines.
+    unterminated: Vec<String>,
+    /// Number of readers that have ended.
+    ended_readers: usize,
 }
 
 impl Process {
@@ -83,9 +93,10 @@ impl Process {
         self.child.id()
     }
 
-    /// Returns everything that was written so far.
+    /// Returns everything that was written so far. The text ends with a line feed unless the last line
+    /// is incomplete.
     pub fn log(&self) -> String {
-        self.log.lines.lock().expect("no reader panics").0.join("\n")
+        self.log.written.lock().expect("no reader panics").text()
     }
 
     /// Waits until a line contains `text`, and returns that line.
@@ -101,16 +112,15 @@ impl Process {
     /// # Panics
     /// If the program ends or [`TEST_TIMEOUT`] passes before.
     pub fn wait_for_nth(&self, text: &str, n: usize) -> String {
-        let guard = self.log.lines.lock().expect("no reader panics");
+        let guard = self.log.written.lock().expect("no reader panics");
         let (guard, _) = self
             .log
             .changed
-            .wait_timeout_while(guard, TEST_TIMEOUT, |(lines, ended_readers)| {
-                lines.iter().filter(|line| line.contains(text)).count() < n
-                    && *ended_readers < self.readers.len()
+            .wait_timeout_while(guard, TEST_TIMEOUT, |written| {
+                written.lines_with(text).count() < n && written.ended_readers < self.readers.len()
             })
             .expect("no reader panics");
-        let line = guard.0.iter().filter(|line| line.contains(text)).nth(n - 1).cloned();
+        let line = guard.lines_with(text).nth(n - 1).cloned();
         // The lock is released before the panic, because a poisoned lock would abort the tests while another panic
         // unwinds.
         drop(guard);
@@ -124,16 +134,16 @@ impl Process {
     /// # Panics
     /// If [`TEST_TIMEOUT`] passes before.
     pub fn logs_before_end(&self, text: &str) -> bool {
-        let is_logged = |lines: &[String]| lines.iter().any(|line| line.contains(text));
-        let guard = self.log.lines.lock().expect("no reader panics");
+        let is_logged = |written: &WrittenText| written.lines_with(text).next().is_some();
+        let guard = self.log.written.lock().expect("no reader panics");
         let (guard, timeout) = self
             .log
             .changed
-            .wait_timeout_while(guard, TEST_TIMEOUT, |(lines, ended_readers)| {
-                !is_logged(lines) && *ended_readers < self.readers.len()
+            .wait_timeout_while(guard, TEST_TIMEOUT, |written| {
+                !is_logged(written) && written.ended_readers < self.readers.len()
             })
             .expect("no reader panics");
-        let logs_before_end = is_logged(&guard.0);
+        let logs_before_end = is_logged(&guard);
         drop(guard);
         assert!(
             !timeout.timed_out(),
@@ -183,11 +193,11 @@ impl Process {
     /// # Panics
     /// If the program does not end within [`TEST_TIMEOUT`].
     pub fn wait(&mut self) -> ProcessEnd {
-        let guard = self.log.lines.lock().expect("no reader panics");
+        let guard = self.log.written.lock().expect("no reader panics");
         let (guard, timeout) = self
             .log
             .changed
-            .wait_timeout_while(guard, TEST_TIMEOUT, |(_, ended_readers)| *ended_readers < self.readers.len())
+            .wait_timeout_while(guard, TEST_TIMEOUT, |written| written.ended_readers < self.readers.len())
             .expect("no reader panics");
         drop(guard);
         assert!(!timeout.timed_out(), "{} does not end; its log:\n{}", self.name, self.log());
@@ -204,13 +214,37 @@ impl Process {
 impl Log {
     fn read_lines(self: Arc<Self>, pipe: impl Read + Send + 'static) -> JoinHandle<()> {
         std::thread::spawn(move || {
-            for line in BufReader::new(pipe).lines().map_while(Result::ok) {
-                self.lines.lock().expect("no reader panics").0.push(line);
+            let mut pipe = BufReader::new(pipe);
+            let mut line = Vec::new();
+            while pipe.read_until(b'\n', &mut line).is_ok_and(|length| length > 0) {
+                self.written.lock().expect("no reader panics").push(&String::from_utf8_lossy(&line));
                 self.changed.notify_all();
+                line.clear();
             }
-            self.lines.lock().expect("no reader panics").1 += 1;
+            self.written.lock().expect("no reader panics").ended_readers += 1;
             self.changed.notify_all();
         })
+    }
+}
+
+impl WrittenText {
+    /// Adds a line with its line feed, or the end of an output that was closed without one.
+    fn push(&mut self, line: &str) {
+        match line.strip_suffix('\n') {
+            Some(line) => self.lines.push(line.trim_end_matches('\r').to_owned()),
+            None => self.unterminated.push(line.to_owned()),
+        }
+    }
+
+    /// Returns the lines that contain `text`, including incomplete lines.
+    fn lines_with(&self, text: &str) -> impl Iterator<Item = &String> {
+        self.lines.iter().chain(&self.unterminated).filter(move |line| line.contains(text))
+    }
+
+    /// Returns all lines, each with a line feed, and then the incomplete lines without one.
+    fn text(&self) -> String {
+        let lines: String = self.lines.iter().flat_map(|line| [line.as_str(), "\n"]).collect();
+        lines + &self.unterminated.join(" ")
     }
 }
 
@@ -239,8 +273,8 @@ impl ProcessEnd {
     }
 }
 
-/// Calls `condition` until it returns a value, and returns that value. It is for state that can only be polled, such as a REST
-/// resource.
+/// Calls `condition` until it returns a value, and returns that value. This function is for state
+/// that can only be polled, such as a REST resource.
 ///
 /// # Panics
 /// If [`TEST_TIMEOUT`] passes before.
@@ -270,5 +304,26 @@ pub fn wait_until_grown(description: &str, minimum: u64, mut read_number: impl F
     while previous < Some(minimum) {
         let description = format!("{description}: more than {} of {minimum}", previous.unwrap_or(0));
         previous = Some(wait_until(&description, || read_number().filter(|number| Some(*number) > previous)));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn log_of(script: &str) -> String {
+        Process::start(Path::new("sh"), &["-c", script], Path::new("/"), &[]).wait_for_end().log
+    }
+
+    #[test]
+    fn log_ends_with_line_feed_unless_truncated() {
+        assert_eq!(log_of(r"printf 'a\nb\n'"), "a\nb\n");
+        assert_eq!(log_of(r"printf 'a\nb'"), "a\nb");
+        assert_eq!(log_of("true"), "");
+    }
+
+    #[test]
+    fn lines_after_invalid_utf8_are_read() {
+        assert_eq!(log_of(r"printf 'a\n\377\nb\n'"), "a\n\u{fffd}\nb\n");
     }
 }

@@ -72,9 +72,10 @@ mod tests {
     }
 
     #[test]
-    fn truncated_last_line_is_ignored() {
+    fn last_line_counts_only_with_line_feed() {
         let log = format!("{}\n{}\n{}", line("90"), line("90"), line("9"));
         assert_eq!(SpooledIterations::parse_log(&log).len(), 2);
         assert_eq!(SpooledIterations::parse_log(&line("90")), []);
+        assert_eq!(SpooledIterations::parse_log(&format!("{}\n", line("90"))).len(), 1);
     }
 }

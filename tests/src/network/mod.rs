@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 use command::{ip, try_run};
 use slot::Slot;
 
-use crate::wait_until;
+use crate::{TEST_TIMEOUT, wait_until};
 
 /// Name of the interface on the measured path, on edge and cloud.
 pub const DATA_INTERFACE: &str = "data";
@@ -160,10 +160,13 @@ impl Network {
     /// Changes delay and jitter of a wire. The loss is not changed, and packets on their way keep their delay.
     ///
     /// # Panics
-    /// If this is not a [`wire`](Self::wire), or if it does not answer.
+    /// If this is not a [`wire`](Self::wire), or if it does not confirm the change.
     pub fn set_delays(&self, up: WireProperties, down: WireProperties) {
         let commands = self.wire.as_ref().expect("a wire");
         let mut stream = wait_until("the wire", || UnixStream::connect(commands).ok());
+        // Without a timeout, the loop below would wait forever after an answer with another code than
+        // 1000.
+        stream.set_read_timeout(Some(TEST_TIMEOUT)).expect("the timeout is not zero");
         for delay in [up.delay_argument("LR"), down.delay_argument("RL")] {
             // This is one write, because the wire takes the result of one `read` as a whole command.
             stream.write_all(format!("delay {delay}\n").as_bytes()).expect("the wire listens");

@@ -58,10 +58,13 @@ pub fn iterations(database: &Path) -> Vec<Iteration> {
     let text = query_database(database, DELAYS);
     let rows: Vec<(u64, u64, &str, Delay)> =
         text.lines().map(|line| parse_row(line).expect("twelve columns")).collect();
-    // Of an iteration's rows, `upload` precedes `download`, because the query sorts names in descending order.
+    // Of an iteration's rows, `upload` precedes `download`, because the query sorts names in descending
+    // order. An iteration that lacks one of them is left out.
     let pairs = rows.windows(2).filter_map(|pair| {
-        let [(run, number, "upload", up), (_, next_number, "download", down)] = pair else { return None };
-        (number == next_number).then(|| Iteration {
+        let [(run, number, "upload", up), (next_run, next_number, "download", down)] = pair else {
+            return None;
+        };
+        ((run, number) == (next_run, next_number)).then(|| Iteration {
             run: *run,
             number: *number,
             up: up.clone(),

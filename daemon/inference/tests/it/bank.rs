@@ -2,6 +2,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
+use peernet_clock::Span;
 use peernet_inference::Job;
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::{Description, Sample};
@@ -38,7 +39,7 @@ fn model_is_loaded_once_and_shared() {
     });
     assert!(pools.iter().all(|pool| Arc::ptr_eq(pool, &pools[0])));
     assert_eq!(loads.load(Ordering::SeqCst), 1);
-    assert!(pools[0].load_duration() > peernet_clock::Span::ZERO);
+    assert!(pools[0].load_duration() > Span::ZERO);
     assert!(bank.load(&slug("qc"), Some("cpu")).is_ok());
 }
 
@@ -71,12 +72,14 @@ fn shutdown_does_not_wait_for_long_computation() {
         loaded(&bank, name);
     }
     let long = loaded(&bank, "long");
-    let recorder = Recorder::new(clock(), HostId::random());
-    let received_at = recorder.clock().mono();
+    let clock = clock();
+    let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
+    let received_at = clock.mono();
     let reply = Box::new(|_| ());
     long.submit(Job::for_whole_answer(bytes(1), recorder, received_at, reply)).expect("the queue has room");
     // After this loop, the thread has taken the request from the queue and computes.
     while long.waiting_samples() > 0 {
+        assert!(clock.mono() - received_at < Span::from_seconds(60), "no thread took the request");
         std::thread::yield_now();
     }
     let still_computing = bank.shutdown_within(Duration::from_millis(300));

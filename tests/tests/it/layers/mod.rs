@@ -4,7 +4,7 @@
 mod cycles;
 pub(crate) mod modules;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, TargetKind};
 
@@ -27,6 +27,9 @@ const LAYERS: [&[&str]; 8] = [
     &["peernetd"],
 ];
 
+/// Crates without a layer: only tests use them.
+const CRATES_WITHOUT_LAYER: [&str; 2] = ["peernet-tests", "peernet-test-ports"];
+
 fn metadata() -> Metadata {
     MetadataCommand::new()
         .manifest_path(peernet_tests::root().join("Cargo.toml"))
@@ -46,8 +49,7 @@ fn every_crate_depends_on_lower_layers_only() {
     let mut problems = Vec::new();
     for package in metadata().workspace_packages() {
         let name = package.name.as_str();
-        // Crates that only tests use have no layer.
-        if ["peernet-tests", "peernet-test-ports"].contains(&name) {
+        if CRATES_WITHOUT_LAYER.contains(&name) {
             continue;
         }
         let Some(layer) = layer_of.get(name) else {
@@ -66,6 +68,18 @@ fn every_crate_depends_on_lower_layers_only() {
         }
     }
     assert!(problems.is_empty(), "{}", problems.join("\n"));
+}
+
+#[test]
+fn layers_name_each_existing_crate_once() {
+    let metadata = metadata();
+    let packages: BTreeSet<&str> =
+        metadata.workspace_packages().into_iter().map(|package| package.name.as_str()).collect();
+    let mut names = BTreeSet::new();
+    for name in LAYERS.iter().copied().flatten().chain(&CRATES_WITHOUT_LAYER) {
+        assert!(packages.contains(name), "the workspace has no crate {name}");
+        assert!(names.insert(name), "{name} is named twice");
+    }
 }
 
 #[test]

@@ -29,12 +29,16 @@ fn assert_agent_lost_nothing(mut fleet: Fleet) -> u64 {
     assert_nothing_lost(&fleet, &stored_events)
 }
 
-/// Returns the sum of a counter over all its labels, by the beginning of its name.
+/// Returns the sum of a counter over all its labels, by the beginning of its name; 0 if there is no
+/// such counter.
 fn counter(fleet: &Fleet, name: &str) -> u64 {
     let (status, text) = fleet.api.get("/metrics").expect("the aggregator answers");
     assert_eq!(status, 200, "{text}");
     let lines = text.lines().filter(|line| line.starts_with(name));
-    let values = lines.filter_map(|line| line.rsplit_once(' ')?.1.parse::<f64>().ok());
+    let values = lines.map(|line| {
+        let value = line.rsplit_once(' ').and_then(|(_, value)| value.parse::<f64>().ok());
+        value.unwrap_or_else(|| panic!("{line:?} does not end with a value"))
+    });
     values.sum::<f64>() as u64
 }
 
