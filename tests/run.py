@@ -142,10 +142,10 @@ def main() -> int:
     if "--lint" not in sys.argv[1:]:
         return run_all(programs, cores, filters)
     with linting() as lints:
-        failed = run_all(programs, cores, filters)
+        status = run_all(programs, cores, filters)
     if lints.returncode:
         print("failed: the lints", file=sys.stderr)
-    return failed or lints.returncode
+    return status or lints.returncode
 
 
 def run_all(programs: list[Program], cores: int, filters: list[str]) -> int:

@@ -41,6 +41,7 @@ def publish(topic, count, length, subscribers=1):
         rospy.sleep(0.01)
     for number in range(int(count)):
         publisher.publish(picture(number, int(length)))
+    # The node runs until the test closes its standard input.
     sys.stdin.read()
 
 
@@ -93,15 +94,18 @@ def echo(source, target):
 
 
 def ping(out, back, count, length):
-    """Round trips, one at a time: prints the median and the 99th percentile in microseconds."""
+    """Makes round trips, one at a time.
+
+    Prints the median and the 99th percentile in microseconds, and the number of round trips per second.
+    """
     arrived = queue.Queue()
     subscriber = rospy.Subscriber(back, CompressedImage, arrived.put, buff_size=BUFFER_BYTES, tcp_nodelay=True)
     publisher = rospy.Publisher(out, CompressedImage, queue_size=1000, tcp_nodelay=True)
     while publisher.get_num_connections() == 0 or subscriber.get_num_connections() == 0:
         rospy.sleep(0.01)
     message = picture(0, int(length))
-    # A rospy node may count as connected before it sends. The message is repeated until an answer arrives, and then the remaining
-    # answers are awaited.
+    # A rospy node may count as connected before it sends. The message is therefore repeated until an
+    # answer arrives. Then the answers to the repetitions are received, until none arrives for 0.3 s.
     answers = 0
     while True:
         if not answers:

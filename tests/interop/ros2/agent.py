@@ -54,6 +54,7 @@ def main():
                 receiver.finish()
             print(f"ok      {PICTURES} pictures of {PICTURE_BYTES} bytes of Cyclone DDS passed sensor and actuator")
             with Process(*CYCLONE, "offer", "/sketchy", "image", 10_000, 1000):
+                # `has_error` searches the log, because an agent logs to standard error.
                 wait_until(lambda: agent.has_error("bytes=1000"), "best-effort pictures reach a best-effort sensor")
                 wait_until(lambda: agent.has_error(REFUSED), "the log names the QoS policy")
             print("ok      a reliable sensor names the QoS policy of a best-effort publisher, and a best-effort sensor accepts it")

@@ -3,7 +3,7 @@
 cyclonedds_peer.py publish|receive TOPIC string|image|bytes COUNT BYTES
 cyclonedds_peer.py ping|pong TOPIC string|image|bytes COUNT BYTES      round trips; `ping` prints their quantiles
 cyclonedds_peer.py offer TOPIC string|image|bytes COUNT BYTES    publishes ten times a second, best-effort
-cyclonedds_peer.py nodes NAME                                    waits until the node list has NAME with an endpoint
+cyclonedds_peer.py nodes NAME                                    waits until the node list has NAME with a publisher
 """
 
 import sys
@@ -145,27 +145,32 @@ class Outgoing:
 def publish(participant, topic, kind, count, size):
     outgoing = Outgoing(participant, topic, TYPES[kind])
     outgoing.wait_for_subscription()
-    # Perhaps the subscription has not discovered this publisher yet; it would miss earlier messages.
+    # The subscription may not have discovered this publisher yet, and would miss messages until then.
     time.sleep(1)
     for number in range(count):
         outgoing.writer.write(message(kind, size, number))
     if not outgoing.writer.wait_for_acks(duration(seconds=TIMEOUT_S)):
         raise SystemExit("cyclonedds: some messages were not acknowledged in time")
-    # rustdds drops what was not read before its publisher leaves.
+    # A rustdds subscription drops messages that are unread when their publisher leaves.
     time.sleep(1)
     print("published and acknowledged:", count)
 
 
-def difference(kind, size, count, sample):
-    """Says which published message a sample is, or where it differs from the one with its stamp."""
+def difference(kind, size, count, sample, number):
+    """Says which published message a sample is, or where its data differ from the message with its stamp.
+
+    Byte arrays have no stamp. Their data are compared with message `number`.
+    """
     same = [other for other in range(count) if is_same(kind, sample, message(kind, size, other))]
     if same:
         return f"is message {same[0]}"
     if kind == "string":
         return f"is no published message: {sample.data[:60]!r}, {len(sample.data)} bytes"
-    data, expected = bytes(sample.data), bytes(message(kind, size, sample.header.stamp.sec).data)
+    other = sample.header.stamp.sec if kind == "image" else number
+    data, expected = bytes(sample.data), bytes(message(kind, size, other).data)
     places = [index for index in range(min(len(data), len(expected))) if data[index] != expected[index]]
-    return f"has stamp {sample.header.stamp.sec} and {len(data)} bytes, and differs at {len(places)} of them from byte {places[:1]}"
+    first = f", first at byte {places[0]}" if places else ""
+    return f"has {len(data)} of the {len(expected)} bytes of message {other}, and {len(places)} of them differ{first}"
 
 
 def receive(participant, topic, kind, count, size):
@@ -173,7 +178,7 @@ def receive(participant, topic, kind, count, size):
     for number in range(count):
         sample = incoming.next()
         if not is_same(kind, sample, message(kind, size, number)):
-            raise SystemExit(f"cyclonedds: message {number} {difference(kind, size, count, sample)}")
+            raise SystemExit(f"cyclonedds: message {number} {difference(kind, size, count, sample, number)}")
     print("received unchanged:", count)
 
 

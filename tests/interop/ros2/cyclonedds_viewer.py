@@ -23,7 +23,7 @@ def main():
         assert seen.format == "jpeg", seen.format
         assert bytes(seen.data) == picture, f"{len(seen.data)} bytes, not the {len(picture)} of {file}"
         stamps.append((seen.header.stamp.sec, seen.header.stamp.nanosec))
-    assert stamps == sorted(set(stamps)), "each picture has a later stamp than the one before"
+    assert stamps == sorted(set(stamps)), f"the stamps of the pictures do not increase: {stamps}"
     print(f"saw {len(stamps)} pictures of {len(picture)} bytes", flush=True)
 
 

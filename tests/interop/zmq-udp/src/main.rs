@@ -34,7 +34,8 @@ fn forward(from: &Socket, to: &Socket, change: impl Fn(&mut Vec<u8>)) -> Result<
 
 fn main() -> Result<()> {
     let cloud: SocketAddr = std::env::args().nth(1).context("no address of a cloud")?.parse()?;
-    // The DISH binds the port while this socket holds it, so that the port is never closed.
+    // The DISH binds the same port while this socket still holds it, so that no other process can take
+    // the port.
     let edge_side = socket2::Socket::new(Domain::IPV4, Type::DGRAM, None)?;
     edge_side.set_reuse_address(true)?;
     edge_side.bind(&SocketAddr::from(([127, 0, 0, 1], 0)).into())?;
