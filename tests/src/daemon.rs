@@ -71,7 +71,8 @@ impl Daemon {
         );
     }
 
-    /// Shows the process a wall clock that is `ahead` of the kernel's, from its next start on.
+    /// Shows the process a wall clock that is `ahead` of the kernel's. A process that was started with a
+    /// false clock sees the change within a second. Any other process sees it from its next start on.
     pub fn show_time(&mut self, deployment: &LoopbackDeployment, ahead: Span) {
         match &self.false_time {
             Some(false_time) => false_time.show(ahead),

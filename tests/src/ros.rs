@@ -55,7 +55,7 @@ impl Ros1System {
         [("ROS_MASTER_URI", self.uri()), ("ROS_IP", "127.0.0.1".to_owned())]
     }
 
-    /// Starts a node of `tests/ros/node.rs` and waits until it publishes.
+    /// Starts a node of `tests/ros/node.rs` and waits until the master knows its topics.
     pub fn start_node(&self, arguments: &[&str]) -> Process {
         let environment = self.environment();
         let environment: Vec<(&str, &str)> =

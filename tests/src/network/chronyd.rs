@@ -42,7 +42,7 @@ impl TimeDaemons {
         Self { _hosts: clients, _server: server }
     }
 
-    /// Returns the table of an agent that asks only its host's chronyd.
+    /// Returns the table `[clock]` of an agent that asks only its host's chronyd.
     pub fn table() -> String {
         let chronyc = chrony("chronyc").display().to_string();
         format!(

@@ -118,8 +118,8 @@ impl HostClock {
             RawError::None => vec![shown],
             RawError::Shown(errors) => errors.truths(shown),
             RawError::Faulty(description, since) => {
-                // The formula is that of the wall clock. Times of the free-running clock are converted to times of the
-                // wall clock, and other steps apply.
+                // The formula is that of the wall clock, so times of the free-running clock are
+                // converted to times of the wall clock. Only steps of the free-running clock apply.
                 let steps = description.steps.iter().filter(|step| step.clock == SteppedClock::Raw).copied();
                 let free_running = ClockFaults { steps: steps.collect(), ..description.clone() };
                 let wall_minus_raw = description.since - WallTime::from_unix_nanos(since.nanos());
@@ -150,48 +150,71 @@ fn truths(faults: &ClockFaults, shown: WallTime) -> impl Iterator<Item = WallTim
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Beginning of the faults, by the kernel's wall clock.
+    fn since() -> WallTime {
+        WallTime::from_unix_nanos(1_700_000_000_000_000_000)
+    }
+
+    /// Beginning of the faults, by the kernel's free-running clock.
+    fn raw_since() -> RawTime {
+        RawTime::from_nanos(77_000_000_000)
+    }
+
+    /// Returns an offset of -1 s, a drift of 100 ppm, and a step of the wall clock after 20 s.
+    fn faults(step: Span) -> ClockFaults {
+        let steps = vec![ClockFaultStep::wall_step(Span::from_seconds(20), step)];
+        ClockFaults { offset: Span::from_seconds(-1), drift_ppm: 100.0, steps, since: since() }
+    }
+
     #[test]
     fn inverse_of_clock_fault_returns_true_time() {
-        let since = WallTime::from_unix_nanos(1_700_000_000_000_000_000);
-        let step = ClockFaultStep::wall_step(Span::from_seconds(20), Span::from_seconds(3));
-        let faults =
-            ClockFaults { offset: Span::from_seconds(-1), drift_ppm: 100.0, steps: vec![step], since };
-        let raw_since = RawTime::from_nanos(77_000_000_000);
-        let clock = HostClock::new(faults.clone(), raw_since);
+        let faults = faults(Span::from_seconds(3));
+        let clock = HostClock::new(faults.clone(), raw_since());
         for nanos in [0, 1, 19_999_999_999, 20_000_000_000, 20_000_000_001, 500_000_000_007] {
-            let truth = since + Span::from_nanos(nanos);
+            let truth = since() + Span::from_nanos(nanos);
             let computed = clock.truth(faults.shown_wall(truth));
             assert!((computed - truth).abs() <= Span::from_nanos(1), "{computed:?} {truth:?}");
             assert_eq!(truth + clock.ahead(truth), faults.shown_wall(truth));
         }
-        assert_eq!(HostClock::of_kernel().truth(since), since);
-        let mut faults_set_back = faults.clone();
-        faults_set_back.steps[0].by = Span::from_seconds(-3);
-        let clock_set_back = HostClock::new(faults_set_back.clone(), raw_since);
-        let at = |seconds| since + Span::from_seconds(seconds);
-        assert_eq!(clock_set_back.truths(faults_set_back.shown_wall(at(21))).len(), 2);
-        assert_eq!(clock_set_back.truths(faults_set_back.shown_wall(at(16))), [at(16)]);
+        assert_eq!(HostClock::of_kernel().truth(since()), since());
+    }
+
+    #[test]
+    fn clock_set_back_shows_some_times_twice() {
+        let faults = faults(Span::from_seconds(-3));
+        let clock = HostClock::new(faults.clone(), raw_since());
+        let at = |seconds| since() + Span::from_seconds(seconds);
+        assert_eq!(clock.truths(faults.shown_wall(at(21))).len(), 2);
+        assert_eq!(clock.truths(faults.shown_wall(at(16))), [at(16)]);
+    }
+
+    #[test]
+    fn reported_fault_gives_the_same_clock() {
+        let faults = faults(Span::from_seconds(3));
         let report = serde_json::json!({
             "offset_s": -1.0, "drift_ppm": 100.0, "since": "2023-11-14T22:13:20.000000000Z",
             "steps": [{ "at_s": 20.0, "by_s": 3.0 }],
         });
-        let reported_clock = HostClock::from_report(&report, |_| raw_since).expect("the API's form");
-        let later = since + Span::from_seconds(30);
-        assert_eq!(reported_clock.truth(faults.shown_wall(later)), clock.truth(faults.shown_wall(later)));
-        let mut faults_with_raw_step = faults.clone();
-        faults_with_raw_step.steps[0].clock = SteppedClock::Raw;
-        let truth = raw_since + Span::from_seconds(25);
-        for (description, truth_counts) in [(faults, [1, 1]), (faults_with_raw_step, [1, 0])] {
-            let clock = HostClock::new(description.clone(), raw_since);
-            let shown = description.shown_raw(truth, raw_since);
-            assert!(
-                clock
-                    .raw_truths(shown)
-                    .iter()
-                    .all(|computed| (*computed - truth).abs() <= Span::from_nanos(1))
-            );
-            let skipped = raw_since + Span::from_seconds(20);
-            assert_eq!([shown, skipped].map(|shown| clock.raw_truths(shown).len()), truth_counts);
+        let reported_clock = HostClock::from_report(&report, |_| raw_since()).expect("the API's form");
+        let shown = faults.shown_wall(since() + Span::from_seconds(30));
+        assert_eq!(reported_clock.truth(shown), HostClock::new(faults, raw_since()).truth(shown));
+    }
+
+    #[test]
+    fn only_raw_steps_change_free_running_clock() {
+        let wall_step = faults(Span::from_seconds(3));
+        let mut raw_step = wall_step.clone();
+        raw_step.steps[0].clock = SteppedClock::Raw;
+        let truth = raw_since() + Span::from_seconds(25);
+        // Because of the offset, a step of this clock skips the times from 19 s to 22 s.
+        let in_step = raw_since() + Span::from_seconds(20);
+        for (faults, truths_in_step) in [(wall_step, 1), (raw_step, 0)] {
+            let clock = HostClock::new(faults.clone(), raw_since());
+            let truths = clock.raw_truths(faults.shown_raw(truth, raw_since()));
+            assert_eq!(truths.len(), 1, "{truths:?}");
+            assert!((truths[0] - truth).abs() <= Span::from_nanos(1), "{truths:?}");
+            assert_eq!(clock.raw_truths(in_step).len(), truths_in_step);
         }
     }
 }
