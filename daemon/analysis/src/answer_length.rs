@@ -26,7 +26,9 @@ const MIN_LENGTH_RATIO: f64 = 1.5;
 /// one that counts tokens of the question. If there are several, the first in alphabetical order is returned. If no
 /// quantity counts tokens, `download-bytes` is returned. `names` are the names of columns or of nodes.
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
-    // The node's name comes before the column's name, because the store does not have the names of the node's parents.
+    // The order is that of the nodes, not that of the columns: a column's name begins with the
+    // names of the node's parents, which the store does not have. Files and store thus give the
+    // same length for a run.
     let tokens = names.filter_map(|name| Some((tokens_of_column(name)?, name)));
     let first = tokens.min_by_key(|(node, name)| (counts_question_tokens(node), *node, *name));
     first.map_or(ANSWER_BYTES, |(_, name)| name)
@@ -86,8 +88,8 @@ fn slope_unit(length_name: &str) -> (String, f64) {
 
 /// Minimum number of iterations for a line of latency over length.
 const MIN_ITERATIONS: usize = 60;
-/// Maximum number of iterations that a line is computed from. 1,000 iterations form half a million pairs, and the slope
-/// of each pair is computed.
+/// Maximum number of iterations that a line is computed from. It limits the time: [`theil_sen`]
+/// sorts the points again for each step of several bisections.
 const MAX_ITERATIONS: usize = 1_000;
 /// If the interval of a slope is wider than this share of the slope, the slope is not reported as one number.
 const MAX_RELATIVE_WIDTH: f64 = 0.5;

@@ -129,13 +129,13 @@ fn average_precision(pictures: &[PictureObjects], class: &str, overlaps: &mut Ve
     found_boxes.sort_by(|(.., a), (.., b)| b.total_cmp(a));
     // Indexes of the matched labelled objects of each picture. Each labelled object can be found once. A second box at
     // the place of the object is wrong.
-    let mut matched: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+    let mut matched_by_picture: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
     let mut are_right = Vec::with_capacity(found_boxes.len());
-    for (picture, object, _) in found_boxes {
-        let matched = matched.entry(picture).or_default();
+    for (picture, found, _) in found_boxes {
+        let matched = matched_by_picture.entry(picture).or_default();
         let candidates = pictures[picture].labelled.iter().enumerate();
-        let candidates = candidates.filter(|(index, other)| other.class == class && !matched.contains(index));
-        let overlap = candidates.map(|(index, other)| (index, iou(other.edges, object.edges)));
+        let candidates = candidates.filter(|(index, label)| label.class == class && !matched.contains(index));
+        let overlap = candidates.map(|(index, label)| (index, iou(label.edges, found.edges)));
         let best = overlap.max_by(|(_, a), (_, b)| a.total_cmp(b)).filter(|(_, iou)| *iou >= MATCHING_IOU);
         are_right.push(best.is_some());
         if let Some((index, overlap)) = best {
@@ -245,9 +245,10 @@ mod tests {
 
     #[test]
     fn box_of_wrong_place_or_class_is_not_matched() {
-        for (found, iou) in [(("a", 20.0, 0.9), None), (("b", 0.0, 0.9), None), (("a", 4.0, 0.9), None)] {
+        // The third box overlaps, but by 6/14 only, which is less than `MATCHING_IOU`.
+        for found in [("a", 20.0, 0.9), ("b", 0.0, 0.9), ("a", 4.0, 0.9)] {
             let scores = DetectionScores::of(&[picture(&[("a", 0.0)], &[found])]);
-            assert_eq!((scores.map_50, scores.mean_iou, scores.matched), (0.0, iou, 0), "{found:?}");
+            assert_eq!((scores.map_50, scores.mean_iou, scores.matched), (0.0, None, 0), "{found:?}");
         }
         let near = DetectionScores::of(&[picture(&[("a", 0.0)], &[("a", 2.5, 0.9)])]);
         assert_eq!((near.map_50, near.mean_iou), (1.0, Some(0.6)));

@@ -166,6 +166,6 @@ mod tests {
         let found = Accuracy::by_column(&rows);
         let top = found["top-1"];
         assert_eq!((top.share, top.count, top.unscored, found.len()), (0.5, 2, 5, 1));
-        assert_eq!(Accuracy::from_rows(rows.iter().skip(2), "top-1"), None, "no sample has a label");
+        assert_eq!(Accuracy::from_rows(rows.iter().skip(2), "top-1"), None, "no score is valid");
     }
 }

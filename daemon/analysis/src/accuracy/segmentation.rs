@@ -127,7 +127,7 @@ impl SegmentedPixels {
     }
 
     /// Returns the number of classes that a mask or an answer has.
-    pub fn classes(&self) -> usize {
+    pub fn class_count(&self) -> usize {
         self.0.iter().filter_map(ClassPixels::iou).count()
     }
 }
@@ -154,14 +154,14 @@ mod tests {
         let pixels = SegmentedPixels::of(map(3, &[0, 0, 0, 1, 1, 1]), map(3, &[0, 0, 1, 1, 2, 2]));
         let expected = (2.0 / 3.0 + 1.0 / 4.0 + 0.0) / 3.0;
         assert!((pixels.mean_iou().expect("is scored") - expected).abs() < 1e-12, "{:?}", pixels.mean_iou());
-        assert_eq!(pixels.classes(), 3);
+        assert_eq!(pixels.class_count(), 3);
         assert_eq!(SegmentedPixels::of(map(2, &[4, 9]), map(2, &[4, 9])).mean_iou(), Some(1.0));
     }
 
     #[test]
     fn ignored_pixels_are_not_scored() {
         let ignored = SegmentedPixels::of(map(4, &[255, 1, 1, 255]), map(4, &[0, 1, 1, 2]));
-        assert_eq!((ignored.mean_iou(), ignored.classes()), (Some(1.0), 1));
+        assert_eq!((ignored.mean_iou(), ignored.class_count()), (Some(1.0), 1));
         assert_eq!(SegmentedPixels::of(map(1, &[255]), map(1, &[0])).mean_iou(), None);
     }
 
@@ -170,7 +170,12 @@ mod tests {
         let mask = [0, 0, 1, 1, 0, 0, 1, 1, 2, 2, 3, 3, 2, 2, 3, 3];
         assert_eq!(SegmentedPixels::of(map(4, &mask), map(2, &[0, 1, 2, 3])).mean_iou(), Some(1.0));
         assert_eq!(SegmentedPixels::of(map(2, &[0, 1, 2, 3]), map(4, &mask)).mean_iou(), Some(1.0));
-        assert_eq!(SegmentedPixels::of(map(4, &mask), map(3, &[0, 9, 1, 9, 9, 9, 2, 9, 3])).classes(), 5);
+        // The middle row and column of this answer are class 9. Both middle rows of the mask have
+        // their centres in the middle row of the answer, and the same holds for the columns. One of
+        // the four pixels of each labelled class is therefore right, and no pixel of class 9.
+        let cross = SegmentedPixels::of(map(4, &mask), map(3, &[0, 9, 1, 9, 9, 9, 2, 9, 3]));
+        let expected = (4.0 * (1.0 / 4.0) + 0.0) / 5.0;
+        assert_eq!((cross.class_count(), cross.mean_iou()), (5, Some(expected)));
     }
 
     #[test]

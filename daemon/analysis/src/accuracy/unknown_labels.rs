@@ -6,7 +6,8 @@ use crate::rows::Rows;
 
 /// Name of the column that is 1 for a sample whose label is not a class of the model.
 pub const UNKNOWN_LABEL: &str = "unknown-label";
-/// Name of the fact of a run that gives the number of labels and examples of them: `100 of 100: dented, good`.
+/// Name of the fact of a run that says how many pictures have a label, with examples of the labels:
+/// `30 of 30: dented, good`.
 const LABELS_FACT: &str = "Labels";
 /// Name of the fact of a run that gives the number of classes and examples of them: `4: good, scratched, …`.
 const CLASSES_FACT: &str = "Classes";

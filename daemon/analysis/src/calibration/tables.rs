@@ -17,6 +17,8 @@ use crate::table::{decimals_of, text, write_csv};
 
 /// Maximum number of decimals of a number of ms: a tenth of a microsecond.
 const MAX_MS_DECIMALS: usize = 4;
+/// Number of bits in a megabyte. Throughputs are computed in bits per second and printed in MB/s.
+const BITS_PER_MB: f64 = 8e6;
 /// Columns of one direction, as suffixes of the name of its stage: `upload-bytes`. The column of the delay has no
 /// suffix: `upload`.
 const PASSAGE_COLUMNS: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];
@@ -150,11 +152,12 @@ pub(super) fn sizes_text(study: &Study) -> String {
 fn size_columns(direction: &DirectionStudy, payloads: &[u64]) -> Vec<Vec<String>> {
     let sizes = &direction.sizes;
     let ms_decimals = decimals_of(sizes.iter().map(|size| size.median * 1e3));
-    let mb_decimals = decimals_of(sizes.iter().filter_map(|size| size.throughput).map(|rate| rate / 8e6));
+    let rates = sizes.iter().filter_map(|size| size.throughput);
+    let mb_decimals = decimals_of(rates.map(|rate| rate / BITS_PER_MB));
     let range = |(lo, hi): (f64, f64)| join_ends([lo, hi].map(|end| fixed(end * 1e3, ms_decimals)));
     let cells = |size: &SizeSummary| {
         let bounds = if direction.same_clock { Some(EXACT.to_owned()) } else { size.bounds.map(range) };
-        let rate = size.throughput.map(|rate| fixed_or_less_than(rate / 8e6, mb_decimals));
+        let rate = size.throughput.map(|rate| fixed_or_less_than(rate / BITS_PER_MB, mb_decimals));
         vec![
             fixed(size.median * 1e3, ms_decimals),
             or_unknown(size.tails.map(range)),
@@ -194,9 +197,9 @@ fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
         .map(decimals_for)
         .max()
         .unwrap_or_else(|| decimals_for(fits.medians.least_squares.intercept.value));
-    let mb_decimals = decimals_of(rates.iter().flatten().map(|rate| rate.value / 8e6));
+    let mb_decimals = decimals_of(rates.iter().flatten().map(|rate| rate.value / BITS_PER_MB));
     let ms = |seconds: f64| fixed(seconds * 1e3, ms_decimals);
-    let mb = |rate: f64| fixed_or_less_than(rate / 8e6, mb_decimals);
+    let mb = |rate: f64| fixed_or_less_than(rate / BITS_PER_MB, mb_decimals);
     let delay_range = |(lo, hi): (f64, f64)| join_ends([ms(lo), ms(hi)]);
     let throughput_range = |(lo, hi): (f64, Option<f64>)| match hi.filter(|hi| hi.is_finite()) {
         // The interval of the slope reaches zero, so the throughput has no upper end.

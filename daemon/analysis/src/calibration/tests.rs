@@ -43,6 +43,8 @@ fn queueing_time(number: u64) -> f64 {
     -5e-6 * (1.0 - random).ln() + late * random
 }
 
+/// Returns message `number` with a payload of `payload` bytes. `sign` is 1 for an upload and −1 for
+/// a download: a positive clock error lengthens an upload and shortens a download.
 fn passage(link: Link, payload: u64, number: u64, sign: f64) -> Passage {
     let wire = payload + 120;
     let bytes = wire as f64;
@@ -63,6 +65,8 @@ fn passage(link: Link, payload: u64, number: u64, sign: f64) -> Passage {
     Passage { payload_bytes: payload, metadata_bytes: 120, delay }
 }
 
+/// Returns the samples of a study over a link: `REPEATS` rounds of all `SIZES`. The first round is
+/// warm-up.
 fn sweep(link: Link) -> Vec<Sample> {
     let rounds = (0..REPEATS).flat_map(|round| SIZES.iter().map(move |size| (round, *size)));
     rounds
@@ -136,7 +140,7 @@ fn good_link_is_trusted_and_line_is_fitted() {
         let (lo, hi) = throughput.bounds.expect("there are clock bounds");
         assert!(
             lo < throughput.value
-                && throughput.value < hi.expect("the largest size takes longer than the bounds")
+                && throughput.value < hi.expect("delays grow by more than the width of the bounds")
         );
     }
     assert!((study.clocks.offset.expect("delays are corrected by it") - 1.0).abs() < 1e-6);
@@ -306,7 +310,7 @@ fn all_study_files_are_written() {
 }
 
 #[test]
-fn text_shows_every_size_and_line() {
+fn text_shows_sizes_lines_and_verdict() {
     let text = study(sweep(GOOD)).text();
     for part in [
         "100 B ",

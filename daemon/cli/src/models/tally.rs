@@ -75,7 +75,7 @@ impl Tally {
 
     /// Returns the score of the pixels of all pictures together.
     fn segmentation(&self) -> Option<String> {
-        let class_count = self.pixels.classes();
+        let class_count = self.pixels.class_count();
         let classes = if class_count == 1 { "1 class".to_owned() } else { format!("{class_count} classes") };
         self.pixels
             .mean_iou()
