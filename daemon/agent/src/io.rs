@@ -4,7 +4,8 @@
 //! tasks, each of which wakes the next. With a thread for each processor, as is usual in servers, each step may first
 //! have to wake another thread. On two processors, two threads instead of one reduced the round trips per second of
 //! samples of 1 kB by a third; while events were stored, the 99th percentile of the total was up to three times as long
-//! (`docs/measurements.md`). With one thread the whole chain stays on one processor.
+//! (measured on 2026-11-21 with commit e8b9baf3). With one thread the whole chain stays on one
+//! processor.
 //!
 //! The outbox and the host's metrics run on other threads. So do the aggregator and the web server if they are in
 //! the same process. Therefore neither sending a batch nor rendering a page delays a sample.
