@@ -146,8 +146,8 @@ fn duplicate_host_name_and_crashed_host_are_reported() {
     let second = start_edge(&deployment, "edge", "echo");
     let first_run = api.wait_until("/api/v1/runs", |runs| {
         // The newest run is the first of the list.
-        let [_, first] = runs["runs"].as_array()?.as_slice() else { return None };
-        Some(first.clone())
+        let [_, first_run] = runs["runs"].as_array()?.as_slice() else { return None };
+        Some(first_run.clone())
     });
     assert_eq!(first_run["reason"], "the agent ended without saying so", "{first_run}");
     assert_eq!(second.stop().code(), 0);

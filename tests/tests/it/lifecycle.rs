@@ -136,7 +136,7 @@ fn stop_while_a_model_opens_is_clean() {
     for folder in [&model, &temporary] {
         std::fs::create_dir(folder).expect("a folder");
     }
-    // Other interpreters than the system's do not find Debian's packages.
+    // By default the system's interpreter, because others do not find Debian's packages.
     let python = std::env::var_os("PEERNET_PYTHON").unwrap_or_else(|| "/usr/bin/python3".into());
     let written = std::process::Command::new(python).args(["-c", LONG_CHAIN]).arg(&model).status();
     assert!(written.expect("Python is installed").success());

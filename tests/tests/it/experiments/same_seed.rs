@@ -65,7 +65,8 @@ fn demo_with_same_seed_repeats_order_and_payloads() {
     let ((order, sizes), log) = measure("");
     assert_eq!((order.len(), sizes.len()), (10, 4), "{order:?}");
     assert!(log.contains("total (measured)") && log.contains("10 of 10 runs finished"), "{log}");
-    // Configurations get the same pictures; repeats get others.
+    // The order is: cloud in repeats 1 and 2, then echo in repeats 1 and 2. Both configurations get
+    // the same pictures in the same repeat, and other pictures in the other repeat.
     assert_eq!((&sizes[0], &sizes[1]), (&sizes[2], &sizes[3]));
     assert_ne!(sizes[0], sizes[1]);
     for name in ["compare.txt", "compare.md", "compare.csv", "compare.tex", "stacked.png", "stacked.svg"] {
@@ -74,7 +75,8 @@ fn demo_with_same_seed_repeats_order_and_payloads() {
     let places = column(&results.folder.join("compare.csv"), "Where");
     assert_eq!(places, ["local", "cloud", "cloud", "echo", "echo"], "in the order of the file");
     let counts = column(&results.folder.join("compare.csv"), "count");
-    // Two repeats. In each, one of the two episodes is warm-up, and so is the first of the six steps of the other.
+    // Each of the two repeats has two episodes of six steps. The first episode and the first step of
+    // the second episode are warm-up, so five steps of each repeat count.
     assert!(counts.iter().all(|count| count == "10"), "{counts:?}");
     let id = results.record()["id"].as_str().expect("an experiment has an id").to_owned();
     assert_eq!(wait_for_stored_runs(&machines, &id), 10);

@@ -1,4 +1,5 @@
-//! Tests of the documents' example programs in real agents: a sensor in shell, a model in C, an actuator in shell.
+//! Tests of programs as sensors, models and actuators of real agents. The documents' example programs
+//! are among them: a sensor in shell, a model in C, an actuator in shell.
 
 mod failing;
 mod one_agent;

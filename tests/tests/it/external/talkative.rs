@@ -2,7 +2,7 @@
 
 use peernet_tests::LoopbackDeployment;
 
-/// Lines that the program prints with its first answer.
+/// Number of lines that the program prints with its first answer; the script has the same number.
 const PRINTED_LINES: u64 = 100_000;
 
 const MODEL: &str = r#"#!/bin/sh
@@ -32,7 +32,7 @@ limit = { total = 20 }
 "#;
 
 #[test]
-fn endless_output_is_limited_and_escaped_in_log() {
+fn long_output_is_limited_and_escaped_in_log() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.start_aggregator();
     deployment.write("talkative.sh", MODEL);

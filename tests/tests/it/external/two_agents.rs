@@ -42,8 +42,8 @@ fn shell_sensor_c_model_shell_actuator_work_together() {
         assert!(facts.contains(file), "{file}: {facts}");
     }
 
-    // Every answer was right. The label is known on the edge and the answer was given on the cloud, so both
-    // crossed the network.
+    // Every answer was right. The edge compares the label, which its sensor states, with the answer of
+    // the cloud's model. Samples and answers thus crossed the network unaltered.
     let statistics = api.stage_statistics(run, "top-1").expect("samples have labels");
     assert_eq!(
         (statistics["count"].as_u64(), statistics["mean"].as_f64()),

@@ -1,18 +1,16 @@
 //! Cycles in the graph of modules.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::modules::Uses;
 
 /// Returns the strongly connected components with more than one module.
 pub(super) fn cycles(uses: &Uses) -> Vec<BTreeSet<String>> {
-    let reachable_modules: Vec<(&String, BTreeSet<&String>)> =
+    let reachable_from: BTreeMap<&String, BTreeSet<&String>> =
         uses.keys().map(|start| (start, reachable(uses, start))).collect();
     let mut cycles: Vec<BTreeSet<String>> = Vec::new();
-    for (module, targets) in &reachable_modules {
-        let leads_back = |other: &&String| {
-            reachable_modules.iter().any(|(name, targets)| name == other && targets.contains(module))
-        };
+    for (module, targets) in &reachable_from {
+        let leads_back = |target: &&String| reachable_from[target].contains(module);
         let cycle: BTreeSet<String> = targets.iter().copied().filter(leads_back).cloned().collect();
         if cycle.len() > 1 && !cycles.contains(&cycle) {
             cycles.push(cycle);

@@ -5,7 +5,7 @@ use peernet_tests::LoopbackDeployment;
 /// Number of pipelines of each greedy agent, and maximum number of sessions of the cloud.
 const PIPELINES: usize = 16;
 
-/// Returns this number of pipelines that use the cloud.
+/// Returns the tables of `count` pipelines that use the cloud, each with the additional `keys`.
 fn pipeline_tables(count: usize, keys: &str) -> String {
     (0..count)
         .map(|number| {
@@ -34,11 +34,11 @@ fn two_greedy_agents_do_not_exclude_a_third() {
         agent
     });
     let third_agent = deployment.start_agent("third", &pipeline_tables(1, "limit = { iterations = 5 }"));
-    let counts = api.wait_until("/api/v1/runs", |runs| {
+    let answered = api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         runs.iter().find(|run| run["reason"] == "finished").map(|run| run["counts"]["ok"].clone())
     });
-    assert_eq!(counts, 5);
+    assert_eq!(answered, 5);
     for process in [third_agent].into_iter().chain(greedy_agents).chain([cloud, aggregator]) {
         assert_eq!(process.stop().code(), 0);
     }

@@ -7,11 +7,12 @@ use std::path::Path;
 use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, TEST_TIMEOUT, program, wait_until};
 use socket2::{Domain, Socket, Type};
 
-/// Descriptors of the daemon; an eighth of them are for connections to the dashboard.
+/// Limit of the daemon's descriptors. Under this limit the dashboard keeps 110 connections
+/// (docs/operating.md, limits before authentication).
 const DESCRIPTORS: &str = "--nofile=1024:1024";
 
-/// Number of slow hosts. Together they open more connections than the 128 that the dashboard keeps, and no host opens
-/// more than a quarter of these 128.
+/// Number of slow hosts. Together they open more connections than the 110 that the dashboard keeps.
+/// Each of them opens less than a quarter of these 110, so that no single host has most of them.
 const SLOW_HOSTS: u8 = 6;
 const CONNECTIONS_PER_HOST: usize = 25;
 

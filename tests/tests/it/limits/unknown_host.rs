@@ -11,10 +11,13 @@ use serde_json::Value;
 use super::peak_memory;
 use crate::documented::two_machines::install;
 
+/// Duration of the attack.
 const SECONDS: u64 = 30;
-const BYTES_PER_SECOND: &str = "4000000";
+/// Rate of the attack.
+const BYTES_PER_SECOND: u64 = 4_000_000;
 
-/// Peak memory that each of the two daemons on the cloud may have used; docs/operating.md states the bound.
+/// Peak memory that each of the two daemons on the cloud may have used. The buffers of an aggregator,
+/// as docs/operating.md lists them, and its unfinished input take less than 500 MB in all.
 const MAX_PEAK_BYTES: u64 = 512 << 20;
 
 #[test]

@@ -63,7 +63,7 @@ fn models_of_all_folders_are_listed() {
 }
 
 #[test]
-fn model_list_shows_hash_of_file() {
+fn models_show_prints_hash_of_file() {
     let file = root().join("models/quality-control/model.onnx");
     let checksum = Command::new("sha256sum").arg(file).output().expect("is installed");
     let checksum = String::from_utf8(checksum.stdout).expect("is text");
@@ -172,7 +172,7 @@ fn impossible_model_commands_fail_with_exit_code() {
 
 #[test]
 fn exporting_script_names_missing_packages() {
-    // Without site packages, as on a machine without torch.
+    // With `-S`, Python finds no site packages, as on a machine without torch.
     let script = root().join("models/export_torchvision.py");
     let output = Command::new(super::python()).arg("-S").arg(script).arg(NAME).output().expect("starts");
     let error = String::from_utf8_lossy(&output.stderr);

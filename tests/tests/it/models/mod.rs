@@ -51,12 +51,13 @@ fn exported_model() -> &'static ExportedModel {
     })
 }
 
-/// Returns the folder with that model, for tests of other features.
+/// Returns the folder of models that contains the exported model, for tests of other features.
 pub(crate) fn exported_models() -> &'static Path {
     &exported_model().models
 }
 
-/// Returns the system's Python, because other interpreters do not find Debian's packages.
+/// Returns the interpreter in `PEERNET_PYTHON`, or else the system's. Other interpreters do not find
+/// Debian's packages.
 fn python() -> PathBuf {
     std::env::var_os("PEERNET_PYTHON").map_or_else(|| "/usr/bin/python3".into(), PathBuf::from)
 }
