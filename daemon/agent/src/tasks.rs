@@ -109,7 +109,7 @@ impl Tasks {
     pub(crate) async fn wait_for_failure(&mut self) {
         self.wait_until_ended_or_failed().await;
         if self.first_failure.is_none() {
-            std::future::pending().await
+            std::future::pending::<()>().await;
         }
     }
 

@@ -84,14 +84,14 @@ mod tests {
 
     #[test]
     fn line_through_two_estimates_is_horizontal() {
-        let at = |second| WallTime::from_unix_nanos(second * 1_000_000_000);
+        let at = |second: i64| WallTime::from_unix_nanos(second * 1_000_000_000);
         let line = Line::through(&[(at(0), 1.0), (at(10), 3.0)]).expect("estimates");
         assert_eq!((line.level, line.slope), (2.0, 0.0));
     }
 
     #[test]
     fn line_has_slope_of_steady_drift() {
-        let at = |second| WallTime::from_unix_nanos(second * 1_000_000_000);
+        let at = |second: i64| WallTime::from_unix_nanos(second * 1_000_000_000);
         let drift = |second: i64| (at(second), 1e-6 * second as f64);
         let line = Line::through(&(0..20).map(drift).collect::<Vec<_>>()).expect("estimates");
         assert!(
