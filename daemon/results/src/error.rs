@@ -19,9 +19,9 @@ pub enum FolderError {
     /// The path is not a folder.
     #[error("{} is not a folder", .0.display())]
     NotAFolder(PathBuf),
-    /// The folder cannot be created.
-    #[error("cannot create the folder {}: {reason}", path.display())]
-    Create {
+    /// The folder cannot be created, opened or listed.
+    #[error("cannot create or open the folder {}: {reason}", path.display())]
+    Open {
         /// Path of the folder.
         path: PathBuf,
         /// Reason.

@@ -127,14 +127,45 @@ fn write_rows(path: &Path, rows: &Rows) -> std::io::Result<()> {
 /// Writes a file that only its owner and its group can read, because arguments of programs may contain secrets.
 fn write_private(path: &Path, content: &[u8]) -> std::io::Result<()> {
     let mut file = File::options().create(true).truncate(true).write(true).mode(0o640).open(path)?;
-    // An existing file keeps its mode when it is opened, so the mode is changed afterwards. File systems without
+    // An existing file keeps its mode when it is opened, so the mode is changed afterwards. A pipe or
+    // a device at `path` is not a file of this run and keeps its mode. File systems without
     // permissions, such as FAT, refuse to change the mode, which is no error.
-    let mode = file.metadata()?.permissions().mode();
-    if mode & OTHER_ACCOUNTS != 0
+    let metadata = file.metadata()?;
+    let mode = metadata.permissions().mode();
+    if metadata.is_file()
+        && mode & OTHER_ACCOUNTS != 0
         && let Err(error) = file.set_permissions(Permissions::from_mode(mode & !OTHER_ACCOUNTS))
         && error.kind() != ErrorKind::PermissionDenied
     {
         return Err(error);
     }
     file.write_all(content)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_regular_file_becomes_private() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (file, pipe) = (folder.path().join("run.json"), folder.path().join("pipe"));
+        std::fs::write(&file, "earlier").expect("writable");
+        let status = std::process::Command::new("mkfifo").arg(&pipe).status().expect("coreutils");
+        assert!(status.success(), "{status}");
+        let mode = |path: &Path| path.metadata().expect("it is there").permissions().mode() & 0o777;
+        for path in [&file, &pipe] {
+            std::fs::set_permissions(path, Permissions::from_mode(0o666)).expect("the owner may do so");
+        }
+        write_private(&file, b"{}").expect("writable");
+        assert_eq!(mode(&file), 0o660);
+        // Opening a pipe for writing waits for a reader.
+        let reader = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || std::fs::read(pipe)
+        });
+        write_private(&pipe, b"{}").expect("writable");
+        assert_eq!(reader.join().expect("no panic").expect("readable"), b"{}");
+        assert_eq!(mode(&pipe), 0o666);
+    }
 }

@@ -34,26 +34,26 @@ pub(crate) type LockedFolder = (PathBuf, File);
 /// Locks the folder that `overwrite` permits for this program: `dir` or a new subfolder. The files in the folder are
 /// not changed.
 pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, FolderError> {
-    let creation_error = |path: &Path| {
+    let open_error = |path: &Path| {
         let path = path.to_owned();
-        move |error: std::io::Error| FolderError::Create { path, reason: error.to_string() }
+        move |error: std::io::Error| FolderError::Open { path, reason: error.to_string() }
     };
     if dir.exists() && !dir.is_dir() {
         return Err(FolderError::NotAFolder(dir.to_owned()));
     }
-    std::fs::create_dir_all(dir).map_err(creation_error(dir))?;
+    std::fs::create_dir_all(dir).map_err(open_error(dir))?;
     // The folder is locked before its entries are read, so that no other program adds files in between.
     let lock_result = lock(dir);
     if overwrite == Overwrite::Replace {
         return Ok((dir.to_owned(), lock_result?));
     }
-    let mut entries = std::fs::read_dir(dir).map_err(creation_error(dir))?;
+    let mut entries = std::fs::read_dir(dir).map_err(open_error(dir))?;
     let is_empty = entries.next().is_none();
     match (is_empty, lock_result, overwrite) {
         (true, Ok(lock), _) => Ok((dir.to_owned(), lock)),
         // The folder contains files, or another program has locked it.
         (_, _, Overwrite::Subfolder) => {
-            let path = subfolder(dir).map_err(creation_error(dir))?;
+            let path = subfolder(dir).map_err(open_error(dir))?;
             let lock = lock(&path)?;
             Ok((path, lock))
         }
@@ -65,9 +65,9 @@ pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, 
 /// Locks the folder itself. Such a lock needs no file in the folder, and the kernel releases the lock however the program
 /// ends.
 fn lock(dir: &Path) -> Result<File, FolderError> {
-    let creation_error =
-        |error: std::io::Error| FolderError::Create { path: dir.to_owned(), reason: error.to_string() };
-    let folder = File::open(dir).map_err(creation_error)?;
+    let open_error =
+        |error: std::io::Error| FolderError::Open { path: dir.to_owned(), reason: error.to_string() };
+    let folder = File::open(dir).map_err(open_error)?;
     match folder.try_lock() {
         Err(TryLockError::WouldBlock) => Err(FolderError::Busy(dir.to_owned())),
         // Not every network file system can lock a folder. Without a lock, results can still be written, which is more
