@@ -31,7 +31,7 @@ fn main() {
         let folder = ResultFolder::create(temporary.path(), Overwrite::Refuse).expect("it is empty");
         let mut rows = Rows::default();
         time_step("rows from trees, data.csv", &mut || {
-            let mut writer = folder.writer().expect("writable");
+            let mut writer = folder.create_writer().expect("writable");
             for row in (1..=iterations).map(|number| Row::from_iteration(&iteration(number))) {
                 writer.write(&row);
                 rows.push(&row);
@@ -76,8 +76,9 @@ fn peak_kib() -> u64 {
 fn iteration(number: u64) -> Iteration {
     let anchor = Anchor { host: HostId::from_bytes([7; 16]), wall: wall(number) };
     let mut tree = Tree::new(stage::ITERATION, anchor);
-    // Returns up to 1 ms: the upper 20 bits as nanoseconds. The factor is that of Knuth's MMIX.
-    let noise = |salt: u64| (number.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(salt) >> 44) as i64;
+    // Up to 2²⁰ ns, about 1 ms, different for each salt below 16. The multiplier is that of Knuth's
+    // generator MMIX.
+    let noise = |salt: u64| ((16 * number + salt).wrapping_mul(6_364_136_223_846_793_005) >> 44) as i64;
     let timer = |micros: i64, salt: u64| Measure::Timer(Some(Span::from_nanos(micros * 1000 + noise(salt))));
     let transit = |micros: i64, salt: u64| {
         let value = Span::from_nanos(micros * 1000 + noise(salt));

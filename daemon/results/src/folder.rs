@@ -53,11 +53,11 @@ impl ResultFolder {
         &self.path
     }
 
-    /// Creates `data.csv` and writes its header.
+    /// Creates `data.csv`, replacing an existing file, and writes its header.
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn writer(&self) -> Result<RowWriter, FolderError> {
+    pub fn create_writer(&self) -> Result<RowWriter, FolderError> {
         Ok(RowWriter::create(self.path.join(DATA))?)
     }
 

@@ -96,7 +96,7 @@ impl RowParser {
         let Self { columns, rows, .. } = self;
         let mut row = rows.build_row();
         row.warm_up = is_warm_up;
-        // Verdict and source of the upload and of the download.
+        // Verdict and source of each delay: the upload at index 0, the download at index 1.
         let mut verdicts = [(None, None); 2];
         let mut stages = [None; PUBLISHED_STAGES.len()];
         for (column_parser, text) in columns.iter_mut().zip(record) {

@@ -6,7 +6,7 @@ use peernet_analysis::accuracy::Accuracy;
 use peernet_analysis::actuator_results::ActuatorResults;
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::loaded::{Loaded, NO_RECORD};
-use peernet_analysis::record::{Clocks, Counts, HostRecord, RunRecord};
+use peernet_analysis::record::{Clocks, Counts, RunRecord};
 use peernet_analysis::rows::Rows;
 
 use super::FolderError;
@@ -34,7 +34,8 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     let (rows, has_warm_up_flags) =
         RowParser::read_rows(&data, warm_up, wanted).map_err(read_error(&data))?;
     let record = record.unwrap_or_else(|| {
-        // Only the `data.csv` of this program has warm-up flags. Such a run without `run.json` has not ended or was
+        // Only this program writes a `data.csv` with warm-up flags. (CSV exports of dashboards have
+        // such flags, too, but other file names.) Without `run.json`, the run has not ended or was
         // killed.
         let reason = if has_warm_up_flags && data.ends_with(DATA) { NO_RECORD } else { "" };
         RunRecord { reason: reason.into(), ..record_without_file(path, &rows, has_warm_up_flags) }
@@ -69,7 +70,6 @@ fn record_without_file(path: &Path, rows: &Rows, has_warm_up_flags: bool) -> Run
     RunRecord {
         title: name.clone(),
         name,
-        edge: HostRecord::default(),
         warm_up,
         counts: Counts::from_rows(rows, 0),
         clocks: Clocks::from_rows(rows),

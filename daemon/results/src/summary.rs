@@ -165,7 +165,8 @@ impl Digits {
         Self {
             milliseconds: column_decimals(with_scale(Scale::Milliseconds).map(|quantity| quantity.std)),
             megabytes_per_second: decimals_of(
-                with_scale(Scale::MegabytesPerSecond).map(|quantity| quantity.median / 8e6),
+                with_scale(Scale::MegabytesPerSecond)
+                    .map(|quantity| quantity.median * Scale::MegabytesPerSecond.factor()),
             ),
         }
     }

@@ -244,13 +244,24 @@ mod tests {
     #[test]
     fn only_complete_rows_count_as_written_to_full_disk() {
         let rows = b"1,ok\n2,\"a \"\"b\"\"\nc\"\n3,ok\n";
-        let complete_lens = [4, 5, 14, rows.len() - 6, rows.len() - 1, rows.len()].map(|free_bytes| {
+        let (first_row, first_two_rows) = (5, rows.len() - 5);
+        for (free_bytes, complete_bytes) in [
+            // Without the line feed of the first row.
+            (first_row - 1, 0),
+            (first_row, first_row),
+            // Up to a quote within the quoted cell of the second row.
+            (14, first_row),
+            // Up to the end of the quoted cell, which contains a line feed.
+            (first_two_rows - 1, first_row),
+            // Without the line feed of the last row.
+            (rows.len() - 1, first_two_rows),
+            (rows.len(), rows.len()),
+        ] {
             let mut disk = vec![0; free_bytes];
             let (written, outcome) = write_counted(&mut disk.as_mut_slice(), rows);
-            assert_eq!((written, outcome.is_ok()), (disk.len(), disk.len() == rows.len()));
-            complete_rows_len(&rows[..written])
-        });
-        assert_eq!(complete_lens, [0, 5, 5, 5, rows.len() - 5, rows.len()]);
+            assert_eq!((written, outcome.is_ok()), (free_bytes, free_bytes == rows.len()));
+            assert_eq!(complete_rows_len(&rows[..written]), complete_bytes, "{free_bytes} free bytes");
+        }
     }
 
     #[test]

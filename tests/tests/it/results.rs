@@ -126,7 +126,7 @@ fn full_disk_keeps_rows_that_fit() {
     let disk = SmallDisk::new(SIZE);
     let folder =
         ResultFolder::create(&disk.folder().join("results"), Overwrite::Refuse).expect("there is room");
-    let mut writer = folder.writer().expect("there is room");
+    let mut writer = folder.create_writer().expect("there is room");
     let path = writer.path().to_owned();
     // All rows belong to one second, so they are written together.
     (1..=9000).for_each(|number| writer.write(&Row { at: 0.5, ..row(number) }));
@@ -143,7 +143,7 @@ fn full_disk_loses_no_row() {
     let folder =
         ResultFolder::create(&disk.folder().join("results"), Overwrite::Refuse).expect("there is room");
     let rows: Vec<Row> = (1..=3000).map(row).collect();
-    let mut writer = folder.writer().expect("there is room");
+    let mut writer = folder.create_writer().expect("there is room");
     let path = writer.path().to_owned();
     rows[..500].iter().for_each(|row| writer.write(row));
     disk.fill();

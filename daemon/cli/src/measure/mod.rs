@@ -97,7 +97,7 @@ pub(crate) fn measure(
     let mut recorder = RunRecorder::new(
         pipeline,
         request.peer_timeout(),
-        results.writer()?,
+        results.create_writer()?,
         ready.clock.clone(),
         progress_display,
     );

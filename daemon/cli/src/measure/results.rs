@@ -57,12 +57,12 @@ impl Results {
         self.folder.path()
     }
 
-    /// Returns the writer of the rows.
+    /// Creates the file of the rows and returns its writer.
     ///
     /// # Errors
     /// When the file cannot be written (exit code 73).
-    pub(super) fn writer(&self) -> Result<RowWriter, Failure> {
-        self.folder.writer().map_err(failure)
+    pub(super) fn create_writer(&self) -> Result<RowWriter, Failure> {
+        self.folder.create_writer().map_err(failure)
     }
 
     /// Removes everything that was created for the run, because nothing was measured. Earlier results are restored.

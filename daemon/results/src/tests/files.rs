@@ -18,7 +18,7 @@ use crate::iterations::START_NANOS;
 fn header_of_fixed_columns_is_written_before_rows() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
-    let path = folder.writer().expect("writable").finish().expect("writable");
+    let path = folder.create_writer().expect("writable").finish().expect("writable");
     let text = std::fs::read_to_string(path).expect("the file exists");
     let published = peernet_analysis::rows::published_columns().collect::<Vec<_>>().join(",");
     assert_eq!(
@@ -53,7 +53,7 @@ fn record() -> RunRecord {
 
 fn write(folder: &Path, rows: &[Row]) -> WrittenResults {
     let folder = ResultFolder::create(folder, Overwrite::Replace).expect("it can be created");
-    let mut writer = folder.writer().expect("writable");
+    let mut writer = folder.create_writer().expect("writable");
     rows.iter().for_each(|row| writer.write(row));
     writer.finish().expect("writable");
     folder.finish(&record(), &to_rows(rows)).expect("writable")
@@ -85,7 +85,7 @@ fn written_rows_are_read_back() {
 fn rows_are_written_during_the_run() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
-    let mut writer = folder.writer().expect("writable");
+    let mut writer = folder.create_writer().expect("writable");
     let lines = || std::fs::read_to_string(folder.path().join("data.csv")).expect("text").lines().count();
     let mut row = rows(1).remove(0);
     writer.write(&row);
@@ -108,11 +108,11 @@ fn rows_are_written_during_the_run() {
 fn columns_that_first_rows_lack_are_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut rows = rows(40);
-    for (at, name) in [(3, "grip"), (4, "slip, left"), (30, "late")] {
-        rows[at].values.push((Column::Owned(name.to_owned()), 0.5));
+    for (index, name) in [(3, "grip"), (4, "slip, left"), (30, "late")] {
+        rows[index].values.push((Column::Owned(name.to_owned()), 0.5));
     }
     let result = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
-    let mut writer = result.writer().expect("writable");
+    let mut writer = result.create_writer().expect("writable");
     rows.iter().for_each(|row| writer.write(row));
     writer.flush();
     let header = |path: &Path| std::fs::read_to_string(path).expect("text").lines().next().map(str::to_owned);
@@ -149,7 +149,7 @@ fn truncated_file_gives_complete_rows() {
 }
 
 #[test]
-fn comparison_reads_columns_of_incompleteness() {
+fn comparison_reads_columns_that_incompleteness_needs() {
     let folder = tempfile::tempdir().expect("a folder");
     let incompleteness = |limit: serde_json::Value| {
         let pipeline = serde_json::json!({ "limit": limit });
@@ -220,7 +220,7 @@ fn unwritable_folder_loses_no_rows() {
     let result = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
     // Every write to this file fails like on a full disk, also for root.
     std::os::unix::fs::symlink("/dev/full", folder.path().join("run.json")).expect("a link");
-    let mut writer = result.writer().expect("writable");
+    let mut writer = result.create_writer().expect("writable");
     rows(10).iter().for_each(|row| writer.write(row));
     writer.finish().expect("writable");
     let finished = result.finish(&record(), &to_rows(&rows(10))).expect("the temporary folder is writable");
@@ -236,7 +236,7 @@ fn full_disk_is_reported_at_start() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
     std::os::unix::fs::symlink("/dev/full", folder.path().join("data.csv")).expect("a link");
-    let error = folder.writer().expect_err("the disk is full").to_string();
+    let error = folder.create_writer().expect_err("the disk is full").to_string();
     assert!(error.contains("No space left on device"), "{error}");
 }
 

@@ -160,6 +160,7 @@ fn summary_has_metrics_of_the_paper() {
 fn columns_of_standard_nodes_are_durations() {
     let values =
         [("ipc", 0.001), ("capture_capture-ipc", 0.002), ("mine_capture-ipc_2", 0.003), ("mine", 4.0)];
+    // One iteration that is neither warm-up nor lost.
     let mut rows = rows(9).split_off(8);
     rows[0].values = values.map(|(name, value)| (name.into(), value)).to_vec();
     let text = text(&Summary::from_rows(&to_rows(&rows)));
