@@ -183,6 +183,8 @@ mod tests {
     use super::*;
     use crate::{Anchor, HostId, Measure, Name, Unit, stage};
 
+    /// Builds a tree from `(parent, name, value)`. The parent is a position in the tree: 0 is the
+    /// root, 1 the first of `nodes`.
     fn tree(nodes: &[(u32, &str, f64)]) -> Tree {
         let anchor = Anchor { host: HostId::random(), wall: WallTime::from_unix_nanos(0) };
         let mut tree = Tree::new(stage::ITERATION, anchor);

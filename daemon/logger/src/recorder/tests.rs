@@ -212,7 +212,8 @@ fn delta_contains_inserted_tree_with_its_hosts() {
 #[test]
 fn failed_insertion_leaves_tree_unchanged() {
     let (_, mut log) = recorder();
-    for _ in 0..MAX_NODES - RESERVED_NODES - 3 {
+    // With the root, this leaves room for three nodes. The tree of the other host has four.
+    for _ in 0..MAX_NODES - RESERVED_NODES - 4 {
         log.start(stage::CAPTURE);
     }
     let before = log.tree().clone();
@@ -221,6 +222,7 @@ fn failed_insertion_leaves_tree_unchanged() {
     assert_eq!(log.tree(), &before);
 
     let (_, mut log) = recorder();
+    // Each inserted tree has two hosts of its own. Three trees leave room for one more host.
     for _ in 0..MAX_ANCHORS / 2 - 1 {
         log.insert(&tree_of_other_host(HostId::random())).expect("fits");
     }

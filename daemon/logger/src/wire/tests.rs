@@ -166,6 +166,8 @@ fn encode_by_hand(anchors: usize, nodes: &[&[u8]]) -> Vec<u8> {
     out
 }
 
+/// Encoded root: an array of five elements. The root has no parent (nil), and its name, host, start
+/// and kind are 0.
 const ROOT: &[u8] = &[0x95, 0xc0, 0, 0, 0, 0];
 
 #[test]

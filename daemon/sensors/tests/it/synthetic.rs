@@ -32,6 +32,7 @@ fn bytes_follow_from_seed_and_are_incompressible() {
     assert_ne!(payload_of(1), payload_of(2));
     let mut counts = [0u32; 256];
     payload_of(1).iter().for_each(|byte| counts[usize::from(*byte)] += 1);
+    // On average, each of the 256 byte values occurs 16 times in 4096 bytes.
     assert!(counts.iter().all(|count| *count < 50), "{counts:?}");
 }
 

@@ -49,6 +49,7 @@ fn crop_uses_configured_rectangle() {
     let corner = apply(pixels.clone(), &[crop(Some(0), Some(0))]).expect("fits");
     assert_eq!(corner.parts[0].bytes[..], pixels.parts[0].bytes[..6]);
     let centre = apply(pixels.clone(), &[crop(None, None)]).expect("fits");
+    // The rectangle begins in row 3, column 7 of 16. A pixel has three bytes.
     let start = (3 * 16 + 7) * 3;
     assert_eq!(centre.parts[0].bytes[..], pixels.parts[0].bytes[start..start + 6]);
     let error = apply(pixels, &[crop(Some(15), None)]).expect_err("reaches beyond").to_string();

@@ -141,6 +141,7 @@ fn decimals_for_error(half_width: Option<f64>) -> usize {
 /// ms has three decimals: `0.018`.
 pub fn trip_ms(seconds: f64) -> String {
     let ms = seconds * 1e3;
+    // From 0.095 ms on, two decimals are rounded to at least `0.10`.
     fixed_or_less_than(ms, if ms.abs() < 0.095 { 3 } else { decimals(ms, 3).min(2) })
 }
 
