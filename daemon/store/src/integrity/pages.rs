@@ -158,6 +158,15 @@ impl PageFile {
 
     /// Reads the whole record of a cell; `None` if its chain of overflow pages is broken.
     pub(crate) fn record(&self, cell: &Cell<'_>) -> io::Result<Option<Vec<u8>>> {
+        self.record_from_pages(cell, |page| self.read(page, 1))
+    }
+
+    /// Reads a record like [`record`](Self::record); `read_page` reads an overflow page.
+    pub(super) fn record_from_pages(
+        &self,
+        cell: &Cell<'_>,
+        mut read_page: impl FnMut(u32) -> io::Result<Vec<u8>>,
+    ) -> io::Result<Option<Vec<u8>>> {
         let mut record = cell.local_content.to_vec();
         let mut next = cell.overflow;
         // A damaged cell may state any length, so the length does not bound a chain that refers to itself.
@@ -166,7 +175,7 @@ impl PageFile {
             let Some(page) = next.filter(|page| self.contains(*page) && visited.insert(*page)) else {
                 return Ok(None);
             };
-            let bytes = self.read(page, 1)?;
+            let bytes = read_page(page)?;
             // The first four bytes of an overflow page are the number of the next one.
             let part = (cell.record_bytes - record.len()).min(self.usable_bytes - 4);
             record.extend_from_slice(&bytes[4..4 + part]);

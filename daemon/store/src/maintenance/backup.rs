@@ -248,8 +248,37 @@ impl Drop for UnfinishedCopy {
 /// Renames without replacing another file.
 fn rename(from: &Path, to: &Path) -> io::Result<()> {
     match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-        // Some file systems do not support the flag. `prepare` found the name free, and here it is checked again.
-        Err(Errno::INVAL) if to.symlink_metadata().is_err() => fs::rename(from, to),
+        // Some file systems do not support the flag.
+        Err(Errno::INVAL) => rename_after_check(from, to),
         renamed => renamed.map_err(io::Error::from),
+    }
+}
+
+/// Renames if no file has the new name. A file that is created after the check is replaced.
+fn rename_after_check(from: &Path, to: &Path) -> io::Result<()> {
+    // `prepare` found the name free, but another program may have created a file during the backup.
+    if to.symlink_metadata().is_ok() {
+        return Err(Errno::EXIST.into());
+    }
+    fs::rename(from, to)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn checked_rename_fails_if_target_exists() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let [copy, target] = ["copy", "target"].map(|name| folder.path().join(name));
+        fs::write(&copy, "ours").expect("writable");
+        fs::write(&target, "theirs").expect("writable");
+        let error = rename_after_check(&copy, &target).expect_err("the target exists");
+        assert_eq!(error.kind(), ErrorKind::AlreadyExists);
+        assert_eq!(fs::read(&target).expect("is there"), b"theirs");
+
+        fs::remove_file(&target).expect("removable");
+        rename_after_check(&copy, &target).expect("the name is free");
+        assert_eq!(fs::read(&target).expect("is there"), b"ours");
     }
 }

@@ -54,7 +54,8 @@ async fn backup_is_consistent_and_overwrites_no_file() {
     let other = test_store.path.with_file_name("other.sqlite");
     let backup = Backup::prepare(&test_store.path, &other).await.expect("can be read");
     std::fs::write(&other, b"theirs").expect("writable");
-    backup.run(CancellationToken::new()).await.expect_err("the target exists");
+    let late_refusal = backup.run(CancellationToken::new()).await.expect_err("the target exists");
+    assert!(matches!(late_refusal, BackupError::Exists(_)), "{late_refusal}");
     assert_eq!(std::fs::read(&other).expect("is there"), b"theirs");
     assert!(!other.with_file_name("other.sqlite.partial").exists());
 }
