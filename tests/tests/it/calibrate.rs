@@ -1,5 +1,5 @@
-//! Tests of `peernet calibrate` against a host whose clock is a second ahead, and of `peernet recompute` with a
-//! stored run.
+//! Tests of `peernet calibrate` against a host whose clock is a second ahead, of
+//! `peernet recompute` with a stored run, and of programs whose output is closed.
 
 use std::process::{Command, Stdio};
 
@@ -115,6 +115,7 @@ fn calibration_is_right_despite_clock_errors() {
 
     let study = hosts.results();
     assert_eq!(study["counts"], serde_json::json!({ "measured": 300, "warm_up": 10, "failed": 0 }));
+    // `rehearsed` is `true` if faults are injected into a clock.
     assert_eq!((&study["setting"]["cloud"], &study["setting"]["rehearsed"]), (&"cloud".into(), &true.into()));
     for (direction, ahead) in [("up", 1.0), ("down", -1.0)] {
         let direction = &study[direction];
@@ -171,8 +172,9 @@ fn assert_delays_within_bounds(samples: &str) {
         for (stage, ahead) in [("upload", 1.0), ("download", -1.0)] {
             let [raw, lo, hi] = ["raw", "lo", "hi"].map(|column| cell(format!("{stage}-{column}")));
             let truth = raw - ahead;
-            // The interval is for the free-running clocks, the raw difference for the wall clocks, which are read
-            // at most 3 µs later.
+            // The interval is for the free-running clocks, the raw difference for the wall clocks.
+            // A host reads its wall clock at most 3 µs after its free-running clock; a slower
+            // reading is repeated.
             const MAX_READ_DISTANCE: f64 = 3e-6;
             assert!(
                 (lo - MAX_READ_DISTANCE..=hi + MAX_READ_DISTANCE).contains(&truth),

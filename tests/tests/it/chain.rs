@@ -109,7 +109,8 @@ fn stop_of_combined_process_loses_nothing() {
     let api = peernet_tests::Api::on_port(deployment.http_port);
 
     let first = deployment.start("all.toml");
-    // Two pipelines run at the same time. The list of runs begins with the newest run.
+    // Two pipelines run at the same time. The list of runs has a second entry only after both have
+    // started.
     api.wait_until("/api/v1/runs", |runs| {
         (number(&runs["runs"].get(1)?["counts"], "ok") > 20.0).then_some(())
     });

@@ -74,8 +74,12 @@ fn missing_or_empty_configuration_is_refused() {
     let end = deployment.peernetd(&["check", "nowhere.toml"]).wait_for_end();
     assert_eq!(end.code(), CONFIGURATION, "{}", end.log);
     assert!(end.log.contains("nowhere.toml"), "{}", end.log);
+}
 
-    assert_eq!(deployment.peernetd(&["dance"]).wait_for_end().code(), USAGE);
+#[test]
+fn unknown_subcommand_is_a_usage_error() {
+    let end = LoopbackDeployment::new().peernetd(&["chekc", "it.toml"]).wait_for_end();
+    assert_eq!(end.code(), USAGE, "{}", end.log);
 }
 
 #[test]
@@ -215,8 +219,9 @@ fn invalid_log_level_and_endless_file_are_refused() {
 fn loaded_model_library_leaves_home_empty() {
     let home = tempfile::tempdir().expect("writable");
     let mut check = std::process::Command::new(program("peernetd"));
-    // The test removes three variables that switch the telemetry off, two of them in continuous integration, and the
-    // variable that would move the library's files out of the home folder.
+    // Each of the first three variables switches the telemetry off; continuous integration sets the
+    // second and the third. The last variable would move the library's files out of the home
+    // folder.
     check.args(["check", "configs/cloud.toml"]).current_dir(root()).env("HOME", home.path());
     for variable in ["ORT_DISABLE_TELEMETRY", "CI", "GITHUB_ACTIONS", "XDG_CACHE_HOME"] {
         check.env_remove(variable);

@@ -113,8 +113,8 @@ fn lossy_link_shows_retransmissions() {
         serde_json::json!({ "name": "data", "type": "ethernet", "mtu_bytes": 1500 })
     );
     // Retransmitted datagrams are counted as datagrams as well.
-    let segments = connection["up"]["datagrams"].as_u64();
-    assert!(segments > connection["up"]["retransmitted_datagrams"].as_u64(), "{connection}");
+    let datagrams = connection["up"]["datagrams"].as_u64();
+    assert!(datagrams > connection["up"]["retransmitted_datagrams"].as_u64(), "{connection}");
     let address = testbed.network.cloud().address;
     assert_eq!(connection["remote_address"], format!("{address}:5551").as_str());
 }
@@ -138,6 +138,7 @@ fn page_api_metrics_show_lost_and_reordered_datagrams() {
         (is_counted && connection["lost_messages"].as_u64()? > 3).then(|| connection.clone())
     });
     let (up, down) = (&connection["up"], &connection["down"]);
+    // The path loses 2 %, much less than a tenth.
     assert!(up["datagrams"].as_u64() > up["lost_datagrams"].as_u64().map(|lost| 10 * lost), "{connection}");
     assert!(up["duplicated_datagrams"].is_u64() && up["retransmitted_datagrams"].is_u64(), "{connection}");
     assert!(down["datagrams"].is_u64() && down["retransmitted_datagrams"].is_null(), "{connection}");

@@ -22,7 +22,7 @@ const REPEATS: &str = "1001";
 /// One direction of one iteration.
 struct SampleDelay {
     payload: u64,
-    warm_up: bool,
+    is_warm_up: bool,
     /// Reported delay.
     value: Option<Span>,
     bounds: (Span, Span),
@@ -51,12 +51,13 @@ fn sample_delays(samples: &Path, stage: &str, ahead: impl Fn(WallTime) -> Span) 
         let middle = Span::from_nanos(i64::midpoint(first.nanos(), last.nanos()));
         SampleDelay {
             payload: cell("payload-bytes").parse().expect("a number"),
-            warm_up: cell("warm-up") == "1",
+            is_warm_up: cell("warm-up") == "1",
             value: parse_seconds(cell(stage)),
             bounds: (column("lo"), column("hi")),
             truth: column("raw") - middle,
-            // The column `raw` is the difference of two stamps of wall clocks, which are read up to 3 µs after the
-            // free-running clocks by which delays are judged. Rounding adds 2 ns.
+            // The column `raw` is the difference of two stamps of wall clocks. A host reads its
+            // wall clock up to 3 µs after its free-running clock, by which delays are judged.
+            // Rounding adds 2 ns.
             truth_error: (last - first).abs() + Span::from_nanos(3_002),
         }
     };
@@ -128,7 +129,7 @@ fn assert_intercept_is_right(stage: &str, direction: &Value, sample_delays: &[Sa
         let allowed = *lo - *truth_error..=*hi + *truth_error;
         assert!(allowed.contains(truth), "{stage} of {payload} B: {truth} is not in {allowed:?}");
     }
-    let after_warm_up = || sample_delays.iter().filter(|sample_delay| !sample_delay.warm_up);
+    let after_warm_up = || sample_delays.iter().filter(|sample_delay| !sample_delay.is_warm_up);
     let reported =
         group_by_size(after_warm_up().filter_map(|sample_delay| Some((sample_delay, sample_delay.value?))));
     let truths = group_by_size(after_warm_up().map(|sample_delay| (sample_delay, sample_delay.truth)));

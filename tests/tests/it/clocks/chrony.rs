@@ -155,8 +155,9 @@ fn wrong_clock_with_confident_daemon_is_detected() {
     assert!(contradictory >= MIN_DELAYS);
 }
 
-/// Returns whether a delay is reported as contradictory. Every other delay has a value: it was judged by the exchanges
-/// only, before the daemons' claims were known.
+/// Returns whether a delay is reported as contradictory, and checks that only a delay that is not
+/// contradictory has a value and bounds. Such a delay was judged by the exchanges only, before the
+/// daemons' claims were known.
 fn is_contradictory(delay: &Delay) -> bool {
     let contradictory = delay.verdict == "inconsistent";
     let report = (delay.value.is_some(), delay.bounds.is_some(), delay.source.as_str());

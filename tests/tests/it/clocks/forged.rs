@@ -16,8 +16,9 @@ use super::{CONSTANT_DRIFT, assert_contains_truth};
 
 /// Port of the reflector.
 const REFLECTOR_PORT: u16 = 8620;
-/// Port to which the attacker redirects the edge's probes, and the port from which it forwards them.
+/// Port to which the attacker redirects the edge's probes.
 const FORGER_PORT: u16 = 9620;
+/// Port from which the attacker forwards the probes to the cloud.
 const FORWARDER_PORT: u16 = 9621;
 
 /// Error that is added to the cloud's stamps. It is smaller than the uncertainty of the offset after a round trip of 40 ms.

@@ -17,7 +17,8 @@ mod veth;
 
 use peernet_tests::truth::{Comparison, HostClock, Iteration, compare};
 
-/// Iterations of the warm-up by default. The very first delays are `stale`: one exchange has no other to confirm it.
+/// Default number of warm-up iterations. Their delays may be `stale`, because there are fewer than
+/// three exchanges at first.
 const WARM_UP: u64 = 5;
 
 /// Change of a clock's drift, ppm per second: the drift stays the same.

@@ -71,13 +71,13 @@ fn blocked_port_and_losses_affect_only_matching_packets() {
     assert_eq!(blocked.recv(&mut buffer).expect_err("dropped").kind(), std::io::ErrorKind::WouldBlock);
 
     cloud.drop_percent(30);
-    let answers = (0..500).filter(|_| {
+    let arrived_probes = (0..500).filter(|_| {
         from.send_to(b"probe", (address, 7002)).expect("there is a route");
         open.set_nonblocking(true).expect("a socket");
         // A veth pair delivers a packet before the send call returns.
         open.recv(&mut buffer).is_ok()
     });
-    let arrived = answers.count();
+    let arrived = arrived_probes.count();
     assert!((200..450).contains(&arrived), "{arrived} of 500");
 }
 

@@ -15,7 +15,8 @@ use super::{WARM_UP, assert_contains_truth, print_line};
 /// Offset of the edge's clock in tests in which the hosts read different clocks.
 const AHEAD: Span = Span::from_millis(20);
 const ITERATIONS: u64 = 300;
-/// Longest time between the readings of the two clocks of a stamp.
+/// Longest time between the readings of the two clocks of a stamp, by a process under libfaketime,
+/// which makes each reading slower.
 const MAX_READ_DISTANCE: Span = Span::from_micros(5);
 
 /// Clock identity of both hosts. Without it a host with clock fault injection would have another identity.
@@ -110,8 +111,8 @@ fn processes_on_one_machine_prove_one_clock() {
     }
 }
 
-/// The boot id is the same. libfaketime changes all clocks of the edge: the wall clock is 20 ms ahead, and the error of
-/// the free-running clock is unknown.
+/// Both hosts read the same boot id, but libfaketime changes all clocks of the edge: the wall clock
+/// is 20 ms ahead, and the error of the free-running clock is unknown.
 #[test]
 fn interval_contains_truth_for_process_with_false_time() {
     let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", RunEnd::Limit);
@@ -159,8 +160,9 @@ fn clock_error_introduced_later_is_measured_afterwards() {
     wait_until_same_clock_is(false);
     print_line(&format!("libfaketime begins to show +20 ms: noticed within {:?}", stopwatch.elapsed()));
     let incident = hosts.api.wait_until("/api/v1/incidents", |list| {
-        let is_lost = |incident: &&Value| incident["text"].to_string().contains("it is no longer proven");
-        list["incidents"].as_array()?.iter().find(is_lost).cloned()
+        let reports_lost_proof =
+            |incident: &&Value| incident["text"].to_string().contains("it is no longer proven");
+        list["incidents"].as_array()?.iter().find(reports_lost_proof).cloned()
     });
     let text = incident["text"].to_string();
     assert!(

@@ -39,7 +39,7 @@ fn check_step(stepped_host: SteppedHost, by_ms: i32) {
         }
     };
     let is_good = |delay: &Delay| ["ok", "limited"].contains(&delay.verdict.as_str());
-    let is_all_good = |iteration: &&Iteration| is_good(&iteration.up) && is_good(&iteration.down);
+    let are_both_good = |iteration: &&Iteration| is_good(&iteration.up) && is_good(&iteration.down);
     // An iteration that starts shortly before the step may end after it.
     let second = Span::from_seconds(1);
     let is_settled_before_step =
@@ -50,7 +50,7 @@ fn check_step(stepped_host: SteppedHost, by_ms: i32) {
         assert!(settled.len() >= 200, "{case}: {}", settled.len());
         for iteration in settled {
             assert!(
-                is_all_good(&iteration),
+                are_both_good(&iteration),
                 "{case}, {} after: {iteration:?}",
                 time_of(iteration) - step_time
             );

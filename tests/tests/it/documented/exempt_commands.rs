@@ -4,9 +4,9 @@ use std::process::Command;
 
 use peernet_tests::root;
 
-/// Commands, the file that executes them, and the text in the file that does. The execution differs from the documents: fewer
-/// iterations; random weights, which need no download; a package that is installed in a disposable copy of the
-/// machine.
+/// Commands, the file that executes them, and an excerpt of this file that shows it. The execution
+/// differs from the documents: fewer iterations; random weights, which need no download; a package
+/// that is installed in a disposable copy of the machine.
 pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 16] = [
     (
         &[

@@ -4,12 +4,12 @@ use peernet_tests::network::Host;
 use peernet_tests::{Api, Document, DocumentedCommands, ProcessEnd};
 
 pub(crate) const COMMANDS: [&str; 13] = [
-    PROGRAM,
+    "install -m 755 -s target/release/peernetd /usr/bin/",
     "ln -sf peernetd /usr/bin/peernet",
     "install -m 644 -D -t /etc/systemd/system deploy/systemd/*.service",
     "install -m 644 -D deploy/sysusers.d/peernet.conf /etc/sysusers.d/peernet.conf",
     "install -m 644 -D deploy/tmpfiles.d/peernet.conf /etc/tmpfiles.d/peernet.conf",
-    LIBRARY,
+    "deploy/onnxruntime/fetch.py --dest /usr/lib/peernet",
     "systemd-sysusers",
     "systemd-tmpfiles --create",
     "install -m 644 -D -t /etc/peernet deploy/debian/etc/*.toml",
@@ -19,8 +19,6 @@ pub(crate) const COMMANDS: [&str; 13] = [
     DEMO,
 ];
 
-const PROGRAM: &str = "install -m 755 -s target/release/peernetd /usr/bin/";
-const LIBRARY: &str = "deploy/onnxruntime/fetch.py --dest /usr/lib/peernet";
 const DEMO: &str = "deploy/demo.sh target/demo/peernetd FOLDER";
 
 fn assert_success(end: &ProcessEnd) {

@@ -41,6 +41,7 @@ fn documented_commands_without_aggregator_work() {
     for folder in results.folders() {
         let study = std::fs::read_to_string(results.file(&folder, "sensor.txt")).expect("it was written");
         assert!(study.contains("samples per second"), "{study}");
+        // The study has no placement, so nothing is inferred.
         let data = results.file(&folder, "data.csv");
         let inference = column(&data, "inference");
         assert!(!inference.is_empty() && inference.iter().all(String::is_empty), "{folder}: {inference:?}");

@@ -10,7 +10,7 @@ pub(crate) const COMMANDS: [&str; 13] = [
     ONE_MODEL,
     "peernet plot --kind paired results/efficientnet",
     "peernet run --check configs/experiments/teleoperation.toml",
-    ALL_NETWORKS,
+    ONE_NETWORK,
     NO_NETWORK,
     "peernet compare teleoperation --format latex --out table.tex",
     "peernet compare teleoperation --baseline teleoperation/run-1",
@@ -22,7 +22,7 @@ pub(crate) const COMMANDS: [&str; 13] = [
 
 const NO_NETWORK: &str = "peernet run --only Network=none configs/experiments/teleoperation.toml";
 /// Measures one network. The test removes the option, so that all networks are measured.
-const ALL_NETWORKS: &str = "peernet run --only Network=LAN configs/experiments/teleoperation.toml";
+const ONE_NETWORK: &str = "peernet run --only Network=LAN configs/experiments/teleoperation.toml";
 
 /// Measures one model on one machine without a GPU.
 const ONE_MODEL: &str = "peernet run --only Model=S --set pipeline.placement.peer=tcp://127.0.0.1:5551 --set pipeline.placement.device=cpu --set bank.devices='[\"cpu\"]' --set experiment.iterations=40 --result-loc results/short configs/experiments/efficientnet.toml";
@@ -198,7 +198,7 @@ fn measure_teleoperation(machines: &DocumentedCommands) {
     let document = Document::read("docs/experiments/teleoperation.md").text;
     assert!(document.contains(check.log.trim()), "{}", check.log);
     let end =
-        wait_for_runs(machines.on_edge(ALL_NETWORKS, &[("peernet run --only Network=LAN", PYTHON_RUN)]), 9);
+        wait_for_runs(machines.on_edge(ONE_NETWORK, &[("peernet run --only Network=LAN", PYTHON_RUN)]), 9);
     assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/teleoperation"));
     assert_eq!(results.states(), ["finished"; 9]);

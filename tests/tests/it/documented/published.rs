@@ -22,7 +22,7 @@ const CLIENT_WITH_OBJECT: &str = "peernet --client … --sensor-object sweep::Li
 const COMPILER: &str = "cc -O2 -o brightness docs/examples/external/brightness.c";
 
 /// Replaces the number of iterations by a smaller number, which is enough for confidence intervals.
-const ITERATIONS: (&str, &str) = ("1005", "40");
+const FEWER_ITERATIONS: (&str, &str) = ("1005", "40");
 
 /// The published file of devices, with this test's addresses.
 const DEVICES: &str = "devices:\n  jetson-orin: 10.0.0.1\n  cluster: CLUSTER\nserver: cluster\n";
@@ -48,8 +48,8 @@ fn run_with_model_and_picture(machines: &DocumentedCommands) {
     add_small_model(machines, "efficientnet_v2_s");
     let picture = machines.folder().join("models/quality-control/pictures/part-0001.jpg");
     std::fs::copy(picture, machines.folder().join("sample-image.JPEG")).expect("writable");
-    let server = machines.on_cloud(SERVER, &[ITERATIONS]);
-    let client = machines.on_edge(CLIENT, &[ITERATIONS]).wait_for_end();
+    let server = machines.on_cloud(SERVER, &[FEWER_ITERATIONS]);
+    let client = machines.on_edge(CLIENT, &[FEWER_ITERATIONS]).wait_for_end();
     let server = server.wait_for_end();
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     assert_eq!(column(&machines.folder().join("results/data.csv"), "outcome"), ["ok"; 40]);

@@ -25,15 +25,16 @@ fn run_to_the_end(deployment: &LoopbackDeployment, api: &Api, host: &str) {
     assert_eq!(agent.stop().code(), 0);
 }
 
-/// Waits until `count` incidents of the aggregator report a clock step in a direction; returns the newest text.
-fn wait_for_jump_message(api: &Api, direction: &str, count: usize) -> String {
+/// Waits until `count` incidents of the aggregator report a clock step with this part of a
+/// text; returns the newest text.
+fn wait_for_jump_message(api: &Api, part: &str, count: usize) -> String {
     api.wait_until("/api/v1/incidents", |list| {
         let incidents = list["incidents"].as_array()?.iter();
         let steps =
             incidents.filter(|incident| incident["kind"] == "clock-step" && incident["host"].is_null());
         let texts: Vec<&str> = steps
             .filter_map(|incident| incident["text"].as_str())
-            .filter(|text| text.contains(direction))
+            .filter(|text| text.contains(part))
             .collect();
         (texts.len() == count).then(|| texts[0].to_owned())
     })

@@ -7,11 +7,11 @@ use peernet_tests::{Fleet, Stopwatch, record_measurements};
 
 use super::setting;
 
-/// Limit that [operating.md](../../../../docs/operating.md) states for a few pipelines and an open page: SQLite's page cache,
-/// an idle aggregator, readers, and batches in flight.
+/// Limit of the anonymous resident memory that [measurements.md](../../../../docs/measurements.md)
+/// states for eight pipelines and an open page.
 const MAX_RESIDENT_MIB: f64 = 192.0;
 
-/// Returns the anonymous memory of a process, MiB.
+/// Returns the anonymous resident memory of a process, MiB.
 fn memory_mib(pid: u32) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).expect("the process runs");
     let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:")).expect("Linux reports RssAnon");

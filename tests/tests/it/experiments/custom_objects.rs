@@ -6,7 +6,7 @@ use std::path::Path;
 
 use peernet_tests::{Document, Process, ProcessEnd, free_port, program};
 
-use super::json;
+use super::{column, json};
 
 /// Runs `peernet run arm.toml` in a folder with these objects in `arm.py`.
 fn run(folder: &Path, objects: &str, experiment: &str) -> ProcessEnd {
@@ -34,13 +34,7 @@ fn documented_arm_reaches_its_target() {
     let (objects, experiment) = documented_files();
     let end = run(folder.path(), &objects, &experiment);
     assert_eq!(end.code(), 0, "{}", end.log);
-    let table = fs::read_to_string(folder.path().join("results/arm/compare.csv")).expect("it was written");
-    let mut rows = csv::Reader::from_reader(table.as_bytes());
-    let at = rows.headers().expect("a header").iter().position(|name| name == "success-rate");
-    let rates: Vec<String> = rows
-        .records()
-        .map(|row| row.expect("a row").get(at.expect("a column")).unwrap_or_default().to_owned())
-        .collect();
+    let rates = column(&folder.path().join("results/arm/compare.csv"), "success-rate");
     assert_eq!(rates, ["1"], "{}", end.log);
 }
 

@@ -72,6 +72,7 @@ fn missing_model_and_peer_are_reported_before_first_run() {
         "trying 2 of 2: Model = nowhere, Load = closed (and 1 configuration like it)",
         "2 of 4 configurations cannot be measured",
         "\n    Model = nowhere, Load = closed\n    Model = nowhere, Load = 5 Hz",
+        // After a failed trial, the table of the runs shows no durations.
         "unknown",
     ] {
         assert!(end.log.contains(text), "{text} is not in {}", end.log);

@@ -74,11 +74,12 @@ fn missing_or_invalid_file_is_named() {
          sensor = {{ kind = 'images', path = '{}' }}\n",
         pictures.display()
     );
-    // Errors that an agent would report on any machine, and errors that the trial finds on this machine.
+    // An agent would report this error on any machine, so the check reports it.
     let long_timeout = text.replace("[pipeline]", "[pipeline]\ntimeout_ms = 1000000000000");
     std::fs::write(&file, long_timeout).expect("writable");
     let (code, log) = check(&file);
     assert!(code == 78 && log.contains("e.toml: pipeline.timeout_ms: "), "{code}: {log}");
+    // The trial finds this error, because it reads the files of this machine.
     std::fs::copy(root().join("models/quality-control/pictures/part-0001.jpg"), pictures.join("1.jpg"))
         .expect("writable");
     std::fs::write(&file, text).expect("writable");

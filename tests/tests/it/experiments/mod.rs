@@ -39,7 +39,8 @@ inference_ms = 40
 postprocessing_ms = 0
 "#;
 
-/// Experiment of three runs; the second one takes ten seconds, so that the test can end it.
+/// Experiment of three runs. The second run takes ten seconds, so that a test can act during this
+/// run.
 const THREE_RUNS: &str = r#"
 [experiment]
 name = "three"

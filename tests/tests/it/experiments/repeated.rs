@@ -8,7 +8,8 @@ use serde_json::{Map, Value};
 
 use super::{Lab, Results, column, json};
 
-/// Experiment with pictures of different sizes in shuffled order, sent unchanged: the sizes show the order.
+/// Experiment with pictures in shuffled order. Their encoded sizes differ, so the sizes that were
+/// sent show the order.
 const SHUFFLED: &str = r#"
 [experiment]
 name = "shuffled"
@@ -52,7 +53,7 @@ fn experiment_file_from_record(record: &Value) -> String {
     let mut file = record["agent"].as_object().expect("tables").clone();
     file.insert("experiment".to_owned(), experiment.into());
     file.insert("pipeline".to_owned(), pipeline.map(|(key, value)| (key.clone(), value.clone())).collect());
-    toml::to_string(&file).expect("unknown values are left out")
+    toml::to_string(&file).expect("the record leaves out unknown values, so it has no null")
 }
 
 /// Returns the record without the values that differ in each run.

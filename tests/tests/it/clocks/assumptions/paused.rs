@@ -5,6 +5,9 @@ use rustix::process::Signal;
 
 use super::{CONSTANT_DRIFT, ClockTestbed, Outcome, Process, WINDOW, wire_direction, wire_network};
 
+/// Drift of the edge's clocks before and after a pause.
+const DRIFT_PPM: f64 = 150.0;
+
 /// Stops a process for a while and calls `during_pause` meanwhile. Returns the result, and the times at which the process was
 /// stopped and resumed.
 fn pause_process(
@@ -18,7 +21,7 @@ fn pause_process(
         wire_network(wire_direction(2, 0, 0), wire_direction(2, 0, 0)),
         "",
         |[edge, _]| {
-            edge.schedule_change(Span::from_seconds(77), 150.0, CONSTANT_DRIFT);
+            edge.schedule_change(Span::from_seconds(77), DRIFT_PPM, CONSTANT_DRIFT);
         },
     );
     testbed.wait_for_full_window();
@@ -48,8 +51,7 @@ fn check_stopped_process(case: &'static str, length: Span, process_of: fn(&Clock
 /// virtual machine do not advance.
 fn check_paused_machine(case: &'static str, length: Span) {
     let (outcome, stopped, resumed) = pause_process(case, length, edge, |testbed| {
-        let begin = testbed.shim().now() + Span::from_millis(200);
-        testbed.shim().schedule_change_at(begin, -length, 150.0, CONSTANT_DRIFT);
+        testbed.shim().schedule_change(-length, DRIFT_PPM, CONSTANT_DRIFT);
     });
     outcome.assert_wrong_for_at_most(WINDOW + (resumed - stopped), stopped);
     outcome.assert_good_at_end();

@@ -25,8 +25,8 @@ fn check_case(
 fn constant_drift(ppm: f64) -> impl FnOnce([&ClockShim; 2]) {
     move |[edge, cloud]| {
         edge.schedule_change(Span::from_seconds(-5), ppm / 2.0, CONSTANT_DRIFT);
-        // The rate of one clock by the other's time differs slightly from the difference of both rates by the true
-        // time.
+        // The rate of one clock, measured by the other clock, exceeds the difference of both true
+        // rates slightly. The factor keeps the measured rate within `ppm`.
         cloud.schedule_change(Span::from_seconds(9), -ppm / 2.0 * 0.9997, CONSTANT_DRIFT);
     }
 }
@@ -38,8 +38,9 @@ fn schedule_temperature_cycles(shim: &ClockShim, ppm: f64, ppm_per_s: f64, durat
     let half_cycles = (duration_s / half_period).ceil() as u32;
     for half_cycle in 1..=half_cycles {
         begin = begin + Span::from_seconds_f64(half_period);
-        let sign = if half_cycle % 2 == 0 { 1.0 } else { -1.0 };
-        shim.schedule_change_at(begin, Span::ZERO, -sign * ppm, sign * ppm_per_s);
+        // The rate rises from `-ppm` to `ppm`, or falls from `ppm` to `-ppm`.
+        let direction = if half_cycle % 2 == 0 { 1.0 } else { -1.0 };
+        shim.schedule_change_at(begin, Span::ZERO, -direction * ppm, direction * ppm_per_s);
     }
 }
 
