@@ -58,6 +58,8 @@ struct Compare {
     caveats: Vec<(Chip, String)>,
     /// Names of the settings whose values differ, but are hashes, paths or long lists, which the table does not show.
     long_settings: String,
+    /// Names of the configurations that are not ranked, because their model computes nothing.
+    unranked: String,
     /// Remarks on samples without a score.
     unscored_remarks: Vec<String>,
     /// Name of the latency by which the configurations are compared.
@@ -178,6 +180,8 @@ fn assemble(
         false => format!("{run_count}, stored as {}: one for each edge", count(stored_runs as u64)),
     });
     facts.push("successful iterations, warm-up left out".to_owned());
+    let unranked: Vec<&str> =
+        differences.unranked.iter().map(|index| comparison.configurations[*index].name.as_str()).collect();
     Compare {
         shell: Shell { title: format!("Compare {crumb}"), ..shell },
         title: title(comparison, &differences),
@@ -188,6 +192,7 @@ fn assemble(
         table: Table::of(comparison, &differences),
         caveats: caveats(comparison),
         long_settings: comparison.long_settings.join(", "),
+        unranked: unranked.join("; "),
         unscored_remarks: unknown_labels(comparison),
         total: comparison.total_column.title().to_lowercase(),
         stacks,

@@ -4,7 +4,7 @@ use peernet_sample::printable_line;
 use peernet_statistics::number::column_decimals;
 
 use super::difference_table::{INTERVAL_LIMITATION, MEAN_INTERVAL_MEANING, in_milliseconds};
-use super::ranking::{ConfigurationTotal, Ranking, model_computes};
+use super::ranking::{ConfigurationTotal, Ranking, find_unranked, model_computes};
 use super::{Comparison, EMPTY_CELL, Line, MeanEstimate, accepted_values};
 use crate::loaded::Loaded;
 use crate::table::{CaptionedTable, Table};
@@ -19,9 +19,11 @@ pub(super) fn rank_lines(comparison: &mut Comparison, runs: &[Loaded]) {
             mean: MeanEstimate::from_values(&totals.collect::<Vec<_>>()),
         }
     };
-    let Some(ranking) = Ranking::new(&comparison.lines.iter().map(total).collect::<Vec<_>>()) else { return };
+    let totals: Vec<ConfigurationTotal> = comparison.lines.iter().map(total).collect();
+    comparison.unranked = find_unranked(&totals);
+    let Some(ranking) = Ranking::new(&totals) else { return };
+    comparison.best = Some(ranking.best);
     (comparison.ties, comparison.untested) = (ranking.ties(), ranking.untested());
-    (comparison.best, comparison.unranked) = (Some(ranking.best), ranking.unranked);
     for (index, difference) in ranking.differences {
         comparison.lines[index].difference_to_best = difference;
     }
@@ -110,6 +112,24 @@ cuda:0  can      105.550              +85.290          +85.290
         let comparison = Comparison::new(&runs);
         assert_eq!((comparison.best, comparison.unranked.as_slice()), (Some(0), [1].as_slice()));
         let sentence = "orin; the other ranked line differs from it with 95 % confidence; not ranked, because the model computes nothing: cuda:0, lan.";
+        assert!(comparison.text().contains(sentence), "{}", comparison.text());
+    }
+
+    #[test]
+    fn missing_best_line_is_explained() {
+        let mut runs = paper();
+        runs[1].record.facts.push(("Model".to_owned(), "echo".to_owned()));
+        let comparison = Comparison::new(&runs[..2]);
+        assert_eq!((comparison.best, comparison.unranked.as_slice()), (None, [1].as_slice()));
+        let sentence = "No line has the smallest mean total, because only orin is ranked; not ranked, because the model computes nothing: cuda:0.";
+        assert!(comparison.text().contains(sentence), "{}", comparison.text());
+        assert!(comparison.markdown().contains(sentence) && comparison.latex().contains(sentence));
+        for run in [0, 2] {
+            runs[run].rows.change(|row| row.outcome = Outcome::Lost);
+        }
+        let comparison = Comparison::new(&runs);
+        assert_eq!((comparison.best, comparison.unranked.as_slice()), (None, [1].as_slice()));
+        let sentence = "No line has the smallest mean total, because no ranked line has a total; not ranked, because the model computes nothing: cuda:0, lan.";
         assert!(comparison.text().contains(sentence), "{}", comparison.text());
     }
 

@@ -38,7 +38,7 @@ pub use labels::{
 pub use latency_bar::{LatencyBar, part_order};
 pub use order::{compare_label, compare_positions};
 pub use pairwise::PairwiseDifference;
-pub use ranking::{ConfigurationTotal, Ranking, model_computes};
+pub use ranking::{ConfigurationTotal, Ranking, find_unranked, model_computes};
 
 use peernet_statistics::{Moments, Summary};
 
@@ -100,7 +100,7 @@ pub struct Comparison {
     pub ties: Vec<usize>,
     /// Indices of the lines that cannot be compared with the best, because they or the best have too few iterations.
     pub untested: Vec<usize>,
-    /// Indices of the lines that are not ranked, because their model computes nothing.
+    /// Indices of the lines that are not ranked, because their model computes nothing: see [`find_unranked`].
     pub unranked: Vec<usize>,
     /// Column that determines the best line.
     pub total_column: TotalColumn,

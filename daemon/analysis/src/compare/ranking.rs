@@ -10,8 +10,6 @@ pub struct Ranking {
     /// Index of each other ranked configuration, and its mean minus the smallest mean. The difference is `None` if the
     /// configuration has no mean.
     pub differences: Vec<(usize, Option<Difference>)>,
-    /// Indexes of the configurations that are not ranked, because their model computes nothing.
-    pub unranked: Vec<usize>,
 }
 
 /// Total latency of a configuration, by which it is ranked.
@@ -25,13 +23,12 @@ pub struct ConfigurationTotal {
 }
 
 impl Ranking {
-    /// Ranks configurations by their means. Configurations whose model computes nothing are ranked only if no
-    /// configuration has a model that computes something. Returns `None` with fewer than two ranked configurations, or
-    /// if none of them has a mean.
+    /// Ranks configurations by their means, without those of [`find_unranked`]. Returns `None` if fewer than two
+    /// configurations can be ranked, or if none of these configurations has a mean.
     pub fn new(configurations: &[ConfigurationTotal]) -> Option<Self> {
-        let any_model_computes = configurations.iter().any(|configuration| configuration.model_computes);
-        let (ranked, unranked): (Vec<usize>, Vec<usize>) = (0..configurations.len())
-            .partition(|index| configurations[*index].model_computes == any_model_computes);
+        let unranked = find_unranked(configurations);
+        let ranked: Vec<usize> =
+            (0..configurations.len()).filter(|index| !unranked.contains(index)).collect();
         (ranked.len() > 1).then_some(())?;
         let mean = |index: &usize| configurations[*index].mean.as_ref();
         let with_mean = ranked.iter().filter_map(|index| Some((*index, mean(index)?)));
@@ -40,7 +37,7 @@ impl Ranking {
         let difference =
             |index: &usize| (*index, mean(index).map(|mean| Difference::between_means(smallest, mean)));
         let differences = others.map(difference).collect();
-        Some(Self { best, differences, unranked })
+        Some(Self { best, differences })
     }
 
     /// Returns the indexes of the configurations whose difference from the smallest mean may be chance: the 95 %
@@ -64,6 +61,15 @@ impl Ranking {
             .map(|(index, _)| *index)
             .collect()
     }
+}
+
+/// Returns the indexes of the configurations that are not ranked: their model computes nothing, but the model of at
+/// least one other configuration computes something.
+pub fn find_unranked(configurations: &[ConfigurationTotal]) -> Vec<usize> {
+    let any_model_computes = configurations.iter().any(|configuration| configuration.model_computes);
+    (0..configurations.len())
+        .filter(|index| configurations[*index].model_computes != any_model_computes)
+        .collect()
 }
 
 /// Returns whether the model of a run computes something, from the facts of the run. A model that only returns its
@@ -92,24 +98,32 @@ mod tests {
     fn configurations_are_distinct_tied_or_untested() {
         let all = [total(5.0, 300), echo(0.5), total(1.01, 300), total(1.0, 300)];
         let few = [total(0.0, 0), total(3.0, 20)];
-        let ranking = Ranking::new(&[&all[..], &few].concat()).expect("several have a mean");
+        let configurations = [&all[..], &few].concat();
+        let ranking = Ranking::new(&configurations).expect("several have a mean");
         assert_eq!((ranking.best, ranking.ties(), ranking.untested()), (3, vec![2], vec![4, 5]));
-        assert_eq!(ranking.unranked, [1], "its model computes nothing");
+        assert_eq!(find_unranked(&configurations), [1], "its model computes nothing");
         let (index, difference) = ranking.differences[0];
         assert_eq!((index, difference.and_then(|difference| difference.is_distinct())), (0, Some(true)));
     }
 
     #[test]
-    fn one_configuration_is_not_ranked() {
+    fn ranking_needs_two_configurations_and_a_mean() {
         assert_eq!(Ranking::new(&[total(1.0, 300)]), None);
         assert_eq!(Ranking::new(&[total(0.0, 0), total(0.0, 0)]), None);
-        assert_eq!(Ranking::new(&[total(1.0, 300), echo(0.5)]), None);
+    }
+
+    #[test]
+    fn one_ranked_configuration_has_no_ranking() {
+        let configurations = [total(1.0, 300), echo(0.5), echo(2.0)];
+        assert_eq!(Ranking::new(&configurations), None);
+        assert_eq!(find_unranked(&configurations), [1, 2]);
     }
 
     #[test]
     fn models_that_compute_nothing_are_ranked_among_themselves() {
-        let ranking = Ranking::new(&[echo(2.0), echo(1.0)]).expect("two configurations");
-        assert_eq!((ranking.best, ranking.unranked.len()), (1, 0));
+        let configurations = [echo(2.0), echo(1.0)];
+        let ranking = Ranking::new(&configurations).expect("two configurations");
+        assert_eq!((ranking.best, find_unranked(&configurations).len()), (1, 0));
     }
 
     #[test]

@@ -218,12 +218,24 @@ impl Comparison {
         reasons.into_iter().map(sentence).collect()
     }
 
-    /// Returns the sentence about the best line, the lines that cannot be distinguished from it,
-    /// and the lines that were not compared with it. `None` if no line is the best.
+    /// Returns the sentence about the best line, the lines that cannot be distinguished from it, and the lines that were
+    /// not compared with it. If no line is the best, returns the sentence about the lines that are not ranked; `None`
+    /// without such lines.
     fn ranking_sentence(&self) -> Option<String> {
-        let best = &self.lines[self.best?];
         let names = |lines: &[usize]| {
             lines.iter().map(|line| self.lines[*line].name.as_str()).collect::<Vec<_>>().join("; ")
+        };
+        let unranked = (!self.unranked.is_empty())
+            .then(|| format!("not ranked, because the model computes nothing: {}", names(&self.unranked)));
+        let Some(best) = self.best.map(|best| &self.lines[best]) else {
+            let unranked = unranked?;
+            let ranked: Vec<usize> =
+                (0..self.lines.len()).filter(|index| !self.unranked.contains(index)).collect();
+            let reason = match ranked.as_slice() {
+                [_] => format!("only {} is ranked", names(&ranked)),
+                _ => "no ranked line has a total".to_owned(),
+            };
+            return Some(format!("No line has the smallest mean total, because {reason}; {unranked}."));
         };
         let others = self.lines.len() - 1 - self.unranked.len();
         let tested = others - self.untested.len();
@@ -245,10 +257,7 @@ impl Comparison {
                 names(&self.untested)
             ));
         }
-        if !self.unranked.is_empty() {
-            clauses
-                .push(format!("not ranked, because the model computes nothing: {}", names(&self.unranked)));
-        }
+        clauses.extend(unranked);
         let clauses = clauses.join("; ");
         Some(format!("Smallest mean total ({}): {}; {clauses}.", self.total_word(), best.name))
     }

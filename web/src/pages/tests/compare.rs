@@ -188,6 +188,16 @@ async fn missing_interval_is_explained() {
 }
 
 #[tokio::test]
+async fn configuration_that_is_not_ranked_is_named() {
+    let mut echo = configuration(1, Remote, 1.0, 1e3);
+    echo.model_computes = false;
+    let html = page_of_long_runs(vec![configuration(0, Local, 1.5, 1e3), echo]).await;
+    assert!(html.contains("Only A is ranked, because the model of B computes nothing</h1>"), "{html}");
+    assert!(html.contains("Not ranked, because the model computes nothing: B.</p>"), "{html}");
+    assert!(!html.contains("lowest mean"), "no configuration is the best: {html}");
+}
+
+#[tokio::test]
 async fn verdict_and_replayed_latencies_have_chips() {
     let mut two = comparison(vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)]);
     let input = TrustInput { failure: Some("the cloud is gone".to_owned()), ..TrustInput::default() };

@@ -3,7 +3,9 @@
 use std::collections::HashMap;
 
 use futures::{StreamExt, TryStreamExt};
-use peernet_analysis::compare::{ConfigurationTotal, Difference, MeanEstimate, Ranking, STAGES};
+use peernet_analysis::compare::{
+    ConfigurationTotal, Difference, MeanEstimate, Ranking, STAGES, find_unranked,
+};
 use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::Name;
 use peernet_store::{RunSummary, StageMeans, Store};
@@ -44,8 +46,10 @@ pub(crate) struct Differences {
     pub others: Vec<(usize, Vec<StageDifference>)>,
     /// Latency by which the configurations are ranked.
     pub total_column: TotalColumn,
-    /// Ranking by mean total.
+    /// Ranking by mean total; `None` if fewer than two configurations can be ranked, or if none of these has a total.
     pub ranking: Option<Ranking>,
+    /// Indexes of the configurations that are not ranked, because their model computes nothing.
+    pub unranked: Vec<usize>,
 }
 
 /// Difference of one stage between the baseline and another configuration, seconds.
@@ -109,7 +113,7 @@ impl Differences {
             (index, names.iter().enumerate().filter_map(stage).collect())
         };
         let others = (0..all.len()).filter(|index| *index != baseline).map(stages).collect();
-        Self { baseline, others, total_column, ranking }
+        Self { baseline, others, total_column, ranking, unranked: find_unranked(&totals) }
     }
 
     /// Returns the difference between the mean totals of a configuration and of the baseline; `None` for the baseline

@@ -292,6 +292,21 @@ fn configuration_that_computes_nothing_is_not_ranked() {
 }
 
 #[test]
+fn title_explains_why_one_configuration_is_ranked_alone() {
+    let mut all = comparison_of_scales(&[2.0, 1.0]);
+    all.configurations[1].model_computes = false;
+    let means = totals(&all, 20);
+    assert_eq!(title_of(&all, &means, 0), "Only A is ranked, because the model of B computes nothing");
+    let found = Differences::of(&all, &means, None);
+    assert_eq!((found.ranking, found.unranked, found.baseline), (None, vec![1], 0));
+    let mut all = comparison_of_scales(&[2.0, 1.0, 3.0]);
+    all.configurations[0].model_computes = false;
+    all.configurations[1].model_computes = false;
+    let text = title_of(&all, &totals(&all, 20), 0);
+    assert_eq!(text, "Only C is ranked, because the models of A and B compute nothing");
+}
+
+#[test]
 fn title_compares_only_measured_configurations() {
     let without = |failed: &[usize]| {
         let mut all = comparison_of_scales(&[1.0, 1.5, 2.0]);

@@ -20,6 +20,9 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         (_, [only], _) => {
             return format!("Only {} has measured anything: there is nothing to compare it with", only.name);
         }
+        (.., None) if all.len() == differences.unranked.len() + 1 => {
+            return only_ranked_title(all, &differences.unranked);
+        }
         (.., None) => {
             return "These configurations have no total in common that could be compared".to_owned();
         }
@@ -87,6 +90,17 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         all[index].name,
         difference_ms.interval()
     )
+}
+
+/// Returns the title of a comparison in which all configurations but one are not ranked.
+fn only_ranked_title(all: &[Configuration], unranked: &[usize]) -> String {
+    let ranked = (0..all.len()).find(|index| !unranked.contains(index));
+    let ranked = ranked.map_or("", |index| all[index].name.as_str());
+    let names = join_names(all, unranked);
+    match unranked {
+        [_] => format!("Only {ranked} is ranked, because the model of {names} computes nothing"),
+        _ => format!("Only {ranked} is ranked, because the models of {names} compute nothing"),
+    }
 }
 
 /// Returns the configuration with which the title compares the best one: the baseline, or the
