@@ -23,15 +23,16 @@ impl Pace {
         let intervals = starts.windows(2).map(|pair| pair[1] - pair[0]);
         // The smallest values are taken: the first iterations may include the loading of a model or a new connection.
         let iteration_s = intervals.filter(|interval| *interval > 0.0).reduce(f64::min)?;
-        let sum_of = |stages: &[&str]| {
+        let smallest_sum = |stages: &[&str]| {
             let sums = rows.iter().map(|row| stages.iter().filter_map(|stage| row.value(stage)).sum::<f64>());
-            sums.filter(|sum| sum.is_finite()).reduce(f64::min).unwrap_or_default()
+            // The sum is 0 if an iteration has none of the stages, for example because it was lost.
+            sums.filter(|sum| sum.is_finite() && *sum > 0.0).reduce(f64::min).unwrap_or_default()
         };
         Some(Self {
             iteration_s,
             overhead_s: (duration_s - iteration_s * starts.len() as f64).max(0.0),
-            sensing_s: sum_of(&["sensing"]),
-            computing_s: sum_of(&["preprocessing", "inference", "postprocessing"]),
+            sensing_s: smallest_sum(&["sensing"]),
+            computing_s: smallest_sum(&["preprocessing", "inference", "postprocessing"]),
         })
     }
 }
@@ -55,5 +56,14 @@ mod tests {
         let expected = Pace { iteration_s: 0.5, overhead_s: 2.5, sensing_s: 0.125, computing_s: 0.25 };
         assert_eq!(pace, Some(expected));
         assert_eq!(Pace::from_trial(&rows(&[(10.0, 1.0)]), 1.0), None);
+    }
+
+    #[test]
+    fn lost_iteration_does_not_shorten_stages() {
+        let answered = row_of_values(Outcome::Ok, &[("sensing", 0.125), ("inference", 0.25)]);
+        let lost = row_of_values(Outcome::Lost, &[("sensing", 0.125)]);
+        let rows: Rows = [Row { at: 10.0, ..answered }, Row { at: 11.0, ..lost }].into_iter().collect();
+        let pace = Pace::from_trial(&rows, 4.0).expect("two iterations");
+        assert_eq!((pace.sensing_s, pace.computing_s), (0.125, 0.25));
     }
 }

@@ -52,7 +52,8 @@ fn load(record: &RunRecord) -> Load {
 fn ended_early(record: &RunRecord, rows: &Rows, times: &StartTimes) -> Option<EndedEarly> {
     let counts = Counts::from_rows(rows, record.counts.unseen);
     let progress = Progress {
-        measured: counts.measured() + counts.unseen,
+        // The number of unseen iterations is from a file and can be any number.
+        measured: counts.measured().saturating_add(counts.unseen),
         warm_up: counts.warm_up,
         episodes: rows.iter().filter_map(|row| row.value("episode")).reduce(f64::max).map(|last| last as u64),
         seconds: times.seconds(),

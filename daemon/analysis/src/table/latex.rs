@@ -94,15 +94,20 @@ const fn is_latin(char: char) -> bool {
 /// removed.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
+    let is_dash = |char: char| matches!(char, '-' | '–' | '—');
     let mut previous = ' ';
     for char in text.chars() {
+        // LaTeX would join neighbouring dashes to a longer dash.
+        if is_dash(char) && is_dash(previous) {
+            out.push_str("{}");
+        }
         match char {
             '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', char]),
             // At the beginning of a row, LaTeX would read these characters as arguments of the `\\` that ends the row
             // before.
             '[' | ']' | '*' => out.extend(['{', char, '}']),
-            // Two equal characters of this kind would become one dash or one quotation mark.
-            '-' | '\'' | ',' | '`' if previous == char => out.extend(['{', '}', char]),
+            // Two equal characters of this kind would become one quotation mark.
+            '\'' | ',' | '`' if previous == char => out.extend(['{', '}', char]),
             '`' if matches!(previous, '?' | '!') => out.push_str("{}`"),
             '\\' => out.push_str("\\textbackslash{}"),
             '~' => out.push_str("\\textasciitilde{}"),
@@ -132,7 +137,8 @@ pub fn escape(text: &str) -> String {
             | '\u{200b}'..='\u{200f}'
             | '\u{2028}'..='\u{202e}'
             | '\u{2060}'..='\u{206f}'
-            | '\u{feff}' => {}
+            // Their neighbours come together, so `previous` stays the same.
+            | '\u{feff}' => continue,
             _ if char.is_control() || char.is_whitespace() => out.push(' '),
             _ => match GREEK.iter().find(|(letter, _)| *letter == char) {
                 Some((_, name)) => out.extend(["$\\", name, "$"]),
@@ -163,6 +169,7 @@ mod tests {
     fn escaped_text_has_no_arguments_or_ligatures() {
         assert_eq!(escape("[x] *"), "{[}x{]} {*}", "LaTeX would read [, ] and * as arguments of \\\\");
         assert_eq!(escape("a--b --- ''x'' ``y`` ,, ?`"), "a-{}-b -{}-{}- '{}'x'{}' `{}`y`{}` ,{}, ?{}`");
+        assert_eq!(escape("a-–b —- -\u{ad}-"), "a-{}--b ---{}- -{}-");
     }
 
     #[test]

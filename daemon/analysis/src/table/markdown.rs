@@ -27,7 +27,7 @@ fn escape(cell: &str) -> String {
     let mut text = String::with_capacity(cell.len());
     for char in printable_line(cell).chars() {
         match char {
-            '\\' | '|' | '*' | '_' | '`' | '<' | '[' => text.extend(['\\', char]),
+            '\\' | '|' | '*' | '_' | '~' | '`' | '<' | '&' | '[' => text.extend(['\\', char]),
             _ => text.push(char),
         }
     }
@@ -43,10 +43,13 @@ mod tests {
         let table = Table {
             header: vec!["a|b".to_owned(), "n".to_owned()],
             label_columns: 1,
-            rows: vec![vec!["x_y".to_owned(), "1.0".to_owned()], vec!["*\nz".to_owned(), String::new()]],
+            rows: vec![
+                vec!["x_y ~&lt;~".to_owned(), "1.0".to_owned()],
+                vec!["*\nz".to_owned(), String::new()],
+            ],
             marked: Some((0, 1)),
         };
-        let expected = "| a\\|b | n |\n| --- | ---: |\n| x\\_y | **1.0** |\n| \\* z |  |\n";
+        let expected = "| a\\|b | n |\n| --- | ---: |\n| x\\_y \\~\\&lt;\\~ | **1.0** |\n| \\* z |  |\n";
         assert_eq!(table.markdown(), expected);
     }
 }

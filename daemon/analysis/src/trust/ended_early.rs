@@ -66,7 +66,7 @@ impl EndedEarly {
         let limits_and_reached = [
             (limits.episodes, episodes, LimitUnit::Episodes),
             (limits.iterations, Some(progress.measured as f64), LimitUnit::Iterations),
-            (limits.total, Some((progress.measured + progress.warm_up) as f64), LimitUnit::Iterations),
+            (limits.total, Some(progress.measured as f64 + progress.warm_up as f64), LimitUnit::Iterations),
             (limits.duration_s, progress.seconds, LimitUnit::Seconds),
         ];
         let amounts = limits_and_reached.into_iter().filter_map(|(limit, reached, unit)| {

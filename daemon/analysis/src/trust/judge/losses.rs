@@ -178,7 +178,7 @@ fn judge_missing_events(counts: &Counts, missing: &[MissingEvents]) -> Finding {
             reasons.push(&gap.reason);
         }
     }
-    let expected = counts.measured_with_warm_up() + missing_count.known;
+    let expected = counts.measured_with_warm_up().saturating_add(missing_count.known);
     let share = missing_count.known as f64 / expected.max(1) as f64;
     // The share would not include the events of gaps whose number of events is unknown, so it would understate the
     // loss.
