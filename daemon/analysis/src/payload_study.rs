@@ -300,6 +300,9 @@ mod tests {
         let by_payload: BTreeMap<u64, Vec<u64>> =
             (0..100).map(|size| (size, vec![if size == 40 { 990 } else { 10 }])).collect();
         let merged = merge_sizes(by_payload, |count| *count);
+        // Each of the 24 parts has 1,980 / 24 = 82.5 messages. The other sizes have half of all
+        // messages, so they fill about 12 parts. At most nine of them share a part with size 40:
+        // 9 * 10 + 990 = 1,080 messages.
         assert!((12..=MAX_SIZES).contains(&merged.len()), "{merged:?}");
         assert_eq!(merged.iter().flat_map(|(_, counts)| counts).sum::<u64>(), 1_980);
         assert!(merged.iter().all(|(_, counts)| counts.iter().sum::<u64>() <= 1_080), "{merged:?}");

@@ -14,7 +14,8 @@ pub const BOTH_DIRECTIONS: &str = "upload + download";
 /// Name of the unattributed time without the late start, where the late start is a separate part.
 pub const REST_OF_UNATTRIBUTED: &str = "rest of unattributed";
 
-/// Range of the ratio of an iteration's total to the median total of its run that counts as the usual variation.
+/// Ratios of an iteration's total to the median total of its run that are usual. An iteration with
+/// a larger ratio is slow.
 pub const USUAL_RATIOS: Range<f64> = 0.95..1.05;
 /// Causes are listed until they explain this share of the time by which an iteration took longer than the median.
 const MIN_EXPLAINED_SHARE: f64 = 0.8;
@@ -176,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn iteration_no_slower_than_median_has_no_causes() {
+    fn iteration_within_usual_variation_has_no_causes() {
         let parts = || [part("upload", 0.010, 0.005), part("inference", 0.005, 0.015)];
         assert_eq!(causes(0.015, 0.020, parts()), []);
         assert_eq!(causes(0.020, 0.020, parts()), []);

@@ -20,8 +20,8 @@ pub struct StageSplit {
     /// Mean of each part per iteration, seconds, in the order of the stages. The last part is `unattributed`, if there
     /// is time that belongs to no stage.
     pub parts: Vec<(Name, f64)>,
-    /// `lateness` as a part of `unattributed`, seconds; 0 in a closed loop. This part is not longer than
-    /// `unattributed`, although `lateness` may be if the clocks disagree.
+    /// `lateness` as a part of `unattributed`, seconds; 0 in a closed loop. If the clocks disagree,
+    /// `lateness` can be longer than `unattributed`; this part is then as long as `unattributed`.
     pub late_start: f64,
     /// Mean of the total, seconds; 0 without a total.
     pub total: f64,

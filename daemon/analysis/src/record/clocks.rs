@@ -28,8 +28,8 @@ pub struct DelayQuality {
     pub sources: BTreeMap<String, u64>,
     /// Median width of the bounds, seconds; `None` without bounds.
     pub median_width: Option<f64>,
-    /// Offset of the receiver's wall clock, minus that of the sender, at the first message with a known offset;
-    /// seconds.
+    /// Clock offset, which is the receiver's wall clock minus the sender's, at the first message
+    /// with a known offset; seconds.
     pub first_offset: Option<BoundedEstimate>,
     /// Offset at the last message with a known offset, seconds.
     pub last_offset: Option<BoundedEstimate>,
@@ -96,7 +96,8 @@ fn offset(delay: &OneWayDelay) -> Option<BoundedEstimate> {
     })
 }
 
-/// Returns the average growth of the offset between two times, which are in seconds. `None` if a time was not recorded.
+/// Returns the average growth of the offset between two times, which are in seconds. `None` if a
+/// time was not recorded, or if the second time is not later than the first.
 // The lower bound belongs to the highest possible offset at the first time and the lowest at the last time.
 fn skew(
     (from, first): (f64, BoundedEstimate),

@@ -293,7 +293,8 @@ impl FromIterator<Row> for Rows {
 }
 
 impl PartialEq for Rows {
-    /// Returns whether both contain the same rows. The order and the memory format of the columns may differ.
+    /// Returns whether both contain the same rows. The columns with numbers must have the same
+    /// order, but their memory format may differ.
     fn eq(&self, other: &Self) -> bool {
         self.len() == other.len() && self.iter().zip(other.iter()).all(|(a, b)| a.to_row() == b.to_row())
     }

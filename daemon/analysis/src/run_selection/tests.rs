@@ -1,4 +1,4 @@
-//! Which runs of repeats, edges and copies count.
+//! Tests of which runs count, if there are repeats, several edges, or copies.
 
 use super::*;
 

@@ -61,8 +61,10 @@ mod tests {
             Starts { missing, times: StartTimes::from_run(&record, &rows), ..Starts::from_rows(&rows) }
         };
         let times = [(2, 10.5), (1, 10.0), (4, 12.0), (3, 11.5)];
+        // The 2 s contain three periods, or five if two further iterations started.
         assert_eq!(starts(&times, Some(0)).actual_hz(), Some(1.5));
         assert_eq!(starts(&times, Some(2)).actual_hz(), Some(2.5), "missing iterations count as starts, too");
+        // Four measured iterations at 2.5 Hz.
         assert_eq!(starts(&times, Some(2)).measured_seconds(), Some(1.6));
         assert_eq!(starts(&times, None).actual_hz(), None);
         assert_eq!([&[(1, 10.0)][..], &[]].map(|times| starts(times, Some(0)).actual_hz()), [None, None]);

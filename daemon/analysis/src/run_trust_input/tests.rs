@@ -12,7 +12,7 @@ fn skipped_starts_are_reported_and_graded() {
     let grade_and_text = |load: serde_json::Value, skipped: u64| {
         let record = RunRecord { pipeline: serde_json::json!({ "load": load }), ..RunRecord::default() };
         let mut rows = rows(steady_totals(1005));
-        // One start in the warm-up, one before an answer and one before a missing answer.
+        // Starts were skipped in the warm-up, before an answered iteration and before a lost one.
         rows.change(|row| match row.iteration {
             3 => row.values.push(("skipped-starts".into(), 70.0)),
             10 => row.values.push(("skipped-starts".into(), skipped as f64 - 1.0)),

@@ -18,12 +18,14 @@ use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, SKIPPED_STARTS, Units};
 use crate::trust::{ReplayedLatencies, Starts};
 
-/// Summary of the columns of a run. Warm-up and failed iterations are left out.
+/// Summary of the columns of a run. Warm-up and failed iterations are left out, with two
+/// exceptions: failed iterations count as missed deadlines, and the values of episodes count in all
+/// iterations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
     /// Title for people.
     pub title: String,
-    /// Summaries of the columns that have a number in a row in the statistics, in the order of `data.csv`.
+    /// Summaries of the columns with at least one number that counts, in the order of `data.csv`.
     pub quantities: Vec<Quantity>,
     /// Number of iterations by outcome.
     pub counts: Counts,
@@ -134,7 +136,7 @@ impl Summary {
         }
     }
 
-    /// Returns the summary of one column; `None` if no row in the statistics has a number in the column.
+    /// Returns the summary of one column; `None` if no number in the column counts.
     pub fn quantity(&self, column: &str) -> Option<&Quantity> {
         self.quantities.iter().find(|quantity| quantity.column == column)
     }

@@ -3,7 +3,8 @@
 use peernet_logger::Unit;
 use peernet_statistics::number::{decimals, fixed, milliseconds, significant, throughput};
 
-/// Names of columns whose values are times, also in files of other programs, which have no units.
+/// Names of columns whose values are durations in seconds, even if no unit was logged, as in files
+/// of other programs. The same holds for these names with a number, such as `upload_2`.
 const DURATION_COLUMNS: [&str; 19] = [
     "sensing",
     "upload",
@@ -47,6 +48,8 @@ impl Scale {
     /// from the unit that was logged with its values. A second node with the name of a standard column, such as
     /// `upload_2`, has the scale of that column if no unit was logged.
     pub fn for_column(column: &str, unit: Option<&str>) -> Self {
+        // Unlike the names in `DURATION_COLUMNS`, these names must match exactly: `total_2` can
+        // have any unit.
         let is_duration_of_iteration =
             ["lateness", "total", "stages-total", "unattributed"].contains(&column);
         match column {
@@ -111,7 +114,8 @@ impl Scale {
     }
 }
 
-/// Returns the name of a column without an appended number: `upload` for `upload_2`.
+/// Returns the name of a column without an appended number and [`VALUE_SUFFIX`]: `upload` for
+/// `upload_2` and for `upload_2_val`.
 fn without_number(column: &str) -> &str {
     let column = column.strip_suffix(VALUE_SUFFIX).unwrap_or(column);
     let is_number = |ending: &str| ending.bytes().all(|byte| byte.is_ascii_digit());

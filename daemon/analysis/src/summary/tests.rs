@@ -58,6 +58,7 @@ fn warm_up_and_lost_rows_are_excluded() {
     let summary = Summary::from_rows(&to_rows(&rows(10)));
     let upload = summary.quantity("upload").expect("measured");
     assert_eq!((upload.count, upload.max), (7, 0.01701));
+    // The median is the delay of iteration 7, which is 17,007 ± 10 µs.
     assert_eq!(upload.bounds, Some((0.016997, 0.017017)));
     assert_eq!(summary.quantity("upload-throughput").expect("measured").bounds, Some((4e8, f64::INFINITY)));
     assert_eq!(summary.counts, Counts { ok: 7, lost: 1, warm_up: 2, ..Counts::default() });

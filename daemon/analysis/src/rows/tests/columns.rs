@@ -17,7 +17,7 @@ fn published_columns_come_first_in_order() {
 }
 
 #[test]
-fn custom_model_nodes_get_separate_columns() {
+fn values_of_nodes_and_delays_are_found_by_column() {
     let row = Row::from_iteration(&iteration(9, StreamOutcome::Ok, offloaded(17_530, 3_700)));
     let numbers = |columns: &[&str]| columns.iter().map(|column| row.value(column)).collect::<Vec<_>>();
     assert_eq!(numbers(&["sensing", "capture", "transform"]), [Some(0.0007), Some(0.0005), Some(0.00015)]);

@@ -75,15 +75,15 @@ fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Fi
         let text = format!("The medians of both halves are the same, {}: the run did not drift.", ms(first));
         return finding(about, Grade::Good, text);
     }
-    let p_value = match chance {
-        p if p < 0.001 => "p\u{202f}<\u{202f}0.001".to_owned(),
-        p => format!("p\u{202f}=\u{202f}{}", significant(p)),
-    };
     if !total.has_notable_change() {
         let text =
             format!("{change_text}, less than {}: the run did not drift.", percent(MIN_NOTABLE_CHANGE));
         return finding(about, Grade::Good, text);
     }
+    let p_value = match chance {
+        p if p < 0.001 => "p\u{202f}<\u{202f}0.001".to_owned(),
+        p => format!("p\u{202f}=\u{202f}{}", significant(p)),
+    };
     if chance >= MAX_CHANCE {
         return finding(
             about,
