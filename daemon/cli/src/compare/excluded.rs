@@ -137,7 +137,7 @@ mod tests {
         );
         assert_eq!(found.baseline, [0]);
         let baseline_dir = folder.path().join("baseline");
-        run(&baseline_dir.join("copy"), Some(ID));
+        write_run(&baseline_dir.join("copy"), Some(ID));
         let found = collect(&[run_dir("007-a"), run_dir("008-b")], Some(&baseline_dir), &|_| true)
             .expect("they are there");
         assert_eq!(names(&found), ["copy", "008-b"], "the baseline is in the named folder");
