@@ -26,11 +26,13 @@ pub struct LiveState {
     pub aggregator: Slug,
     /// Address that agents connect to, with the actual port.
     pub listening: String,
-    /// Hosts that have sent a message, sorted by name. A host that has been silent for a long time is removed.
+    /// Hosts that have sent a message, sorted by name. A host that has been silent for a long time is removed. A name
+    /// always means the first host of that name: a connected host, otherwise the host that sent the last message.
     pub hosts: Vec<Arc<HostSnapshot>>,
-    /// All pipelines, sorted by host name and name.
+    /// All pipelines, sorted in the order of `hosts`, then by name.
     pub pipelines: Vec<Arc<PipelineSnapshot>>,
-    /// All links, sorted by the edge's name, the cloud's name and the network.
+    /// All links, sorted in the order of `hosts`, then by the cloud's name and the network. Of several links with one
+    /// name, the link that was reported last is first.
     pub links: Vec<Arc<LinkSnapshot>>,
     /// Hosts that were refused in the last ten minutes, newest first, at most 32.
     pub refused: Vec<RefusedHost>,
@@ -39,6 +41,14 @@ pub struct LiveState {
     pub absent: usize,
     /// Totals of all hosts, including hosts that are not in `hosts`.
     pub totals: Totals,
+}
+
+impl LiveState {
+    /// Returns the pipeline of this name on the host of this name.
+    pub fn pipeline(&self, host: &str, name: &str) -> Option<&PipelineSnapshot> {
+        let mut pipelines = self.pipelines.iter().map(|pipeline| &**pipeline);
+        pipelines.find(|pipeline| pipeline.host_name.as_str() == host && pipeline.pipeline.as_str() == name)
+    }
 }
 
 /// Totals of all hosts. They never decrease while the aggregator runs.

@@ -255,12 +255,20 @@ impl Store {
         read::incidents::incidents(&self.readers, filter).await
     }
 
-    /// Returns all hosts that have introduced themselves, ordered by name.
+    /// Returns all hosts that have introduced themselves, ordered by name. Of several hosts with one name, the host that
+    /// was seen last is first.
     pub async fn hosts(&self) -> Result<Vec<HostRow>, StoreError> {
         read::incidents::hosts(&self.readers).await
     }
 
-    /// Returns all links, ordered by the edge's name, the cloud's name and the network.
+    /// Returns the first of [`hosts`](Self::hosts) that has this name or id.
+    pub async fn host(&self, name_or_id: &str) -> Result<Option<HostRow>, StoreError> {
+        let mut hosts = self.hosts().await?.into_iter();
+        Ok(hosts.find(|host| host.name.as_str() == name_or_id || host.id.to_string() == name_or_id))
+    }
+
+    /// Returns all links, ordered by the edge's name, the cloud's name and the network. Of several links with one name,
+    /// the link with the newest clock sample is first.
     pub async fn links(&self) -> Result<Vec<LinkRow>, StoreError> {
         read::clocks::links(&self.readers).await
     }

@@ -1,6 +1,6 @@
 //! Data of one answer: a snapshot of the live state, truncated to the limits of an answer.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 use peernet_aggregator::{HostSnapshot, LinkSnapshot, LiveState, PipelineSnapshot};
@@ -32,19 +32,12 @@ pub(super) struct Scrape {
 }
 
 impl Scrape {
-    /// Copies the required data of the live state. Samples are labelled with names of hosts. If several hosts have the
-    /// same name, only one of them is taken: a connected host rather than a disconnected one, and among equally
-    /// connected hosts the one that reported last.
+    /// Copies the required data of the live state. Samples are labelled with names of hosts, so of several hosts with
+    /// the same name only the first is taken, which is the host that the name means.
     pub(super) fn from_live_state(live_state: &LiveState, aggregator: AggregatorNumbers) -> Self {
-        let mut by_name: BTreeMap<&str, &Arc<HostSnapshot>> = BTreeMap::new();
-        for host in &live_state.hosts {
-            let current = by_name.entry(host.description.name.as_str()).or_insert(host);
-            if (host.connected, host.last_seen) > (current.connected, current.last_seen) {
-                *current = host;
-            }
-        }
-        let host_ids: HashSet<_> = by_name.values().map(|host| host.id).collect();
-        let mut hosts: Vec<Arc<HostSnapshot>> = by_name.into_values().cloned().collect();
+        let mut hosts = live_state.hosts.clone();
+        hosts.dedup_by(|next, host| next.description.name == host.description.name);
+        let host_ids: HashSet<_> = hosts.iter().map(|host| host.id).collect();
         let mut pipelines: Vec<Arc<PipelineSnapshot>> = live_state
             .pipelines
             .iter()
@@ -102,22 +95,21 @@ fn truncate<T>(items: &mut Vec<T>, limit: usize) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::{Span, Verdict};
+    use peernet_clock::Verdict;
     use peernet_logger::HostId;
 
     use super::*;
     use crate::tests::samples;
 
     #[test]
-    fn connected_host_is_preferred_among_hosts_of_one_name() {
+    fn only_first_host_of_a_name_is_taken() {
         let mut old = samples::host("cam-1", "Orin");
         (old.id, old.connected) = (HostId::from_bytes([8; 16]), false);
-        old.last_seen = samples::NOW + Span::from_seconds(9);
         let pipeline = samples::pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
         let mut twin = pipeline.clone();
         twin.host = old.id;
         let mut live_state =
-            samples::snapshot(vec![old, samples::host("cam-1", "Orin")], vec![twin, pipeline]);
+            samples::snapshot(vec![samples::host("cam-1", "Orin"), old], vec![pipeline, twin]);
         live_state.links = vec![Arc::new(samples::link(None, &[])), Arc::new(samples::link(None, &[]))];
         let scrape = Scrape::from_live_state(&live_state, AggregatorNumbers::from_live_state(&live_state));
         assert_eq!(scrape.hosts.iter().map(|host| host.connected).collect::<Vec<_>>(), [true]);

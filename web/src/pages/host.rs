@@ -80,8 +80,7 @@ async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>)
     if let Some(host) = find_live(&snapshot, &name) {
         return page(&host_page(&app, &snapshot, host));
     }
-    let stored = app.store().hosts().await?;
-    let row = stored.into_iter().find(|row| row.name.as_str() == name || row.id.to_string() == name);
+    let row = app.store().host(&name).await?;
     let row = row
         .ok_or_else(|| WebError::NotFound(format!("no host {name} has ever reported to this aggregator")))?;
     page(&past_page(&app, &snapshot, &row))

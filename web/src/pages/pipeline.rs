@@ -138,8 +138,7 @@ pub(super) fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> Result
 }
 
 fn find<'a>(snapshot: &'a LiveState, host: &str, name: &str) -> Result<&'a PipelineSnapshot, WebError> {
-    let matches = |one: &&PipelineSnapshot| one.host_name.as_str() == host && one.pipeline.as_str() == name;
-    snapshot.pipelines.iter().map(|one| &**one).find(matches).ok_or_else(|| {
+    snapshot.pipeline(host, name).ok_or_else(|| {
         WebError::NotFound(format!(
             "host {host} has not reported a pipeline {name}; the stored runs of such a pipeline are listed under /runs"
         ))

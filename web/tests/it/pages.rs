@@ -1,9 +1,13 @@
 //! Pages over stored data.
 
 use axum::http::StatusCode;
+use peernet_clock::{ClockIdentity, Span};
+use peernet_logger::HostId;
+use peernet_stream::{HostDescription, ToAggregator};
+use serde_json::json;
 
 use crate::test_dashboard::TestDashboard;
-use crate::test_site::TestPipeline;
+use crate::test_site::{Agent, TestPipeline, host};
 
 #[tokio::test]
 async fn every_page_is_complete_without_script() {
@@ -177,4 +181,35 @@ async fn links_with_all_clock_relations_are_shown() {
         assert!(answer.text().contains(text), "{path} lacks {text:?}: {}", answer.text());
     }
     assert!(!dashboard.get("/runs/2").await.text().contains("#i-clock-fault\"/></svg>clock fault"));
+}
+
+#[tokio::test]
+async fn name_of_two_hosts_means_connected_host() {
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
+    // The computer of cam-1 is installed again, so its host id changes.
+    site.agents[0].send_message(&ToAggregator::Goodbye(site.agents[0].id())).await;
+    dashboard.wait_until(|live_state| live_state.hosts.iter().any(|host| host.has_left)).await;
+    let description = HostDescription {
+        // This id is greater than every random id, so hosts that are sorted by their ids have the wrong order.
+        id: HostId::from_bytes([0xff; 16]),
+        ..host("cam-1", "NVIDIA Jetson Orin NX", ClockIdentity::new("cam-1", "system"))
+    };
+    site.agents[0] = Agent::new(description, &dashboard.listening, &dashboard.clock).await;
+    site.agents[0].wait_until_connected().await;
+    site.store_run_of_each_pipeline(100).await;
+    let now = dashboard.clock.wall();
+    site.report(now - Span::from_seconds(5), now).await;
+    dashboard.wait_until(|live_state| live_state.pipelines.len() == 2).await;
+
+    let id = site.agents[0].id().to_string();
+    assert_eq!(dashboard.get("/api/v1/hosts/cam-1").await.json()["id"], json!(id));
+    assert_eq!(dashboard.get("/api/v1/pipelines/cam-1/local").await.json()["host_id"], json!(id));
+    let runs = dashboard.get("/api/v1/runs?host=cam-1").await.json();
+    let numbers = runs["runs"].as_array().expect("runs").iter().map(|run| run["number"].clone());
+    assert_eq!(numbers.collect::<Vec<_>>(), [json!(2)], "run 1 is a run of the old host");
+    let host_page = dashboard.get("/hosts/cam-1").await;
+    assert!(host_page.text().contains(&id), "{}", host_page.text());
+    let pipeline_page = dashboard.get("/pipelines/cam-1/local").await;
+    assert!(pipeline_page.text().contains("\"/runs/2\""), "{}", pipeline_page.text());
+    assert!(!pipeline_page.text().contains("\"/runs/1\""), "{}", pipeline_page.text());
 }

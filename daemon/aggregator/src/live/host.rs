@@ -4,6 +4,7 @@
 //! goodbye, so its pipelines have ended. The pipelines of a host that became silent without a goodbye are away: it is
 //! unknown whether these pipelines still run.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -197,9 +198,11 @@ impl Host {
         self.presence.last_seen().mono
     }
 
-    /// Returns the host's name, by which the live state is sorted.
-    pub(super) fn name(&self) -> &Slug {
-        &self.description.name
+    /// Returns the key by which the live state is sorted: first the name. Of several hosts with one name, a connected
+    /// host is first, otherwise the host that sent the last message.
+    pub(super) fn sort_key(&self) -> (Slug, Reverse<(bool, MonoTime)>, HostId) {
+        let HostDescription { id, name, .. } = &self.description;
+        (name.clone(), Reverse((self.is_connected(), self.last_seen())), *id)
     }
 
     /// Returns the host's snapshot.
@@ -242,12 +245,15 @@ impl Host {
         })
     }
 
-    /// Returns the snapshots of the host's links, sorted by the cloud's name and the network.
+    /// Returns the snapshots of the host's links, sorted by the cloud's name and the network. Of several links with one
+    /// name, the link that was reported last is first.
     pub(super) fn links(&mut self) -> Vec<Arc<LinkSnapshot>> {
         // A link is connected only if the edge's latest message contained it.
         let last_message = self.is_connected().then_some(self.presence.last_seen().mono);
         let mut links: Vec<(&(HostId, NetworkName), &mut Link)> = self.links.iter_mut().collect();
-        links.sort_by(|(a, link_a), (b, link_b)| (link_a.cloud(), a).cmp(&(link_b.cloud(), b)));
+        links.sort_by_cached_key(|((cloud, network), link)| {
+            (link.cloud().clone(), network.clone(), Reverse(link.last_seen()), *cloud)
+        });
         let snapshots = links
             .into_iter()
             .map(|(_, link)| link.snapshot(self.description.id, &self.description.name, last_message));

@@ -275,11 +275,11 @@ impl LiveTracker {
     /// Returns a snapshot.
     pub(crate) fn snapshot(&mut self, now: Stamp) -> LiveState {
         let run_numbers = &self.run_numbers;
-        let mut by_name: BTreeMap<(Slug, HostId), &mut Host> =
-            self.hosts.iter_mut().map(|(id, host)| ((host.name().clone(), *id), host)).collect();
-        let mut hosts = Vec::with_capacity(by_name.len());
+        let mut sorted_hosts: BTreeMap<_, &mut Host> =
+            self.hosts.values_mut().map(|host| (host.sort_key(), host)).collect();
+        let mut hosts = Vec::with_capacity(sorted_hosts.len());
         let (mut pipelines, mut links) = (Vec::new(), Vec::new());
-        for ((_, id), host) in &mut by_name {
+        for ((.., id), host) in &mut sorted_hosts {
             let number = |run| run_numbers.get(&(*id, run)).copied();
             hosts.push(host.snapshot());
             pipelines.extend(host.pipelines(number, now));

@@ -263,14 +263,14 @@ statements! {
                  ORDER BY incident.at_ns DESC, incident.id DESC LIMIT ?1";
     /// All hosts that have introduced themselves. No parameters.
     HOSTS = concat!("SELECT uuid, name, description, first_seen_ns, last_seen_ns, events, nodes, gaps, missing, quarantined, ",
-             crate::stored::gap_columns!(), " FROM host WHERE name IS NOT NULL ORDER BY name");
+             crate::stored::gap_columns!(), " FROM host WHERE name IS NOT NULL ORDER BY name, last_seen_ns DESC");
     /// All links, with the times of their first and last clock samples. No parameters.
     LINKS = "SELECT edge.uuid AS edge, edge.name AS edge_name, cloud.uuid AS cloud, \
              coalesce(cloud.name, link.cloud_name) AS cloud_name, link.network, \
              (SELECT min(at_ns) FROM clock_sample WHERE clock_sample.link = link.id) AS first_ns, \
              (SELECT max(at_ns) FROM clock_sample WHERE clock_sample.link = link.id) AS last_ns \
              FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
-             ORDER BY edge_name, cloud_name, link.network, link.id";
+             ORDER BY edge_name, cloud_name, link.network, last_ns DESC";
     /// The id of a link: ?1 id of the edge, ?2 id of the cloud (the hosts' random ids), ?3 network.
     LINK = "SELECT link.id FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
             WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND link.network = ?3";

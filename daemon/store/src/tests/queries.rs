@@ -6,7 +6,7 @@ use peernet_logger::{HostId, Measure, Name, NodeId, RunId, stage};
 use peernet_statistics::Summary;
 use peernet_stream::{EndReason, Event, Incident, IncidentKind, Iteration, Outcome, RunEnded};
 
-use super::{TestStore, generate};
+use super::{STAMP, TestStore, generate, hello};
 use crate::quantity_statistics::QuantityStatistics;
 use crate::types::{IncidentFilter, IterationFilter, RunFilter, RunStatistics};
 
@@ -439,4 +439,20 @@ fn merged_summary_equals_summary_of_whole() {
         (merged.count, merged.p50, merged.p95, merged.max)
     );
     assert!(is_close(whole.mean, merged.mean));
+}
+
+#[tokio::test]
+async fn host_seen_last_is_first_of_its_name() {
+    let mut test_store = TestStore::new().await;
+    let successor = HostId::random();
+    let work = [hello(generate::host(successor, "edge"), 1)];
+    test_store.writer.commit(&work, STAMP + Span::from_seconds(60)).await.expect("commits");
+    let hosts = test_store.store.hosts().await.expect("answers");
+    let hosts: Vec<_> = hosts.iter().map(|host| (host.name.as_str(), host.id)).collect();
+    let edge = test_store.edge;
+    assert_eq!(hosts, [("cloud", test_store.cloud), ("edge", successor), ("edge", edge)]);
+    for (name_or_id, expected) in [("edge", successor), (&*edge.to_string(), edge)] {
+        let host = test_store.store.host(name_or_id).await.expect("answers");
+        assert_eq!(host.map(|host| host.id), Some(expected), "{name_or_id}");
+    }
 }

@@ -116,11 +116,8 @@ async fn get(
 ) -> Result<Json<Pipeline>, WebError> {
     let ((host, name), selection) = (path(names)?, PipelineSelection::from_query(&query)?);
     let snapshot = app.live_state();
-    let pipeline = snapshot
-        .pipelines
-        .iter()
-        .find(|pipeline| pipeline.host_name.as_str() == host && pipeline.pipeline.as_str() == name);
-    pipeline
+    snapshot
+        .pipeline(&host, &name)
         .map(|pipeline| Json(selection.apply(pipeline, MAX_SECONDS)))
         .ok_or_else(|| WebError::NotFound(format!("host {host} has not reported a pipeline {name}")))
 }

@@ -58,9 +58,7 @@ async fn list(
     let host = match query.host {
         None => None,
         Some(name) => {
-            let hosts = app.store().hosts().await?;
-            let host = hosts.iter().find(|host| host.name.as_str() == name || host.id.to_string() == name);
-            let host = host.ok_or_else(|| {
+            let host = app.store().host(&name).await?.ok_or_else(|| {
                 WebError::BadRequest(format!(
                     "query parameter host: no host {name} has ever reported to this aggregator"
                 ))

@@ -8,8 +8,8 @@ use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
 use peernet_stream::codec::{decode, encode};
 use peernet_stream::{
-    Accounting, Action, Event, HostDescription, HostSecret, LiveUpdate, Sending, SendingConfig, SpoolState,
-    SpooledBatch, StreamId, ToAgent, ToAggregator, Usage,
+    Accounting, Action, Event, HostDescription, HostSecret, Sending, SendingConfig, SpoolState, SpooledBatch,
+    StreamId, ToAgent, ToAggregator, Usage,
 };
 use zeromq::{Message, Options, Socket, SocketType};
 
@@ -126,8 +126,8 @@ impl Agent {
         self.wait_until("everything is stored", Sending::is_idle).await;
     }
 
-    /// Sends a live update.
-    pub(crate) async fn send_live_update(&self, update: LiveUpdate) {
-        self.send(encode(&ToAggregator::Live(update))).await;
+    /// Sends a message outside the queue of events: a live update or a goodbye.
+    pub(crate) async fn send_message(&self, message: &ToAggregator) {
+        self.send(encode(message)).await;
     }
 }

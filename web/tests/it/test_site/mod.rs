@@ -18,7 +18,7 @@ use peernet_statistics::SplitMix64;
 use peernet_stream::{
     Condition, EndReason, Event, ExperimentPosition, Gap, Grade, Hardware, HostDescription, HostMetrics,
     Incident, IncidentKind, Iteration, LiveUpdate, ModelMetrics, Outcome, PipelineLive, PipelineState,
-    RunDescription, RunEnded,
+    RunDescription, RunEnded, ToAggregator,
 };
 
 /// The cameras' pipelines, and the rack that serves those of them that are remote.
@@ -416,7 +416,7 @@ impl TestSite {
             metrics,
             accounting: backlog::add_backlog(agent.accounting(), index, self.backlog, sent),
         };
-        agent.send_live_update(update).await;
+        agent.send_message(&ToAggregator::Live(update)).await;
     }
 }
 

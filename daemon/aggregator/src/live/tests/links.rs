@@ -130,6 +130,17 @@ fn two_networks_of_one_pair_are_two_links() {
 }
 
 #[test]
+fn reported_link_is_first_of_its_name() {
+    let mut testbed = Testbed::new();
+    // The order of the ids is the opposite of the expected order.
+    let [old, new] = [1, 2].map(|byte| HostId::from_bytes([byte; 16]));
+    report(&mut testbed, 0.5, vec![link(old, "cloud", 1.0, 0)]);
+    report(&mut testbed, 1.5, vec![link(new, "cloud", 2.0, 0)]);
+    let snapshot = testbed.snapshot(1.6);
+    assert_eq!(snapshot.links.iter().map(|link| link.live.peer).collect::<Vec<_>>(), [new, old]);
+}
+
+#[test]
 fn excess_links_and_texts_are_cut_and_counted() {
     let mut testbed = Testbed::new();
     let mut links: Vec<LinkLive> =

@@ -398,6 +398,32 @@ fn restarted_host_is_connected_from_first_update() {
 }
 
 #[test]
+fn connected_host_is_first_of_its_name() {
+    let mut live = LiveTracker::new(slug("here"), "tcp://127.0.0.1:5550".into(), Span::from_seconds(3_600));
+    // The order of the ids is the opposite of the expected order.
+    let [old, new] = [1, 2].map(|byte| HostId::from_bytes([byte; 16]));
+    let report = |live: &mut LiveTracker, host, at| {
+        live.apply(LiveEvent::Hello(Box::new(description(host, "edge")), 1), now(at));
+        live.apply(update(host, wall(at), vec![pipeline("line", vec![])]), now(at));
+    };
+    let order = |live: &mut LiveTracker, at| {
+        let snapshot = live.snapshot(now(at));
+        let hosts: Vec<HostId> = snapshot.hosts.iter().map(|host| host.id).collect();
+        assert_eq!(snapshot.pipelines.iter().map(|pipeline| pipeline.host).collect::<Vec<_>>(), hosts);
+        assert_eq!(snapshot.pipeline("edge", "line").map(|pipeline| pipeline.host), Some(hosts[0]));
+        hosts
+    };
+    report(&mut live, old, 0.0);
+    live.expire(now(20.0));
+    report(&mut live, new, 20.0);
+    assert_eq!(order(&mut live, 20.0), [new, old]);
+    live.expire(now(40.0));
+    assert_eq!(order(&mut live, 40.0), [new, old], "the silent host that reported last");
+    report(&mut live, old, 60.0);
+    assert_eq!(order(&mut live, 60.0), [old, new]);
+}
+
+#[test]
 fn frames_of_unknown_hosts_are_counted() {
     let mut testbed = Testbed::new();
     assert!(testbed.live.apply(LiveEvent::Unreadable, now(0.1)));
