@@ -280,8 +280,12 @@ async fn most_severe_problems_are_listed_first() {
     assert!(html.contains("No pipeline is running, 5 to look at"), "{html}");
     let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text} is missing: {html}"));
     assert!(at("stopped: no pictures in /data") < at("has not reported since 12:01:07"));
-    assert!(at("lacks 1,050 events") < at("waits: rack-a does not answer"));
-    assert!(html.contains("storing is 35\u{202f}s behind measuring"));
+    assert!(at(">cam-1:</a> 1,050 events dropped") < at("waits: rack-a does not answer"));
+    assert!(html.contains(">cam-1:</a> storing is 35\u{202f}s behind measuring"), "{html}");
+    assert!(
+        html.contains("dot warn") && !html.contains("dot bad"),
+        "the dot has the tone of the notes: {html}"
+    );
 }
 
 #[tokio::test]
@@ -289,7 +293,7 @@ async fn gap_of_unknown_size_is_noted_on_overview() {
     let mut host = host("cam-1", "Orin");
     (host.stored.gaps, host.stored.unknown_gaps) = (1, 1);
     let html = overview_of(&snapshot(vec![host], Vec::new()), Vec::new()).await;
-    assert!(html.contains("lacks an unknown number of events: "), "{html}");
+    assert!(html.contains("an unknown number of events missing; "), "{html}");
 }
 
 #[tokio::test]

@@ -16,7 +16,7 @@ use super::chip::{Chip, Tone};
 use crate::picture::Picture;
 use crate::zone::Zone;
 
-/// A note is shown if storage lags behind measurement by more than this.
+/// A remark is made if storage lags behind measurement by more than this.
 pub(crate) const FAR_BEHIND: Span = Span::from_seconds(5);
 /// A spool is reported as nearly full if at least this share of its limit is used.
 const NEARLY_FULL: f64 = 0.95;
@@ -25,7 +25,7 @@ const LOST: &str = "dropped because the agent's spool was full, or lost when the
 /// Explanation of the chip `compressed`. The agent does not report which of the two reasons applies.
 const COMPRESSED: &str = "batches wait for the link or the aggregator";
 
-/// A sentence with its chip.
+/// A whole sentence with its chip.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Remark {
     pub chip: Chip,
@@ -150,7 +150,8 @@ fn spool_chip(account: &Accounting) -> Option<Chip> {
     Some(Chip::new(tone, "gap", word))
 }
 
-fn remarks(host: &HostSnapshot) -> Vec<Remark> {
+/// Returns all remarks on a host's events.
+pub(crate) fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     let account = &host.accounting;
     let mut remarks = Vec::new();
     if let Some(trouble) = &account.trouble {

@@ -4,14 +4,14 @@ use peernet_aggregator::{HostSnapshot, LiveState, PipelineSnapshot};
 use peernet_analysis::trust::NOTABLE_SHARE;
 use peernet_clock::WallTime;
 use peernet_logger::Name;
-use peernet_statistics::number::{count, counted, estimated_duration, long_duration, percent};
+use peernet_statistics::number::{count, counted, percent};
 use peernet_stream::PipelineState;
 
 use super::chip::{Chip, Tone};
-use super::events::FAR_BEHIND;
+use super::events::{self, Remark};
 use super::notes::Note;
 use super::pipeline_table::{state_chip, state_reason};
-use super::{link, place, startup, warnings};
+use super::{hosts, link, place, startup, warnings};
 use crate::config::WarnConfig;
 use crate::zone::Zone;
 
@@ -87,39 +87,19 @@ impl Health {
 }
 
 fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig) -> Vec<Note> {
-    let name = host.description.name.to_string();
-    let note =
-        |chip, text| Note { chip, subject: name.clone(), href: format!("/hosts/{name}"), text, link: None };
-    let mut notes = Vec::new();
-    if !host.connected && !host.has_left {
+    let name = host.description.name.as_str();
+    let href = format!("/hosts/{name}");
+    let note = |subject: String, chip, text| Note { chip, subject, href: href.clone(), text, link: None };
+    let away = hosts::away_chip(host).map(|chip| {
         let seen = zone.moment(host.last_seen).time_of_day();
-        notes.push(note(Chip::new(Tone::Warn, "gap", "away"), format!("has not reported since {seen}.")));
-    }
-    let missing = host.missing_events();
-    if let Some(trouble) = &host.accounting.trouble {
-        let text = format!("cannot use its spool: {trouble}. Its events wait in memory.");
-        notes.push(note(Chip::new(Tone::Bad, "failed", "spool fails"), text));
-    }
-    if !missing.is_zero() {
-        let text = format!(
-            "lacks {}: the gaps of its runs, or incidents of the kind gap, say why. Pages show nothing for the missing events.",
-            missing.events()
-        );
-        notes.push(note(Chip::new(Tone::Warn, "gap", "gap"), text));
-    }
-    if let Some(behind) = host.behind.filter(|behind| *behind > FAR_BEHIND) {
-        let left = host.catching_up.map_or_else(String::new, |progress| {
-            format!(", about {} left", estimated_duration(progress.remaining.seconds()))
-        });
-        let text = format!(
-            "storing is {} behind measuring{left}, {} events wait on the host. Live figures are not affected.",
-            long_duration(behind.seconds()),
-            count(host.accounting.waiting)
-        );
-        notes.push(note(Chip::new(Tone::Warn, "stale", "behind"), text));
-    }
-    notes.extend(warnings::host_warning(host, now, warn).map(|(chip, text)| note(chip, text)));
-    notes
+        note(name.to_owned(), chip, format!("has not reported since {seen}."))
+    });
+    // A quiet remark, such as `catching up`, needs no attention.
+    let remarks = events::remarks(host).into_iter().filter(|remark| remark.chip.tone >= Tone::Warn);
+    let remarks = remarks.map(|Remark { chip, text }| note(format!("{name}:"), chip, text));
+    let warning =
+        warnings::host_warning(host, now, warn).map(|(chip, text)| note(name.to_owned(), chip, text));
+    away.into_iter().chain(remarks).chain(warning).collect()
 }
 
 fn pipeline_notes(pipeline: &PipelineSnapshot, snapshot: &LiveState, warn: &WarnConfig) -> Vec<Note> {

@@ -81,6 +81,11 @@ const POINT_INTERVAL_S: f64 = 5.0;
 /// If two points are further apart than this, the host counts as absent between them.
 const MIN_ABSENCE: Span = Span::from_seconds(15);
 
+/// Returns the chip of a host that became silent without a goodbye.
+pub(crate) fn away_chip(host: &HostSnapshot) -> Option<Chip> {
+    (!host.connected && !host.has_left).then_some(Chip::new(Tone::Warn, "gap", "away"))
+}
+
 /// Returns the values of a sparkline, oldest first. `None` makes a gap.
 fn history(
     points: &[std::sync::Arc<MetricsPoint>],
@@ -164,12 +169,12 @@ impl HostLine {
         // A quiet remark, such as `compressed`, is shown only while storage lags far behind.
         let remark =
             events::most_severe_remark(host).filter(|remark| is_far_behind || remark.chip.tone >= Tone::Warn);
-        let tone = match &remark {
+        let chips = [away_chip(host), remark.as_ref().map(|remark| remark.chip)];
+        let tone = if host.has_left {
             // An agent that said goodbye was stopped on purpose, so its host needs no attention.
-            _ if host.has_left => Tone::Quiet,
-            _ if !host.connected => Tone::Bad,
-            Some(remark) => remark.chip.tone.max(Tone::Warn),
-            None => Tone::Ok,
+            Tone::Quiet
+        } else {
+            chips.into_iter().flatten().map(|chip| chip.tone).max().unwrap_or(Tone::Ok)
         };
         let spark = |quantity: &str, share_of: fn(&HostMetrics) -> Option<f64>| {
             let items = sparkline(&history(&host.history, share_of));

@@ -17,11 +17,12 @@ pub(crate) const REPLAYED: Chip = Chip::new(Tone::Warn, "remark", "replayed");
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Note {
     pub chip: Chip,
-    /// Subject of the sentence, shown before the text as a hyperlink to `href`.
+    /// Subject of the sentence, shown before the text as a hyperlink to `href`. Before a whole sentence it ends with a
+    /// colon.
     pub subject: String,
     /// Address of the page of the subject; empty on that page itself.
     pub href: String,
-    /// Rest of the sentence.
+    /// Rest of the sentence, or a whole sentence.
     pub text: String,
     /// Address of the page of the link (an edge and a cloud) whose clocks the sentence is about.
     pub link: Option<String>,

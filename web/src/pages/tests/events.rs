@@ -62,8 +62,30 @@ async fn event_counts_of_each_state_are_shown() {
     check(html);
     assert!(html.contains("spool fails") && html.contains("11,520.0"), "{html}");
     let html = overview_of(&live_state, Vec::new()).await;
-    assert!(
-        html.contains("cannot use its spool: ") && html.contains("behind measuring, about 4\u{202f}min left"),
-        "{html}"
-    );
+    assert!(html.contains(">cam-2:</a> the spool cannot be used: "), "{html}");
+}
+
+#[tokio::test]
+async fn overview_notes_remarks_that_need_attention() {
+    let (app, _folder) = samples::app().await;
+    let mut late = host("cam-1", "Orin");
+    late.accounting = peernet_stream::Accounting { spool_bytes: 1 << 30, ..samples::accounting() };
+    late.behind = Some(Span::from_seconds(11_520));
+    late.catching_up = Some(peernet_aggregator::CatchingUp {
+        rate: 48.0,
+        events_per_second: 20_100.0,
+        remaining: Span::from_seconds(240),
+    });
+    let live_state = snapshot(vec![late], Vec::new());
+    let update = host::update(&app, &live_state, "cam-1").expect("renders");
+    let (_, host_page) = update.parts.iter().find(|(id, _)| *id == "accounting").expect("the part");
+    let overview = overview_of(&live_state, Vec::new()).await;
+    assert!(overview.contains(", 2 to look at</h1>"), "{overview}");
+    let notes = overview.split_once("<ul class=\"notes\">").expect("notes").1;
+    let notes = notes.split_once("</ul>").expect("an end").0;
+    for (word, needs_attention) in [("spool full", true), ("lost", true), ("catching up", false)] {
+        let chip = format!("</svg>{word}</span>");
+        assert!(host_page.contains(&chip), "{word}: {host_page}");
+        assert_eq!(notes.contains(&chip), needs_attention, "{word}: {notes}");
+    }
 }
