@@ -97,6 +97,13 @@ pub struct RunSummary {
     pub experiment: Option<ExperimentPosition>,
 }
 
+impl RunSummary {
+    /// Returns the end of the run, or the start of its last stored iteration if no end was reported.
+    pub fn end_time(&self) -> Option<WallTime> {
+        self.ended.or(self.last_iteration)
+    }
+}
+
 /// A run with all values that the store has of it, except for statistics and iterations.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunDetail {

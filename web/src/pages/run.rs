@@ -245,7 +245,7 @@ impl ActuatorNumbers {
 fn facts(run: &RunDetail, zone: Zone) -> Vec<String> {
     let summary = &run.summary;
     let placement = &summary.placement;
-    let mut facts = vec![match runs::end_time(summary) {
+    let mut facts = vec![match summary.end_time() {
         Some(end) => zone.range(summary.started, end),
         None => {
             format!("{}, {}", zone.moment(summary.started).date(), zone.moment(summary.started).time_of_day())

@@ -4,7 +4,6 @@ use peernet_aggregator::LiveState;
 use peernet_analysis::compare::describe_labels;
 use peernet_analysis::outcomes::failed_share;
 use peernet_analysis::trust::MissingCount;
-use peernet_clock::WallTime;
 use peernet_statistics::number::{NONE, count, counted, long_duration, milliseconds, percent};
 use peernet_store::{GapRow, RetentionConfig, RunSummary};
 use peernet_stream::ExperimentPosition;
@@ -163,11 +162,6 @@ pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
     notes.collect()
 }
 
-/// Returns the end of the run, or the start of its last stored iteration if no end was reported.
-pub(crate) fn end_time(run: &RunSummary) -> Option<WallTime> {
-    run.ended.or(run.last_iteration)
-}
-
 impl RunLine {
     pub(crate) fn new(run: &RunSummary, snapshot: &LiveState, zone: Zone) -> Self {
         let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), milliseconds);
@@ -178,7 +172,8 @@ impl RunLine {
             route: place::route(run.host_name.as_str(), &run.placement),
             model: place::model(&run.placement),
             started: zone.moment(run.started),
-            lasted: end_time(run)
+            lasted: run
+                .end_time()
                 .map_or_else(|| NONE.to_owned(), |end| long_duration((end - run.started).seconds())),
             end: End::of(run, snapshot, zone),
             iterations: count(run.counts.total()),

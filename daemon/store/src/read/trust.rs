@@ -50,7 +50,7 @@ async fn standstill_length(
     buckets: Option<&StageBuckets>,
 ) -> Result<Option<f64>, StoreError> {
     let summary = &run.summary;
-    let Some((buckets, end)) = buckets.zip(summary.ended.or(summary.last_iteration)) else {
+    let Some((buckets, end)) = buckets.zip(summary.end_time()) else {
         return Ok(None);
     };
     if !run.gaps.is_empty() {

@@ -37,7 +37,7 @@ impl From<&RunSummary> for Candidate {
             state: Some(RunState::from_end_reason(run.reason.as_ref())),
             repeat: membership.map(|membership| Repeat::new(membership, run.host, run.pipeline.as_str())),
             edges: membership.and_then(|membership| membership.edges),
-            times: Some((run.started, run.ended.or(run.last_iteration).unwrap_or(run.started))),
+            times: Some((run.started, run.end_time().unwrap_or(run.started))),
             sequence: run.number,
             // Only the command line names runs and ranks results.
             is_named: false,
