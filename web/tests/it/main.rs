@@ -7,6 +7,7 @@ mod lengths;
 mod metrics;
 mod over_time;
 mod pages;
+mod problems;
 mod retained;
 mod serving;
 mod storing;
