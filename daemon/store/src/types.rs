@@ -17,6 +17,7 @@ pub use statistics::{MergeableStatistics, RunStatistics, StageStatistics};
 
 use peernet_analysis::actuator_results::ActuatorResults;
 use peernet_analysis::deadline::Misses;
+use peernet_analysis::rows::Outcome;
 use peernet_analysis::slowness::{Cause, Medians};
 use peernet_clock::{DelaySource, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
@@ -241,8 +242,8 @@ pub struct IterationRow {
     pub step: u32,
     /// `true` if the iteration belongs to the warm-up and is excluded from statistics.
     pub warm_up: bool,
-    /// `ok`, `failed`, `lost` or `timeout`.
-    pub outcome: String,
+    /// Outcome of the iteration.
+    pub outcome: Outcome,
     /// Reason for which the iteration failed; `None` if it succeeded.
     pub reason: Option<String>,
     /// Start of the iteration on the edge's wall clock.

@@ -83,10 +83,9 @@ async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathReje
 /// median, and the causes if the iteration was slow. Otherwise: the outcome, and the duration and
 /// the reason if they are known.
 fn title(row: &IterationRow) -> String {
-    let Some(total) = row.total.filter(|_| row.outcome == "ok") else {
+    let Some(total) = row.total.filter(|_| row.outcome == Outcome::Ok) else {
         let reason = row.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
-        let outcome =
-            Outcome::from_name(&row.outcome).map_or(row.outcome.as_str(), |outcome| outcome.display_name());
+        let outcome = row.outcome.display_name();
         let duration_text = row.total.map_or_else(String::new, |total| format!(" after {}", duration(total)));
         return format!("Iteration {outcome}{duration_text}{reason}");
     };
@@ -206,7 +205,7 @@ mod tests {
         assert_eq!(title(&row), "30.2\u{202f}ms, close to the run's median");
         (row.factor, row.causes) = (Some(0.8), Vec::new());
         assert_eq!(title(&row), "30.2\u{202f}ms, 0.80\u{202f}× the run's median");
-        row.outcome = "lost".into();
+        row.outcome = Outcome::Lost;
         row.reason = Some("connection to rack-a closed".into());
         assert_eq!(title(&row), format!("Iteration lost after 30.2{SPACE}ms: connection to rack-a closed"));
     }

@@ -7,6 +7,7 @@ use peernet_aggregator::{
     PercentilePoint, PercentileSeries, PipelineSnapshot, RefusedHost, RejectedBatches, Totals, Window,
 };
 use peernet_analysis::delays::VerdictCounts;
+use peernet_analysis::rows::Outcome;
 use peernet_analysis::transfer::Transfers;
 use peernet_clock::{
     ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
@@ -467,7 +468,7 @@ pub(crate) fn iteration() -> IterationDetail {
             episode: 12,
             step: 3,
             warm_up: false,
-            outcome: "ok".into(),
+            outcome: Outcome::Ok,
             reason: None,
             started: NOW,
             total: Some(0.0302),

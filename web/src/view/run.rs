@@ -1,6 +1,5 @@
 //! View of a stored run.
 
-use peernet_analysis::rows::Outcome;
 use peernet_analysis::summary::{Scale, is_reported_as_count};
 use peernet_analysis::trust::Starts;
 use peernet_clock::WallTime;
@@ -107,9 +106,8 @@ impl StoredRun<'_> {
             at: zone.moment(row.started),
             // The warm-up is named, because statistics and counts exclude its iterations.
             outcome: {
-                let words = Outcome::from_name(&row.outcome).map(Outcome::display_name);
-                let words = words.map_or_else(|| row.outcome.clone(), str::to_owned);
-                if row.warm_up { format!("{words}, warm-up") } else { words }
+                let words = row.outcome.display_name();
+                if row.warm_up { format!("{words}, warm-up") } else { words.to_owned() }
             },
             reason: row.reason.clone().unwrap_or_else(|| NONE.to_owned()),
         };

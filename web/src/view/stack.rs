@@ -1,6 +1,7 @@
 //! Means of stages that add up to the mean of the total.
 
 use peernet_aggregator::Window;
+use peernet_analysis::rows::Outcome;
 use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::unaccounted_time::{IterationDurations, UnaccountedTime};
 use peernet_figures::drawing::{StageBar, StagePart};
@@ -118,7 +119,7 @@ pub(super) fn durations(row: &IterationRow) -> Option<IterationDurations<'_>> {
         both_ways: row.both_ways,
         unattributed: row.unattributed,
         has_unknown_delay: row.delays.iter().any(|delay| delay.value.is_none()),
-        is_answered: row.outcome == "ok",
+        is_answered: row.outcome == Outcome::Ok,
     })
 }
 

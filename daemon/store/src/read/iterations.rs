@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use peernet_analysis::rows::Outcome;
 use peernet_analysis::slowness::{self, IterationTimes, Medians};
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{IterationValues, Name, NodeId, stage};
@@ -17,8 +18,6 @@ use crate::types::{DelayRow, IterationDetail, IterationFilter, IterationRow};
 
 /// Name of the requested data in errors.
 const WHAT: &str = "iterations";
-/// Names of the rows of the table `outcome`, in the order of their numbers.
-const OUTCOMES: [&str; 4] = ["ok", "failed", "lost", "timeout"];
 /// Largest rank. Only this many of the slowest iterations have a rank.
 const MAX_RANK: i64 = 1_000;
 
@@ -123,10 +122,6 @@ pub(crate) async fn iteration(
     let Some((tree, hosts)) = trees.into_iter().flatten().next() else { return Ok(None) };
     let run_figures = statistics::statistics_by_name(readers, run).await?;
     let medians = medians(&run_figures);
-    let rank = match row.total {
-        Some(total) if row.outcome == 0 && !row.warm_up => read_rank(readers, run, (total, number)).await?,
-        _ => Rank::default(),
-    };
     let neighbour = async |statement: &'static str| {
         let number: Option<i64> = sqlx::query_scalar(statement)
             .bind(run)
@@ -138,7 +133,12 @@ pub(crate) async fn iteration(
     };
     let (previous, next) = (neighbour(sql::PREVIOUS).await?, neighbour(sql::NEXT).await?);
     let Some(row) = complete_rows(readers, run, vec![row], &medians).await?.pop() else { return Ok(None) };
-    let Rank { rank, slower, faster } = rank;
+    let Rank { rank, slower, faster } = match row.total {
+        Some(total) if row.outcome == Outcome::Ok && !row.warm_up => {
+            read_rank(readers, run, (total, number)).await?
+        }
+        _ => Rank::default(),
+    };
     Ok(Some(IterationDetail { row, tree, hosts, rank, previous, next, slower, faster, run_figures }))
 }
 
@@ -244,15 +244,12 @@ fn complete_row(
         Some(slowness::both_ways(row.total?, other_stages.map(|(_, seconds)| *seconds), unattributed?))
     });
     let both_ways = both_ways.flatten();
-    let outcome = OUTCOMES
-        .get(usize::from(row.outcome))
-        .ok_or_else(|| corrupt_data(WHAT, format_args!("outcome {}", row.outcome)))?;
     Ok(IterationRow {
         number: count(row.number),
         episode: row.episode,
         step: row.step,
         warm_up: row.warm_up,
-        outcome: (*outcome).to_owned(),
+        outcome: value_of_number(WHAT, &Outcome::ALL, row.outcome)?,
         reason: row.reason,
         started: wall(row.started_ns),
         total: row.total,

@@ -38,10 +38,11 @@ pub(super) fn parse_name(what: &'static str, text: Option<&str>) -> Result<Optio
     text.map(|text| parse(what, text)).transpose()
 }
 
-/// Returns the source, the verdict or the pair of related clocks that is stored as a number: its position in `all`.
+/// Returns the outcome, the source, the verdict or the pair of related clocks that is stored as a number: its position
+/// in `all`.
 pub(super) fn value_of_number<T: Copy>(what: &'static str, all: &[T], number: u8) -> Result<T, StoreError> {
     let value = all.get(usize::from(number)).copied();
-    value.ok_or_else(|| corrupt_data(what, format_args!("source, verdict or clocks {number}")))
+    value.ok_or_else(|| corrupt_data(what, format_args!("outcome, source, verdict or clocks {number}")))
 }
 
 /// One-way delay as the tables `node` and `transit` store it: NULL becomes `None`.

@@ -1,9 +1,10 @@
 //! Whole iterations with their trees, as the agent sent them, many at a time.
 
+use peernet_analysis::rows;
 use peernet_stream::{Iteration, Outcome};
 
 use super::iterations::Row;
-use super::{corrupt_data, count, sql, tree, wall};
+use super::{corrupt_data, count, sql, tree, value_of_number, wall};
 use crate::column::column;
 use crate::error::StoreError;
 use crate::readers::Readers;
@@ -100,11 +101,10 @@ async fn with_trees(
 /// Returns the outcome for a number of the table `outcome`.
 fn outcome(number: u8, reason: Option<String>) -> Result<Outcome, StoreError> {
     let reason = reason.unwrap_or_default();
-    Ok(match number {
-        0 => Outcome::Ok,
-        1 => Outcome::Failed(reason),
-        2 => Outcome::Lost(reason),
-        3 => Outcome::Timeout(reason),
-        number => return Err(corrupt_data(WHAT, format_args!("outcome {number}"))),
+    Ok(match value_of_number(WHAT, &rows::Outcome::ALL, number)? {
+        rows::Outcome::Ok => Outcome::Ok,
+        rows::Outcome::Failed => Outcome::Failed(reason),
+        rows::Outcome::Lost => Outcome::Lost(reason),
+        rows::Outcome::Timeout => Outcome::Timeout(reason),
     })
 }

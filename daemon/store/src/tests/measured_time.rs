@@ -3,7 +3,7 @@
 
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::{HostRecord, RunRecord};
-use peernet_analysis::rows::{Row, Rows};
+use peernet_analysis::rows::{self, Row, Rows};
 use peernet_analysis::users::{Users, common_time};
 use peernet_clock::{Span, WallTime};
 use peernet_logger::RunId;
@@ -19,7 +19,7 @@ use crate::types::{IterationFilter, IterationRow, MeasuredTime, RunFilter};
 async fn iterations_in_statistics(test_store: &TestStore) -> Vec<IterationRow> {
     let filter = IterationFilter { limit: 1_000, ..IterationFilter::default() };
     let mut rows = test_store.store.iterations(1, &filter).await.expect("answers");
-    rows.retain(|row| !row.warm_up && row.outcome == "ok");
+    rows.retain(|row| !row.warm_up && row.outcome == rows::Outcome::Ok);
     rows
 }
 

@@ -1,5 +1,6 @@
 //! Answers of the store to queries.
 
+use peernet_analysis::rows;
 use peernet_analysis::slowness::Cause;
 use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
 use peernet_logger::{HostId, Measure, Name, NodeId, RunId, stage};
@@ -69,6 +70,21 @@ async fn statistics_of_run_are_those_of_its_iterations() {
 }
 
 #[tokio::test]
+async fn stored_numbers_are_positions_of_values() {
+    let test_store = TestStore::new().await;
+    let pool = test_store.store.readers.pool();
+    let names = async |statement: &'static str| -> Vec<String> {
+        sqlx::query_scalar(statement).fetch_all(&pool).await.expect("answers")
+    };
+    let outcomes = rows::Outcome::ALL.map(rows::Outcome::name);
+    assert_eq!(names("SELECT text FROM outcome ORDER BY id").await, outcomes);
+    let sources: Vec<&str> = DelaySource::ALL.iter().map(|source| source.name()).collect();
+    assert_eq!(names("SELECT text FROM source ORDER BY id").await, sources);
+    let verdicts: Vec<&str> = Verdict::ALL.iter().map(|verdict| verdict.name()).collect();
+    assert_eq!(names("SELECT text FROM verdict ORDER BY id").await, verdicts);
+}
+
+#[tokio::test]
 async fn runs_read_in_one_query_equal_single_runs() {
     let mut test_store = TestStore::new().await;
     for iterations in [40, 30, 20] {
@@ -135,7 +151,7 @@ async fn warm_up_and_failures_are_stored_outside_statistics() {
     let filter = IterationFilter { failed_only: true, after: 3, limit: 10 };
     let failed_rows = test_store.store.iterations(1, &filter).await.expect("answers");
     let failures: Vec<_> =
-        failed_rows.iter().map(|row| (row.number, row.outcome.as_str(), row.reason.as_deref())).collect();
+        failed_rows.iter().map(|row| (row.number, row.outcome.name(), row.reason.as_deref())).collect();
     assert_eq!(
         failures,
         [(4, "timeout", Some("no answer within 5 s")), (5, "failed", Some("not a picture"))]

@@ -1,10 +1,11 @@
 //! Statements that insert the rows of iterations directly from the batches.
 
+use peernet_analysis::rows::Outcome;
 use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, SqliteConnection};
 
-use super::prepared::{AnchorRow, IterationRow, NodeRow, PreparedBatch, TransitRow};
+use super::prepared::{AnchorRow, IterationRow, NodeRow, PreparedBatch, TransitRow, position};
 use crate::insert::Insert;
 use crate::rollups::Rollups;
 
@@ -105,7 +106,7 @@ fn bind_iteration(
     to.add(row.episode)?;
     to.add(row.step)?;
     to.add(row.warm_up)?;
-    to.add(row.outcome)?;
+    to.add(position(&Outcome::ALL, row.outcome))?;
     to.add(row.reason.as_deref())?;
     to.add(row.started_ns)?;
     to.add(row.total)

@@ -25,7 +25,7 @@ pub(crate) struct IterationSummary {
     pub step: u32,
     pub warm_up: bool,
     /// `ok`, `failed`, `lost` or `timeout`.
-    pub outcome: String,
+    pub outcome: &'static str,
     pub reason: Option<String>,
     pub started: String,
     /// Seconds from the intended start to the end.
@@ -134,7 +134,7 @@ impl From<&store::IterationRow> for IterationSummary {
             episode: row.episode,
             step: row.step,
             warm_up: row.warm_up,
-            outcome: row.outcome.clone(),
+            outcome: row.outcome.name(),
             reason: row.reason.clone(),
             started: time(row.started),
             total: row.total,

@@ -2,6 +2,7 @@
 
 use peernet_analysis::actuator_results::is_value_in_statistics;
 use peernet_analysis::outcomes::Counts;
+use peernet_analysis::rows;
 use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::{HostId, Measure, NodeId, Transit, stage};
 use peernet_stream::{Iteration, Outcome};
@@ -77,7 +78,7 @@ impl BatchBuilder {
             episode: iteration.episode,
             step: iteration.step,
             warm_up: iteration.warm_up,
-            outcome: outcome_number(&iteration.outcome),
+            outcome: rows::Outcome::from(&iteration.outcome),
             reason: iteration.outcome.reason().map(str::to_owned),
             started_ns: edge.wall.unix_nanos(),
             total: counted_nodes.get(&stage::TOTAL).unwrap_or(f64::NAN),
@@ -125,16 +126,6 @@ impl BatchBuilder {
     }
 }
 
-/// Returns the number of an outcome in the table `outcome`.
-const fn outcome_number(outcome: &Outcome) -> u8 {
-    match outcome {
-        Outcome::Ok => 0,
-        Outcome::Failed(_) => 1,
-        Outcome::Lost(_) => 2,
-        Outcome::Timeout(_) => 3,
-    }
-}
-
 /// Returns the bounds of a node's value.
 fn bounds(measure: &Measure) -> Option<(f64, f64)> {
     match measure {
@@ -161,7 +152,7 @@ fn transit_row(iteration: u32, id: NodeId, transit: &Transit) -> TransitRow {
 }
 
 /// Returns the number under which the database stores a value of an enumeration, which is the value's position in `all`.
-/// The tables `source` and `verdict` have the same numbers.
+/// The tables `outcome`, `source` and `verdict` have the same numbers.
 pub(crate) fn position<T: PartialEq + Copy>(all: &[T], value: T) -> Option<u8> {
     all.iter().position(|other| *other == value).and_then(|position| u8::try_from(position).ok())
 }

@@ -1,6 +1,8 @@
 //! Rows of the tables that grow with every iteration. An unknown `f64` is NaN, which SQLite stores as
 //! NULL.
 
+use peernet_analysis::rows::Outcome;
+
 /// A row of `iteration`.
 #[derive(Debug)]
 pub(in crate::write) struct IterationRow {
@@ -10,7 +12,7 @@ pub(in crate::write) struct IterationRow {
     pub(in crate::write) episode: u32,
     pub(in crate::write) step: u32,
     pub(in crate::write) warm_up: bool,
-    pub(in crate::write) outcome: u8,
+    pub(in crate::write) outcome: Outcome,
     pub(in crate::write) reason: Option<String>,
     pub(in crate::write) started_ns: i64,
     pub(in crate::write) total: f64,
