@@ -2,9 +2,10 @@
 
 use std::sync::LazyLock;
 
-use peernet_analysis::compare::part_order;
+pub(crate) use peernet_analysis::rows::LATENESS;
+use peernet_analysis::stage_split::part_order;
 pub(crate) use peernet_analysis::unaccounted_time::is_one_way;
-pub(crate) use peernet_figures::look::{LATENESS, label};
+pub(crate) use peernet_figures::look::label;
 use peernet_logger::Name;
 
 /// Names of all parts that a `total` can have.

@@ -4,7 +4,7 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::Moments;
 
 use crate::rows::{LATENESS, RowRef, Rows};
-use crate::slowness::{self, BOTH_DIRECTIONS};
+use crate::slowness::{self, BOTH_DIRECTIONS, REST_OF_UNATTRIBUTED};
 
 /// If the time that belongs to no stage is at most this share of the total, the time is a rounding error.
 const MIN_REST_SHARE: f64 = 1e-9;
@@ -167,11 +167,20 @@ pub fn sent_in_part(sent: [u64; 2], iterations: u64, in_part: u64) -> [u64; 2] {
     sent.map(|count| ((count as f64 * share).round() as u64).max(count.min(1)))
 }
 
-/// Returns the index in `parts` at which the time of both directions belongs: the index that `upload` would have.
-pub fn index_of_network(parts: &[(Name, f64)]) -> usize {
-    let stages_before: Vec<Name> =
-        stage::ORDER.into_iter().take_while(|name| *name != stage::UPLOAD).collect();
-    parts.iter().filter(|(name, _)| stages_before.contains(name)).count()
+/// Returns the names of all parts that a total can have, in their order.
+pub fn part_order() -> impl Iterator<Item = Name> {
+    // The part for both directions comes before `upload`.
+    let both_directions =
+        |name: &Name| (*name == stage::UPLOAD).then_some(Name::from_static(BOTH_DIRECTIONS));
+    let stages =
+        stage::ORDER.into_iter().flat_map(move |name| both_directions(&name).into_iter().chain([name]));
+    stages.chain([LATENESS, REST_OF_UNATTRIBUTED].map(Name::from_static)).chain([stage::UNATTRIBUTED])
+}
+
+/// Returns the index in `parts` at which the time of both directions belongs.
+pub(crate) fn index_of_network(parts: &[(Name, f64)]) -> usize {
+    let parts_before: Vec<Name> = part_order().take_while(|name| *name != BOTH_DIRECTIONS).collect();
+    parts.iter().filter(|(name, _)| parts_before.contains(name)).count()
 }
 
 /// Returns the mean of a node per iteration, from the number and the mean of its values. Iterations without the node

@@ -5,17 +5,17 @@ use peernet_statistics::Moments;
 
 use super::Latency;
 use crate::rows::{LATENESS, RowRef, is_plausible};
-use crate::slowness::{BOTH_DIRECTIONS, REST_OF_UNATTRIBUTED};
+use crate::slowness::REST_OF_UNATTRIBUTED;
 use crate::stage_split::{StageSplit, sent_in_rows};
 use crate::total_column::TotalColumn;
 
 /// Mean latency of a configuration and its parts, seconds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LatencyBar {
-    /// Mean of each part per iteration, in the [order of all parts](part_order). The parts add up to the total, unless
-    /// the clocks show a stage as longer than it was. The late start is a separate part, and the unattributed time
-    /// without it is [`REST_OF_UNATTRIBUTED`]. In [`StageSplit`], the late start is a part of the unattributed time
-    /// instead.
+    /// Mean of each part per iteration, in the [order of all parts](crate::stage_split::part_order). The parts add up
+    /// to the total, unless the clocks show a stage as longer than it was. The late start is a separate part, and the
+    /// unattributed time without it is [`REST_OF_UNATTRIBUTED`]. In [`StageSplit`], the late start is a part of the
+    /// unattributed time instead.
     pub parts: Vec<(Name, f64)>,
     /// Mean of the column by which configurations are compared. If the configuration has no values of this column, the
     /// sum of the parts.
@@ -86,16 +86,6 @@ impl LatencyBar {
     pub fn part(&self, name: &str) -> Option<f64> {
         self.parts.iter().find(|(part, _)| part == name).map(|(_, mean)| *mean)
     }
-}
-
-/// Returns the names of all parts that a bar can have, in their order.
-pub fn part_order() -> impl Iterator<Item = Name> {
-    // The part for both directions comes before `upload`.
-    let both_directions =
-        |name: &Name| (*name == stage::UPLOAD).then_some(Name::from_static(BOTH_DIRECTIONS));
-    let stages =
-        stage::ORDER.into_iter().flat_map(move |name| both_directions(&name).into_iter().chain([name]));
-    stages.chain([LATENESS, REST_OF_UNATTRIBUTED].map(Name::from_static)).chain([stage::UNATTRIBUTED])
 }
 
 #[cfg(test)]

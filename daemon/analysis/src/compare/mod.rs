@@ -35,7 +35,7 @@ pub use differences::{Differences, STAGES, StageDifference};
 pub use labels::{
     RunFacts, describe_labels, distinguishing_pairs, experiment_columns, readable_names, tabulate,
 };
-pub use latency_bar::{LatencyBar, part_order};
+pub use latency_bar::LatencyBar;
 pub use order::{compare_label, compare_positions};
 pub use pairwise::PairwiseDifference;
 pub use ranking::{ConfigurationTotal, Ranking, find_unranked, model_computes};

@@ -1,6 +1,7 @@
 //! Figure of stacked stages: one bar for each configuration, with an error bar for the total.
 
-use peernet_analysis::compare::{LatencyBar, part_order};
+use peernet_analysis::compare::LatencyBar;
+use peernet_analysis::stage_split::part_order;
 use peernet_logger::Name;
 use peernet_statistics::number::fixed;
 

@@ -1,11 +1,12 @@
 //! Plot of the stacked stages of a run over time, with the quantiles of the total. The plots of several runs have the
 //! same axes. The plots are drawn only on web pages, not in files.
 
-use peernet_analysis::slowness::BOTH_DIRECTIONS;
+use peernet_analysis::stage_split::part_order;
+use peernet_logger::Name;
 use peernet_statistics::MIN_VALUES_FOR_P95;
 
 use super::stage_bar::StagePart;
-use crate::look::{STAGES, Style, stage};
+use crate::look::{Style, stage};
 use crate::plot::{At, Axis, Item, Key, Marks, Path, Plot, Strip, Swatch};
 use crate::scale::Scale;
 
@@ -25,13 +26,6 @@ const SHORT_RUN_SHARE: f64 = 0.02;
 const MIN_WARM_UP_WIDTH: f64 = 0.002;
 /// Failed iterations share a mark if their distance is less than this share of the axis.
 const MIN_MARK_DISTANCE: f64 = 0.005;
-
-/// Returns the position of a stage in the stack, from 0 for the lowest stage.
-fn stack_position(name: &str) -> usize {
-    // The sum of both directions takes the position of the upload.
-    let name = if name == BOTH_DIRECTIONS { "upload" } else { name };
-    STAGES.iter().position(|stage| stage.name == name).unwrap_or(STAGES.len())
-}
 
 /// Statistics of the iterations in one period of the run. Latencies are in seconds.
 #[derive(Clone, Debug, PartialEq)]
@@ -126,7 +120,9 @@ impl StagesOverTime {
                 names.push(name);
             }
         }
-        names.sort_by_key(|name| std::cmp::Reverse(stack_position(name)));
+        let order: Vec<Name> = part_order().collect();
+        let position = |name: &str| order.iter().position(|part| *part == *name).unwrap_or(order.len());
+        names.sort_by_key(|name| std::cmp::Reverse(position(name)));
         names
     }
 
@@ -143,8 +139,8 @@ impl StagesOverTime {
         };
         let outline =
             |value: &dyn Fn(&StageBucket) -> Option<f64>| self.outline(value).into_iter().map(position);
-        let stack_height = |bucket: &StageBucket, name: &str| {
-            let parts = bucket.parts.iter().filter(|part| stack_position(&part.name) <= stack_position(name));
+        let stack_height = |bucket: &StageBucket, names: &[&str]| {
+            let parts = bucket.parts.iter().filter(|part| names.contains(&part.name.as_str()));
             Some(parts.map(|part| part.seconds).sum())
         };
         let mut items = Vec::new();
@@ -153,8 +149,9 @@ impl StagesOverTime {
             Item::rect(At::new(from, 0.0), At::new(until.max(from + MIN_WARM_UP_WIDTH), 1.0), Style::shade())
         };
         items.extend(self.warm_up.iter().map(shade));
-        for name in self.stage_names() {
-            let area = Path::area(outline(&|bucket| stack_height(bucket, name)));
+        let names = self.stage_names();
+        for (index, name) in names.iter().enumerate() {
+            let area = Path::area(outline(&|bucket| stack_height(bucket, &names[index..])));
             items.push(Item::path(area, stage(name).plain()));
         }
         let x_share = |time: &f64| plot.x.scale.at(time / unit_seconds);

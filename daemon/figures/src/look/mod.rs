@@ -18,7 +18,7 @@ pub use colour::{
 };
 pub use hatch::Hatch;
 pub use mark::Mark;
-pub use stage::{LATENESS, STAGES, Stage, UNATTRIBUTED, label, stage};
+pub use stage::{STAGES, Stage, label, stage};
 pub use style::{Fill, Series, Stroke, Style, TextStyle, series};
 
 pub(crate) use hatch::lines;

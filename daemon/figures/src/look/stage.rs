@@ -1,16 +1,15 @@
 //! Stages: one table of names, classes, colours and hatches for every figure and page.
 
-use peernet_analysis::slowness::REST_OF_UNATTRIBUTED;
+use peernet_analysis::rows::LATENESS;
+use peernet_analysis::slowness::{BOTH_DIRECTIONS, REST_OF_UNATTRIBUTED};
+use peernet_analysis::unaccounted_time::NETWORK_AND_REST;
 
 use super::colour::{INK, INK_3, LINE_STRONG, ON_DARK, ON_PALE, Rgb, Token, WHITE};
 use super::hatch::Hatch;
 use super::style::{Fill, Style, TextStyle};
 
 /// Name of the part of `total` that belongs to no stage.
-pub const UNATTRIBUTED: &str = "unattributed";
-/// Name of the time from the intended to the actual start of an iteration. This time is a part of the unattributed
-/// time.
-pub const LATENESS: &str = "lateness";
+const UNATTRIBUTED: &str = "unattributed";
 /// Class of the sum of upload and download. The sum is shown if the clocks cannot separate the two.
 const NETWORK: &str = "network";
 /// Class of totals. A total is the sum of all stages.
@@ -96,8 +95,8 @@ const NON_STAGES: [Stage; 7] = [
     // In `STAGES`, 0 is the index of `sensing`, 3 of `upload` and 13 of the unattributed time.
     Stage { name: "capture", class: "capture", ..STAGES[0] },
     Stage { name: "transform", class: "transform", ..STAGES[0] },
-    Stage { name: "upload + download", class: NETWORK, ..STAGES[3] },
-    Stage { name: "upload + download + unattributed", class: NETWORK, ..STAGES[3] },
+    Stage { name: BOTH_DIRECTIONS, class: NETWORK, ..STAGES[3] },
+    Stage { name: NETWORK_AND_REST, class: NETWORK, ..STAGES[3] },
     Stage { name: REST_OF_UNATTRIBUTED, ..STAGES[13] },
     Stage { line: Some(INK.light), ..dark(TOTAL, LINE_STRONG, Hatch::Plain) },
     Stage { class: TOTAL, line: Some(INK.light), ..dark("stages-total", LINE_STRONG, Hatch::Plain) },
@@ -197,11 +196,10 @@ mod tests {
 
     #[test]
     fn stages_have_the_order_of_the_logger() {
-        let order = peernet_logger::stage::ORDER;
+        use peernet_logger::{Name, stage};
+        let order = stage::ORDER.into_iter().chain([Name::from_static(LATENESS), stage::UNATTRIBUTED]);
         let names: Vec<&str> = STAGES.iter().map(|stage| stage.name).collect();
-        let expected: Vec<&str> =
-            order.iter().map(peernet_logger::Name::as_str).chain([LATENESS, UNATTRIBUTED]).collect();
-        assert_eq!(names, expected);
+        assert_eq!(order.collect::<Vec<Name>>(), names);
     }
 
     #[test]
@@ -232,7 +230,7 @@ mod tests {
     #[test]
     fn custom_stage_has_no_colour_of_its_own() {
         assert_eq!((stage("\"><script>").class, stage("upload").class), ("other", "upload"));
-        let names = ["capture", "upload + download", REST_OF_UNATTRIBUTED, "total", "stages-total"];
+        let names = ["capture", BOTH_DIRECTIONS, REST_OF_UNATTRIBUTED, "total", "stages-total"];
         let classes = names.map(|name| stage(name).class);
         assert_eq!(classes, ["capture", "network", "unattributed", "total", "total"]);
         let has_colour =

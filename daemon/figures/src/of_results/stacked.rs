@@ -1,9 +1,10 @@
 //! Figure of the stacked stages of each configuration.
 
-use peernet_analysis::compare::{LatencyBar, part_order};
+use peernet_analysis::compare::LatencyBar;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::payload_study::DIRECTIONS;
 use peernet_analysis::rows::{LATENESS, RowRef};
+use peernet_analysis::stage_split::part_order;
 use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::Name;
 use peernet_statistics::number;

@@ -11,7 +11,6 @@ mod scores;
 use peernet_stream::ExperimentPosition;
 
 use super::*;
-use crate::look::UNATTRIBUTED;
 use crate::render::file;
 use peernet_analysis::quality::{Quality, QualityEstimate};
 use peernet_analysis::record::{ModelRecord, Placement};
@@ -163,7 +162,7 @@ fn bars_have_stages_that_add_up_to_total() {
         run.rows.change(|row| {
             if !row.values.is_empty() {
                 let sum: f64 = row.values.iter().map(|(_, value)| value).sum();
-                row.values.extend([("total".into(), sum + 2e-3), (UNATTRIBUTED.into(), 2e-3)]);
+                row.values.extend([("total".into(), sum + 2e-3), ("unattributed".into(), 2e-3)]);
             }
         });
         run
@@ -171,7 +170,7 @@ fn bars_have_stages_that_add_up_to_total() {
     let runs = [with_total(placed("s", "local", 20.0)), with_total(placed("s", "remote", 4.0))];
     let drawings = stacked::drawings(&runs).expect("there are bars");
     let AnyFigure::Stacked(figure) = &drawings[0].figure else { panic!("bars") };
-    assert_eq!(figure.stages, ["sensing", "inference", UNATTRIBUTED]);
+    assert_eq!(figure.stages, ["sensing", "inference", "unattributed"]);
     assert_eq!(figure.bars.iter().map(|bar| bar.label.as_str()).collect::<Vec<_>>(), ["local", "remote"]);
     let sum: f64 = figure.bars[0].means.iter().sum();
     assert!((sum - 24e-3).abs() < 5e-4 && figure.bars[0].std.is_some_and(|std| std > 0.0), "{figure:?}");
@@ -187,7 +186,7 @@ fn lateness_is_separate_part_of_bar() {
     run.rows.change(|row| {
         if !row.values.is_empty() {
             let sum: f64 = row.values.iter().map(|(_, value)| value).sum();
-            row.values.extend([("total".into(), sum + 9e-3), (UNATTRIBUTED.into(), 9e-3)]);
+            row.values.extend([("total".into(), sum + 9e-3), ("unattributed".into(), 9e-3)]);
             row.values.push(("lateness".into(), 7e-3));
         }
     });

@@ -1,5 +1,7 @@
 //! Tests of plots of stacked stages over time.
 
+use peernet_analysis::slowness::BOTH_DIRECTIONS;
+
 use super::super::{OverTimeAxes, StageBucket, StagePart, StagesOverTime};
 use crate::plot::{Item, Path, Plot, Step};
 
@@ -57,6 +59,18 @@ fn missing_buckets_interrupt_lines_and_areas() {
         "the lower stage must be drawn over the upper stage"
     );
     assert_eq!(path(&plot.items, "p95"), None, "no bucket has enough samples");
+}
+
+#[test]
+fn upload_and_sum_of_both_directions_have_separate_areas() {
+    let mut stages = run(vec![bucket(0.0, 0.01), bucket(1.0, 0.01)]);
+    for (bucket, name) in stages.buckets.iter_mut().zip(["upload", BOTH_DIRECTIONS]) {
+        name.clone_into(&mut bucket.parts[1].name);
+    }
+    let plot = plot_of(&stages);
+    let start = |class: &str| path(&plot.items, class).expect("an area").steps[0];
+    assert_eq!(start("f-network"), start("f-sensing"), "the first bucket has no sum of both directions");
+    assert_ne!(start("f-upload"), start("f-sensing"));
 }
 
 #[test]
