@@ -12,9 +12,8 @@ use peernet_stream::ExperimentPosition;
 use crate::message_sizes::{Message, MessageSketches, SizeSummary};
 use crate::record::RunRecord;
 use crate::rows::{RowRef, is_plausible};
+use crate::transfer::DirectionNodes;
 
-/// Directions in which messages are sent.
-pub const DIRECTIONS: [&str; 2] = ["upload", "download"];
 /// Maximum number of sizes. If there are more, neighbouring sizes are merged, so that each size has enough messages.
 const MAX_SIZES: usize = 24;
 
@@ -98,23 +97,24 @@ pub struct DirectionMessages {
 }
 
 impl DirectionMessages {
-    /// Returns the messages of these rows, which must be in the statistics.
-    pub fn from_rows(name: &'static str, rows: &[RowRef<'_>]) -> Self {
-        let [payload, metadata, lower, upper] =
-            ["bytes", "logger-bytes", "lo", "hi"].map(|suffix| format!("{name}-{suffix}"));
+    /// Returns the messages of these rows, which must be in the statistics. `nodes` has the names of the direction's
+    /// nodes.
+    pub fn from_rows(nodes: &'static DirectionNodes, rows: &[RowRef<'_>]) -> Self {
+        let (name, payload) = (nodes.delay.as_str(), &nodes.payload);
+        let [lower, upper] = ["lo", "hi"].map(|suffix| format!("{name}-{suffix}"));
         let mut by_payload: BTreeMap<u64, Vec<Message>> = BTreeMap::new();
         for row in rows {
             let plausible = |column: &str| row.value(column).filter(|value| is_plausible(*value));
             let Some(delay) = plausible(name) else { continue };
-            let Some(bytes) = plausible(&payload).filter(|bytes| *bytes > 0.0) else { continue };
-            let wire_bytes = bytes + plausible(&metadata).unwrap_or_default();
+            let Some(bytes) = plausible(payload).filter(|bytes| *bytes > 0.0) else { continue };
+            let wire_bytes = bytes + plausible(&nodes.metadata).unwrap_or_default();
             let bounds = row.value(&lower).zip(row.value(&upper));
             by_payload.entry(bytes as u64).or_default().push(Message { wire_bytes, delay, bounds });
         }
         // Each item is one message.
         let sizes = merge_sizes(by_payload, |_| 1).into_iter();
         let is_unknown = |row: &&RowRef<'_>| {
-            row.has_unknown_delay(name) && row.value(&payload).is_some_and(|bytes| bytes > 0.0)
+            row.has_unknown_delay(name) && row.value(payload).is_some_and(|bytes| bytes > 0.0)
         };
         Self {
             name,
@@ -125,8 +125,9 @@ impl DirectionMessages {
     }
 
     /// Returns the messages of stored runs. All messages of a run count as one size, the median of their payloads.
+    /// `nodes` has the names of the direction's nodes.
     pub fn from_sketches<'a>(
-        name: &'static str,
+        nodes: &'static DirectionNodes,
         runs: impl IntoIterator<Item = MessageSketches<'a>>,
     ) -> Self {
         let (mut unknown_delays, mut runs_with_several_sizes) = (0, 0);
@@ -141,7 +142,8 @@ impl DirectionMessages {
         }
         let sizes = merge_sizes(by_payload, delays).into_iter();
         let summary = |(payload, runs): (u64, Vec<_>)| SizeSummary::from_sketches(payload, &runs);
-        Self { name, sizes: sizes.filter_map(summary).collect(), unknown_delays, runs_with_several_sizes }
+        let (name, sizes) = (nodes.delay.as_str(), sizes.filter_map(summary).collect());
+        Self { name, sizes, unknown_delays, runs_with_several_sizes }
     }
 
     /// Returns whether the sizes differ enough to show the effect of size on delay: the largest is at least twice the

@@ -8,6 +8,51 @@ use peernet_clock::{Direction, Verdict};
 use peernet_logger::{Name, stage};
 use serde::Serialize;
 
+/// Names of the nodes that describe the messages of one direction.
+#[derive(Debug)]
+pub struct DirectionNodes {
+    /// One-way delay of the message.
+    pub delay: Name,
+    /// Bytes of the payload.
+    pub payload: Name,
+    /// Bytes of the metadata.
+    pub metadata: Name,
+    /// Bits of payload and metadata per second of the delay.
+    pub throughput: Name,
+}
+
+impl DirectionNodes {
+    /// Returns the names of a direction.
+    pub fn of(direction: Direction) -> &'static Self {
+        static UP: DirectionNodes = DirectionNodes {
+            delay: stage::UPLOAD,
+            payload: stage::UPLOAD_BYTES,
+            metadata: stage::UPLOAD_LOGGER_BYTES,
+            throughput: stage::UPLOAD_THROUGHPUT,
+        };
+        static DOWN: DirectionNodes = DirectionNodes {
+            delay: stage::DOWNLOAD,
+            payload: stage::DOWNLOAD_BYTES,
+            metadata: stage::DOWNLOAD_LOGGER_BYTES,
+            throughput: stage::DOWNLOAD_THROUGHPUT,
+        };
+        match direction {
+            Direction::Up => &UP,
+            Direction::Down => &DOWN,
+        }
+    }
+
+    /// Returns the names of both directions, in the order of [`Direction::ALL`].
+    pub fn both() -> [&'static Self; 2] {
+        Direction::ALL.map(Self::of)
+    }
+}
+
+/// Returns the direction whose delay has this name; `None` if the name is not that of a delay.
+pub fn direction_of_delay(name: &Name) -> Option<Direction> {
+    Direction::ALL.into_iter().find(|direction| DirectionNodes::of(*direction).delay == *name)
+}
+
 /// Sums over the messages of successful iterations in one direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Transfer {
@@ -27,14 +72,11 @@ impl Transfer {
         direction: Direction,
         statistics: impl Fn(&Name) -> Option<(u64, f64)>,
     ) -> Option<Self> {
-        let (payload, metadata, delay) = match direction {
-            Direction::Up => (stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES, stage::UPLOAD),
-            Direction::Down => (stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES, stage::DOWNLOAD),
-        };
-        let (messages, mean) = statistics(&payload)?;
+        let DirectionNodes { delay, payload, metadata, .. } = DirectionNodes::of(direction);
+        let (messages, mean) = statistics(payload)?;
         let sum = |(count, mean): (u64, f64)| count as f64 * mean;
-        let bytes = sum((messages, mean)) + statistics(&metadata).map_or(0.0, sum);
-        let (timed_messages, seconds) = statistics(&delay).map_or((0, 0.0), |delay| (delay.0, sum(delay)));
+        let bytes = sum((messages, mean)) + statistics(metadata).map_or(0.0, sum);
+        let (timed_messages, seconds) = statistics(delay).map_or((0, 0.0), |delay| (delay.0, sum(delay)));
         // The size of every message is known, but the delay of some messages is not. The messages with a known delay
         // are assumed to have the average size.
         let timed_share = (timed_messages as f64 / messages.max(1) as f64).min(1.0);
@@ -84,6 +126,14 @@ impl Transfers {
         Self {
             up: Transfer::from_statistics(Direction::Up, &statistics),
             down: Transfer::from_statistics(Direction::Down, &statistics),
+        }
+    }
+
+    /// Returns the sums of a direction; `None` if nothing was sent in this direction.
+    pub const fn of(&self, direction: Direction) -> Option<Transfer> {
+        match direction {
+            Direction::Up => self.up,
+            Direction::Down => self.down,
         }
     }
 }

@@ -2,13 +2,15 @@
 
 use peernet_aggregator::{PipelineSnapshot, Window};
 use peernet_analysis::actuator_results::{ActuatorResults, EPISODE_SUCCESS, SUPERSEDED};
+use peernet_analysis::transfer::DirectionNodes;
+use peernet_clock::Direction;
 use peernet_logger::stage;
 use peernet_store::QuantityStatistics;
 use peernet_stream::PipelineState;
 
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
-use crate::view::speed::{self, NetworkDirection};
+use crate::view::speed;
 
 /// Lengths of the windows in seconds, with the values of their label.
 const WINDOWS: [(u32, &str); 2] = [(10, "10s"), (60, "60s")];
@@ -138,14 +140,14 @@ pub(super) fn write_traffic(scrape: &Scrape, sink: &mut Sink<'_>) {
 fn write_directions(
     scrape: &Scrape,
     sink: &mut Sink<'_>,
-    value_of: impl Fn(&Window, NetworkDirection) -> Option<f64>,
+    value_of: impl Fn(&Window, Direction) -> Option<f64>,
 ) {
     for pipeline in &scrape.pipelines {
         let [host, name] = label_values(pipeline);
         let Some(window) = pipeline.window(60) else { continue };
-        for direction in [NetworkDirection::Up, NetworkDirection::Down] {
+        for direction in Direction::ALL {
             if let Some(value) = value_of(window, direction) {
-                sink(&[host, name, direction.delay_name()], Sample::Value(value));
+                sink(&[host, name, DirectionNodes::of(direction).delay.as_str()], Sample::Value(value));
             }
         }
     }

@@ -9,6 +9,7 @@ use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_aggregator::{LiveState, PipelineSnapshot, Window};
 use peernet_analysis::accuracy::{ACCURACIES, ACCURACY_TITLES};
+use peernet_clock::Direction;
 use peernet_logger::{Slug, stage};
 use peernet_statistics::number::{
     NONE, SPACE, count, duration, long_duration, percent, rate, share, total_ms,
@@ -31,7 +32,7 @@ use crate::view::data::JsonBlock;
 use crate::view::notes::Note;
 use crate::view::pipeline_table::{state_chip, state_reason};
 use crate::view::runs::RunLine;
-use crate::view::speed::{self, NetworkDirection};
+use crate::view::speed;
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW};
 use crate::view::{accuracy, chip::Chip, link, place};
@@ -216,8 +217,8 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
             number: failed,
             title: String::new(),
         },
-        speed("Speed up", NetworkDirection::Up),
-        speed("Speed down", NetworkDirection::Down),
+        speed("Speed up", Direction::Up),
+        speed("Speed down", Direction::Down),
         Stat {
             name: "Traffic",
             unit: if traffic.text == NONE { "" } else { "MB/s" },

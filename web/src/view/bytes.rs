@@ -1,19 +1,12 @@
 //! Sizes, throughputs and other quantities of one iteration.
 
 use peernet_analysis::summary::Scale;
-use peernet_analysis::transfer::is_speed_limited;
+use peernet_analysis::transfer::{DirectionNodes, is_speed_limited};
 use peernet_logger::{Measure, Name, Node, NodeId};
 use peernet_statistics::number::{NONE, SPACE, bytes, throughput, throughput_between, times};
 use peernet_store::{IterationDetail, QuantityStatistics};
 
 use crate::timeline::NodeStatistics;
-
-/// Names of four nodes of each direction: the delay, the size of the payload, the size of the metadata, and the
-/// throughput.
-const DIRECTIONS: [(&str, &str, &str, &str); 2] = [
-    ("upload", "upload-bytes", "upload-logger-bytes", "upload-throughput"),
-    ("download", "download-bytes", "download-logger-bytes", "download-throughput"),
-];
 
 /// Sizes and throughput of one direction.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -56,24 +49,24 @@ fn statistics_of_name<'a>(
 impl ByteRow {
     /// Returns a row for each direction in which a payload was sent.
     pub(crate) fn of_directions(detail: &IterationDetail) -> Vec<Self> {
-        let measured_directions =
-            DIRECTIONS.into_iter().filter(|(_, payload, ..)| counted_value(detail, payload).is_some());
-        let byte_rows = measured_directions.map(|(delay_name, payload, metadata, throughput_name)| {
+        let directions = DirectionNodes::both().into_iter();
+        let measured_directions = directions.filter(|nodes| counted_value(detail, &nodes.payload).is_some());
+        let byte_rows = measured_directions.map(|nodes| {
             let size = |name: &str| {
                 counted_value(detail, name).map_or_else(|| NONE.to_owned(), |size| bytes(size).to_string())
             };
-            let (throughput, throughput_note) = throughput_text(detail, throughput_name, delay_name);
-            let run_median = statistics_of_name(&detail.run_figures, throughput_name)
+            let (throughput, throughput_note) = throughput_text(detail, nodes);
+            let run_median = statistics_of_name(&detail.run_figures, &nodes.throughput)
                 .map(|statistics| statistics.p50)
                 .filter(|median| *median > 0.0);
             // The ratio of an interval to the median would look exact, so an interval has no ratio.
-            let value = counted_value(detail, throughput_name);
+            let value = counted_value(detail, &nodes.throughput);
             let ratio = value.zip(run_median).filter(|_| throughput_note.is_empty());
             let ratio = ratio.map(|(value, median)| times(value / median));
             Self {
-                name: delay_name,
-                payload: size(payload),
-                metadata: size(metadata),
+                name: nodes.delay.as_str(),
+                payload: size(&nodes.payload),
+                metadata: size(&nodes.metadata),
                 throughput,
                 throughput_note,
                 multiple_of_median: ratio.unwrap_or_else(|| NONE.to_owned()),
@@ -86,19 +79,15 @@ impl ByteRow {
 /// Returns the throughput in words. Also returns the reason if the throughput is missing or is an interval. If the
 /// verdict on the delay is `limited`, only the interval is returned, because a single value would look more certain
 /// than it is.
-fn throughput_text(
-    detail: &IterationDetail,
-    throughput_name: &str,
-    delay_name: &str,
-) -> (String, &'static str) {
+fn throughput_text(detail: &IterationDetail, nodes: &DirectionNodes) -> (String, &'static str) {
     let counted_nodes = detail.tree.counted_nodes();
     let measure = |name: &str| {
         counted_nodes.iter().find(|(_, node, _)| node.name == *name).map(|(_, node, _)| &node.measure)
     };
-    let Some(Measure::Throughput(rate)) = measure(throughput_name) else {
+    let Some(Measure::Throughput(rate)) = measure(&nodes.throughput) else {
         return (NONE.to_owned(), "no throughput was computed");
     };
-    let verdict = match measure(delay_name) {
+    let verdict = match measure(&nodes.delay) {
         Some(Measure::Transit(transit)) => transit.delay.map(|delay| delay.verdict),
         _ => None,
     };
@@ -117,11 +106,10 @@ impl OtherMeasurement {
     /// Returns the measurements that no other table of the page shows.
     pub(crate) fn all(detail: &IterationDetail) -> Vec<Self> {
         let shown_elsewhere = |node: &Node| {
-            let name = node.name.as_str();
-            let is_size_or_speed = DIRECTIONS
+            let is_size_or_speed = DirectionNodes::both()
                 .iter()
-                .any(|(_, payload, metadata, speed)| [payload, metadata, speed].contains(&&name));
-            is_size_or_speed || matches!(name, "total" | "stages-total" | "unattributed")
+                .any(|nodes| [&nodes.payload, &nodes.metadata, &nodes.throughput].contains(&&node.name));
+            is_size_or_speed || matches!(node.name.as_str(), "total" | "stages-total" | "unattributed")
         };
         // The first node is the root, which is the iteration itself.
         let nodes = detail.tree.iter().skip(1).filter(|(_, node)| {

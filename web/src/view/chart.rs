@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use peernet_aggregator::{LiveSecond, LiveState, PercentileSeries, PipelineSnapshot};
 use peernet_analysis::stage_split::mean_of_groups;
 use peernet_analysis::transfer::Transfer;
-use peernet_clock::WallTime;
+use peernet_clock::{Direction, WallTime};
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{DurationFormat, NONE, count};
 use peernet_store::IncidentRow;
@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::data::{JsonBlock, RoundedNumber};
 use super::incidents::IncidentLine;
 use super::place;
-use super::speed::{self, NetworkDirection};
+use super::speed;
 use super::stack::Stack;
 use crate::look;
 use crate::zone::{Zone, ZonedTime};
@@ -198,8 +198,7 @@ impl ChartData {
             means: BTreeMap::new(),
             transfers: TransferData { up: vec![None; length], down: vec![None; length] },
             p95: PercentileData::new(&pipeline.total_p95),
-            obstacles: [NetworkDirection::Up, NetworkDirection::Down]
-                .map(|direction| speed::obstacle_in(series, direction)),
+            obstacles: Direction::ALL.map(|direction| speed::obstacle_in(series, direction)),
             cpu: Vec::new(),
             gpu: Vec::new(),
             host,

@@ -1,6 +1,7 @@
 //! Table of the pipelines in the last minute: stage bars on one scale, with their numbers.
 
 use peernet_aggregator::{PipelineSnapshot, Window};
+use peernet_clock::Direction;
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, count, percent, rate, total_ms};
@@ -11,7 +12,7 @@ use peernet_stream::PipelineState;
 use super::chip::{Chip, Tone};
 use super::clocks::ClockCell;
 use super::place;
-use super::speed::{self, NetworkDirection};
+use super::speed;
 use super::stack::Stack;
 use crate::look;
 use crate::picture::Picture;
@@ -204,8 +205,8 @@ impl PipelineRow {
             missed: window
                 .miss_rate
                 .map_or_else(|| Cell::none("no deadline"), |missed| Cell::new(percent(missed))),
-            up: speed::cell(pipeline.placement.kind, window, NetworkDirection::Up),
-            down: speed::cell(pipeline.placement.kind, window, NetworkDirection::Down),
+            up: speed::cell(pipeline.placement.kind, window, Direction::Up),
+            down: speed::cell(pipeline.placement.kind, window, Direction::Down),
             traffic: speed::traffic(pipeline.placement.kind, window),
             clock: ClockCell::of(pipeline.placement.kind, &window.bounds),
             stages: columns.iter().map(mean).chain([mean(&"unattributed")]).collect(),

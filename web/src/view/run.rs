@@ -1,8 +1,9 @@
 //! View of a stored run.
 
 use peernet_analysis::summary::{Scale, is_reported_as_count};
+use peernet_analysis::transfer::DirectionNodes;
 use peernet_analysis::trust::Starts;
-use peernet_clock::WallTime;
+use peernet_clock::{Direction, WallTime};
 use peernet_figures::drawing::StageBar;
 use peernet_figures::scale::Scale as AxisScale;
 use peernet_logger::stage;
@@ -14,7 +15,7 @@ use serde::Serialize;
 
 use super::data::{JsonBlock, RoundedNumber};
 use super::episodes;
-use super::speed::{self, NetworkDirection};
+use super::speed;
 use super::stack::Stack;
 use crate::look;
 use crate::picture::Picture;
@@ -189,13 +190,12 @@ impl StoredRun<'_> {
             max: NONE.to_owned(),
             unit: "MB/s".to_owned(),
         };
-        let directions = [(NetworkDirection::Up, "upload"), (NetworkDirection::Down, "download")];
-        let sent = directions
-            .into_iter()
-            .filter_map(|(direction, name)| Some((direction, name, direction.transfer(&transfers)?)));
-        sent.flat_map(|(direction, name, transfer)| {
+        let directions = Direction::ALL.into_iter();
+        let sent = directions.filter_map(|direction| Some((direction, transfers.of(direction)?)));
+        sent.flat_map(|(direction, transfer)| {
+            let name = &DirectionNodes::of(direction).delay;
             let traffic = self.starts.measured_seconds().and_then(|seconds| transfer.traffic(seconds));
-            let delay = stages.iter().find(|stage| stage.stage == *direction.delay_name());
+            let delay = stages.iter().find(|stage| stage.stage == *name);
             let delay = delay.map(|stage| &stage.statistics);
             let speed = speed::text(&transfers, bounds, direction, delay);
             [

@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
 use peernet_analysis::delays::{ClockInterval, VerdictCounts};
-use peernet_analysis::transfer::{KnownSpeed, Transfer, Transfers};
-use peernet_clock::Verdict;
+use peernet_analysis::transfer::{DirectionNodes, KnownSpeed, Transfers};
+use peernet_clock::{Direction, Verdict};
 use peernet_statistics::Merge;
 use peernet_statistics::number::{NONE, throughput, throughput_between};
 use peernet_store::{DelayAccuracy, QuantityStatistics};
@@ -19,54 +19,29 @@ use super::pipeline_table::Cell;
 
 const MINUTE_S: i64 = 60;
 
-/// A direction of the network.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum NetworkDirection {
-    Up,
-    Down,
-}
-
-impl NetworkDirection {
-    /// Returns the name of the node whose value is the delay of this direction.
-    pub(crate) const fn delay_name(self) -> &'static str {
-        match self {
-            Self::Up => "upload",
-            Self::Down => "download",
-        }
-    }
-
-    /// Returns the transfer in this direction; `None` if nothing was sent.
-    pub(crate) const fn transfer(self, transfers: &Transfers) -> Option<Transfer> {
-        match self {
-            Self::Up => transfers.up,
-            Self::Down => transfers.down,
-        }
-    }
-}
-
 /// Returns the accuracy of the delays of a direction; `None` without delays.
-fn bound_of(bounds: &[DelayAccuracy], direction: NetworkDirection) -> Option<&DelayAccuracy> {
-    bounds.iter().find(|bound| bound.stage == *direction.delay_name())
+fn bound_of(bounds: &[DelayAccuracy], direction: Direction) -> Option<&DelayAccuracy> {
+    bounds.iter().find(|bound| bound.stage == DirectionNodes::of(direction).delay)
 }
 
-/// Returns the speed while sending in a direction if the clocks determine it ([`Transfer::known_speed`]).
+/// Returns the speed while sending in a direction if the clocks determine it.
 pub(crate) fn known_speed(
     transfers: &Transfers,
     bounds: &[DelayAccuracy],
-    direction: NetworkDirection,
+    direction: Direction,
 ) -> Option<KnownSpeed> {
-    direction.transfer(transfers)?.known_speed(bound_of(bounds, direction).and_then(clocks::verdict))
+    transfers.of(direction)?.known_speed(bound_of(bounds, direction).and_then(clocks::verdict))
 }
 
 /// Returns the reason why a chart of `series` has no line for a direction; `None` if the chart has such a line. The
 /// reason is that of the minute that ends with the newest successful iteration.
 // For a pipeline that has ended, the minute before now would always give the reason that no iteration succeeded. But
 // the chart still shows earlier minutes.
-pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirection) -> Option<&'static str> {
+pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: Direction) -> Option<&'static str> {
     let last = series.iter().rfind(|second| second.counts.ok > 0).map(|second| second.at);
     let minute = || series.iter().filter(|second| last.is_some_and(|last| second.at > last - MINUTE_S));
     let mut verdicts = VerdictCounts::default();
-    // `NetworkDirection` has the order of `verdicts`: up, down.
+    // `verdicts` has the order of `Direction`: up, down.
     minute().for_each(|second| verdicts.merge(&second.verdicts[direction as usize]));
     find_obstacle(Verdict::summarise(verdicts.counts()), minute().map(|second| second.counts.ok).sum())
 }
@@ -88,7 +63,7 @@ fn find_obstacle(verdict: Option<Verdict>, successful_iterations: u64) -> Option
 pub(crate) fn text(
     transfers: &Transfers,
     bounds: &[DelayAccuracy],
-    direction: NetworkDirection,
+    direction: Direction,
     delay: Option<&QuantityStatistics>,
 ) -> Option<String> {
     let KnownSpeed { bits_per_second, is_limited } = known_speed(transfers, bounds, direction)?;
@@ -99,13 +74,14 @@ pub(crate) fn text(
 }
 
 /// Returns the cell of the speed while sending in a direction, with its [`text`].
-pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: NetworkDirection) -> Cell {
+pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: Direction) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
     }
     let verdict = bound_of(&window.bounds, direction).and_then(clocks::verdict);
     let why = find_obstacle(verdict, window.counts.ok);
-    match text(&window.transfers, &window.bounds, direction, window.value(direction.delay_name())) {
+    let delay = window.value(&DirectionNodes::of(direction).delay);
+    match text(&window.transfers, &window.bounds, direction, delay) {
         // If the speed is known although no delay was judged, `why` would claim that nothing was sent.
         Some(text) => Cell { text, title: verdict.and(why).map(str::to_owned) },
         None => Cell::none(why.unwrap_or("the sizes or the delays are not known")),
@@ -117,8 +93,7 @@ pub(crate) fn traffic(kind: PlacementKind, window: &Window) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
     }
-    let directions =
-        [NetworkDirection::Up, NetworkDirection::Down].map(|direction| direction_traffic(window, direction));
+    let directions = Direction::ALL.map(|direction| direction_traffic(window, direction));
     if directions.iter().all(Option::is_none) {
         return Cell::none("no successful iteration in this time");
     }
@@ -127,8 +102,8 @@ pub(crate) fn traffic(kind: PlacementKind, window: &Window) -> Cell {
 }
 
 /// Returns the traffic of a direction in bits per second.
-pub(crate) fn direction_traffic(window: &Window, direction: NetworkDirection) -> Option<f64> {
-    direction.transfer(&window.transfers)?.traffic(window.covered_s)
+pub(crate) fn direction_traffic(window: &Window, direction: Direction) -> Option<f64> {
+    window.transfers.of(direction)?.traffic(window.covered_s)
 }
 
 /// Returns the interval of a speed while sending in MB/s, from the statistics of the delays. `None` if a delay has no
@@ -166,18 +141,18 @@ mod tests {
                     _ => {}
                 }
             }
-            [NetworkDirection::Up, NetworkDirection::Down].map(|direction| obstacle_in(&series, direction))
+            Direction::ALL.map(|direction| obstacle_in(&series, direction))
         };
         assert_eq!(of(5.0, Verdict::Ok), [None; 2]);
         assert_eq!(of(5.0, Verdict::Limited), [Some("known only within its clock bound"); 2]);
         assert_eq!(of(0.0, Verdict::Ok), [Some("no successful iteration in this time"); 2]);
-        assert_eq!(obstacle_in(&[], NetworkDirection::Up), Some("no successful iteration in this time"));
+        assert_eq!(obstacle_in(&[], Direction::Up), Some("no successful iteration in this time"));
     }
 
     #[test]
     fn throughput_over_limited_delay_is_an_interval() {
         let text = |verdict| {
-            cell(PlacementKind::Remote, &samples::window(10, 30.0, 1.0, verdict), NetworkDirection::Up).text
+            cell(PlacementKind::Remote, &samples::window(10, 30.0, 1.0, verdict), Direction::Up).text
         };
         assert_eq!(text(Verdict::Ok), "23.8");
         assert_eq!(text(Verdict::Limited), "21.5 – 26.5");

@@ -148,7 +148,7 @@ impl LinkClockState {
             ..OneWayDelay::unsynchronised(message_delay.raw)
         });
         for (direction, (delay, message_delay)) in
-            [Direction::Up, Direction::Down].iter().zip(delays.iter().zip(message_delays))
+            Direction::ALL.iter().zip(delays.iter().zip(message_delays))
         {
             self.current_second.add_delay(network, *direction, delay, message_delay.bits);
         }

@@ -108,7 +108,7 @@ impl CloudLink {
         };
         let sum_of_delays = sum_of_delays(&completed.recorder, up, down, arrived);
         let tree = completed.recorder.tree_mut();
-        let bits = [sent_bits(tree, Direction::Up), sent_bits(tree, Direction::Down)];
+        let bits = Direction::ALL.map(|direction| sent_bits(tree, direction));
         let message_delays = [
             MessageDelay { raw: raw_difference(tree, up)?, bits: bits[0] },
             MessageDelay { raw: raw_difference(tree, down)?, bits: bits[1] },

@@ -1,7 +1,8 @@
 //! Adds one-way delays and throughputs to the tree of an iteration that another host answered.
 
+use peernet_analysis::transfer::DirectionNodes;
 use peernet_clock::{Direction, OneWayDelay};
-use peernet_logger::{Measure, Name, NodeId, Rate, Tree, stage};
+use peernet_logger::{Measure, Name, NodeId, Rate, Tree};
 
 /// Sets the delay of a transit that has arrived, and adds the throughput that follows from the delay.
 pub(crate) fn correct(tree: &mut Tree, transit: NodeId, direction: Direction, delay: OneWayDelay) {
@@ -9,23 +10,15 @@ pub(crate) fn correct(tree: &mut Tree, transit: NodeId, direction: Direction, de
     transit_measure.delay = Some(delay);
     let start = tree.get(transit).map(|node| node.start).unwrap_or_default();
     if let Some(bits) = sent_bits(tree, direction) {
-        let throughput = match direction {
-            Direction::Up => stage::UPLOAD_THROUGHPUT,
-            Direction::Down => stage::DOWNLOAD_THROUGHPUT,
-        };
+        let throughput = DirectionNodes::of(direction).throughput.clone();
         tree.add(NodeId::ROOT, throughput, start, Measure::Throughput(rate(bits, &delay)));
     }
 }
 
 /// Returns the number of bits that were sent in a direction, for payload and metadata; `None` if the number is unknown.
 pub(super) fn sent_bits(tree: &Tree, direction: Direction) -> Option<f64> {
-    const UP: [Name; 2] = [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES];
-    const DOWN: [Name; 2] = [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES];
-    let names = match direction {
-        Direction::Up => UP,
-        Direction::Down => DOWN,
-    };
-    let bytes: f64 = names.iter().filter_map(|name| value_of(tree, name)).sum();
+    let DirectionNodes { payload, metadata, .. } = DirectionNodes::of(direction);
+    let bytes: f64 = [payload, metadata].into_iter().filter_map(|name| value_of(tree, name)).sum();
     (bytes > 0.0).then_some(8.0 * bytes)
 }
 
@@ -49,7 +42,7 @@ mod tests {
     use std::sync::Arc;
 
     use peernet_clock::{Clock, ClockIdentity, Interval, ManualClock, Span, Verdict, WallTime};
-    use peernet_logger::{HostId, Recorder, Unit};
+    use peernet_logger::{HostId, Recorder, Unit, stage};
 
     use super::*;
 

@@ -4,13 +4,11 @@ use peernet_analysis::actuator_results::is_value_in_statistics;
 use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::delays::VerdictCounts;
 use peernet_analysis::outcomes::Counts;
-use peernet_clock::Span;
+use peernet_analysis::transfer::{DirectionNodes, direction_of_delay};
+use peernet_clock::{Direction, Span};
 use peernet_logger::{Measure, Name, Node, Tree, stage};
 use peernet_statistics::Summary;
 use peernet_stream::{Outcome, Second, bound_names};
-
-/// Stages whose delays have verdicts.
-const DIRECTIONS: [Name; 2] = [stage::UPLOAD, stage::DOWNLOAD];
 
 /// Maximum number of names per second.
 // A peer adds nodes of its choice to a tree, so the memory for their names must be bounded.
@@ -30,7 +28,7 @@ pub(super) struct SecondStatistics {
     values: Summaries,
     /// Half the widths of the intervals of delays, and the ends of the intervals, by name.
     bounds: Summaries,
-    /// Number of delays by verdict, in the order of [`DIRECTIONS`].
+    /// Number of delays by verdict, in the order of [`Direction::ALL`].
     verdicts: [VerdictCounts; 2],
 }
 
@@ -83,16 +81,17 @@ impl SecondStatistics {
                 });
             }
         }
-        if let Some(direction) = DIRECTIONS.iter().position(|direction| *direction == node.name) {
-            self.verdicts[direction].add(delay.verdict, 1);
+        if let Some(direction) = direction_of_delay(&node.name) {
+            self.verdicts[direction as usize].add(delay.verdict, 1);
         }
     }
 
     /// Returns the second in the form in which it is sent.
     pub(super) fn to_message(&self) -> Second {
-        let verdicts = DIRECTIONS.into_iter().zip(self.verdicts).flat_map(|(direction, verdicts)| {
+        let verdicts = Direction::ALL.into_iter().zip(self.verdicts).flat_map(|(direction, verdicts)| {
+            let delay = &DirectionNodes::of(direction).delay;
             let counts = verdicts.counts();
-            counts.map(move |(verdict, count)| (direction.clone(), Name::from_static(verdict.name()), count))
+            counts.map(move |(verdict, count)| (delay.clone(), Name::from_static(verdict.name()), count))
         });
         Second {
             at: self.at,

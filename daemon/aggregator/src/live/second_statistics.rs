@@ -4,7 +4,7 @@ use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
 use peernet_analysis::delays::VerdictCounts;
 use peernet_analysis::outcomes::failed_share;
 use peernet_analysis::stage_split::StageSplit;
-use peernet_analysis::transfer::Transfers;
+use peernet_analysis::transfer::{DirectionNodes, Transfers, direction_of_delay};
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::{Merge, Summary};
@@ -13,9 +13,6 @@ use peernet_stream::{OutcomeCounts, Second, bound_names};
 use super::MAX_NAMES;
 use crate::live_state::{LiveSecond, Window};
 use peernet_store::{DelayAccuracy, QuantityStatistics, table_order};
-
-/// Stages whose delays have verdicts.
-const DIRECTIONS: [Name; 2] = [stage::UPLOAD, stage::DOWNLOAD];
 
 /// Statistics of one or more seconds. A list is faster than a map here, because there are few names.
 #[derive(Clone, Debug, Default)]
@@ -26,7 +23,7 @@ pub(super) struct SecondStatistics {
     /// Clock bounds of each direction: half widths under the name of the stage, lower and upper ends under its two
     /// [`bound_names`].
     bounds: Vec<(Name, Summary)>,
-    /// Number of delays by verdict, in the order of [`DIRECTIONS`].
+    /// Number of delays by verdict, in the order of [`Direction::ALL`](peernet_clock::Direction::ALL).
     verdicts: [VerdictCounts; 2],
 }
 
@@ -44,10 +41,10 @@ impl SecondStatistics {
         limit(&mut bounds);
         let mut verdicts = [VerdictCounts::default(); 2];
         for (stage, verdict, count) in reported_verdicts {
-            let direction = DIRECTIONS.iter().position(|direction| *direction == stage);
+            let direction = direction_of_delay(&stage);
             // Verdicts that only a later version knows are left out.
             if let (Some(direction), Some(verdict)) = (direction, Verdict::from_name(&verdict)) {
-                verdicts[direction].add(verdict, count);
+                verdicts[direction as usize].add(verdict, count);
             }
         }
         Self { counts, values, bounds, verdicts }
@@ -118,7 +115,8 @@ impl SecondStatistics {
 
     /// Returns the clock bounds of both directions.
     fn delay_bounds(&self) -> Vec<DelayAccuracy> {
-        DIRECTIONS
+        DirectionNodes::both()
+            .map(|nodes| nodes.delay.clone())
             .into_iter()
             .zip(self.verdicts)
             .filter_map(|(stage, verdicts)| {

@@ -11,6 +11,7 @@ use crate::delays::VerdictCounts;
 use crate::fit::{Estimate, Fit, Point, SlopeRate, WeightedPoint, least_squares, rate_range, theil_sen};
 use crate::message_sizes::{Message, SizeSummary, line_through_medians};
 use crate::order::Z95;
+use crate::transfer::DirectionNodes;
 
 /// Statistics of one direction of the link.
 #[derive(Clone, Debug, Serialize)]
@@ -113,10 +114,7 @@ impl DirectionStudy {
 
     /// Returns the name of the stage that the messages of this direction belong to.
     pub fn name(&self) -> &'static str {
-        match self.direction {
-            Direction::Up => "upload",
-            Direction::Down => "download",
-        }
+        DirectionNodes::of(self.direction).delay.as_str()
     }
 
     /// Returns the number of delays that have any of these verdicts.

@@ -47,7 +47,7 @@ fn sample_row(sample: &Sample) -> Vec<String> {
         sample.outcome.name().to_owned(),
         cell(sample.total.map(seconds)),
     ];
-    for direction in [Direction::Up, Direction::Down] {
+    for direction in Direction::ALL {
         row.extend(
             sample
                 .passage(direction)

@@ -14,6 +14,11 @@ pub enum Direction {
     Down,
 }
 
+impl Direction {
+    /// Both directions, in the order of declaration.
+    pub const ALL: [Self; 2] = [Self::Up, Self::Down];
+}
+
 /// Settings of a relation: its clocks, the limits of their drift, and the exchanges that count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelationSettings {

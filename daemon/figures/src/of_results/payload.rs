@@ -6,18 +6,15 @@ use super::written_figures::{AnyFigure, Drawing};
 use crate::of_messages::payload_figures;
 use peernet_analysis::compare::Configurations;
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::payload_study::{
-    DIRECTIONS, DirectionMessages, Link, PayloadStudy, group_by_link, pooled_note,
-};
+use peernet_analysis::payload_study::{DirectionMessages, Link, PayloadStudy, group_by_link, pooled_note};
 use peernet_analysis::rows::RowRef;
-
-/// Columns that the figures are drawn from.
-const PAYLOAD_COLUMNS: [&str; 6] =
-    ["upload", "upload-bytes", "upload-logger-bytes", "download", "download-bytes", "download-logger-bytes"];
+use peernet_analysis::transfer::DirectionNodes;
 
 /// Returns two figures for each link: the figure of latency and the figure of throughput.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let configurations = Configurations::from_runs(runs);
+    let drawn_nodes = DirectionNodes::both().map(|nodes| [&nodes.delay, &nodes.payload, &nodes.metadata]);
+    let drawn_columns: Vec<&str> = drawn_nodes.as_flattened().iter().map(|name| name.as_str()).collect();
     let experiment_position = |index: usize| runs[index].record.experiment.as_ref();
     let links = group_by_link(
         (0..runs.len()).map(|index| (Link::from(&runs[index].record), experiment_position(index), index)),
@@ -29,10 +26,11 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let notes = [
             pooled_note(&configurations.axes, &labels),
             excluded_note(&rows),
-            too_large_note(rows.clone(), &PAYLOAD_COLUMNS),
+            too_large_note(rows.clone(), &drawn_columns),
         ];
         let in_statistics: Vec<RowRef<'_>> = rows.filter(RowRef::is_in_statistics).collect();
-        let directions = DIRECTIONS.map(|name| DirectionMessages::from_rows(name, &in_statistics));
+        let directions =
+            DirectionNodes::both().map(|nodes| DirectionMessages::from_rows(nodes, &in_statistics));
         PayloadStudy::new(&link, directions, notes.into_iter().flatten())
     });
     let studies = PayloadStudy::select_drawable(studies);

@@ -2,10 +2,10 @@
 
 use peernet_analysis::compare::LatencyBar;
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::payload_study::DIRECTIONS;
 use peernet_analysis::rows::{LATENESS, RowRef};
 use peernet_analysis::stage_split::part_order;
 use peernet_analysis::total_column::TotalColumn;
+use peernet_analysis::transfer::DirectionNodes;
 use peernet_logger::Name;
 use peernet_statistics::number;
 
@@ -87,11 +87,11 @@ fn bar_counts_note(counts: &[u64]) -> String {
 
 /// Returns a note on the number of unknown delays of each direction; `None` if all delays are known.
 fn unknown_delays_note<'a, I: Iterator<Item = RowRef<'a>>>(rows: impl Fn() -> I) -> Option<String> {
-    let counts: Vec<String> = DIRECTIONS
+    let counts: Vec<String> = DirectionNodes::both()
         .into_iter()
-        .filter_map(|direction| {
-            let count = rows().filter(|row| row.has_unknown_delay(direction)).count();
-            (count > 0).then(|| format!("{} of {direction}", number::count(count as u64)))
+        .filter_map(|nodes| {
+            let count = rows().filter(|row| row.has_unknown_delay(&nodes.delay)).count();
+            (count > 0).then(|| format!("{} of {}", number::count(count as u64), nodes.delay))
         })
         .collect();
     (!counts.is_empty())

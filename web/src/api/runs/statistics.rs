@@ -3,6 +3,7 @@
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
+use peernet_clock::Direction;
 use peernet_logger::stage;
 use peernet_store::{self as store, QuantityStatistics, RunStatistics};
 use serde::{Deserialize, Serialize};
@@ -15,7 +16,7 @@ use crate::api::schema::{Bound, time};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, parse_bounded, parse_names, path};
 use crate::state::{App, AppState};
-use crate::view::speed::{self, NetworkDirection};
+use crate::view::speed;
 
 /// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
@@ -137,8 +138,8 @@ impl SpeedWhileSending {
             Some(speed.bits_per_second)
         };
         Self {
-            upload_bits_per_second: speed(NetworkDirection::Up),
-            download_bits_per_second: speed(NetworkDirection::Down),
+            upload_bits_per_second: speed(Direction::Up),
+            download_bits_per_second: speed(Direction::Down),
         }
     }
 }

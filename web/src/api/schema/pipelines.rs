@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use peernet_aggregator::{LiveSecond, LiveState, PercentileSeries, PipelineSnapshot};
 use peernet_analysis::transfer;
+use peernet_clock::Direction;
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::{Bound, Counts, NodeFigures, Placement, time};
-use crate::view::speed::{self, NetworkDirection};
+use crate::view::speed;
 
 /// All pipelines that reported.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -120,16 +121,16 @@ pub(crate) struct TransferRate {
 
 impl TransferRates {
     fn new(window: &peernet_aggregator::Window) -> Self {
-        let rate = |direction: NetworkDirection| {
+        let rate = |direction: Direction| {
             // The result is `None` if nothing was sent in this direction.
-            direction.transfer(&window.transfers)?;
+            window.transfers.of(direction)?;
             let speed = speed::known_speed(&window.transfers, &window.bounds, direction);
             Some(TransferRate {
                 speed_bits_per_second: speed.map(|speed| speed.bits_per_second),
                 traffic_bits_per_second: speed::direction_traffic(window, direction),
             })
         };
-        Self { upload: rate(NetworkDirection::Up), download: rate(NetworkDirection::Down) }
+        Self { upload: rate(Direction::Up), download: rate(Direction::Down) }
     }
 }
 

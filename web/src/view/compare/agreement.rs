@@ -2,10 +2,11 @@
 
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::message_sizes::line_through_medians;
-use peernet_analysis::payload_study::{DIRECTIONS, DirectionMessages, Link, PayloadStudy};
+use peernet_analysis::payload_study::{DirectionMessages, Link, PayloadStudy};
 use peernet_analysis::quality::Quality;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, Row, RowRef};
+use peernet_analysis::transfer::DirectionNodes;
 use peernet_clock::Span;
 use peernet_logger::{Name, stage};
 use peernet_statistics::Sketch;
@@ -166,7 +167,7 @@ fn page_and_figure_have_equal_qualities() {
 /// Returns the payload studies of the files of these runs. All runs use the same link.
 fn studies_of_files(runs: &[Loaded]) -> Vec<PayloadStudy> {
     let rows: Vec<RowRef<'_>> = runs.iter().flat_map(in_statistics).collect();
-    let directions = DIRECTIONS.map(|name| DirectionMessages::from_rows(name, &rows));
+    let directions = DirectionNodes::both().map(|nodes| DirectionMessages::from_rows(nodes, &rows));
     PayloadStudy::select_drawable([PayloadStudy::new(&Link::from(&runs[0].record), directions, None)])
 }
 

@@ -11,7 +11,7 @@ use peernet_statistics::number::{self, count};
 
 use super::Comparison;
 use super::choice::{choose_runs, unsuccessful_runs_sentence};
-use super::median::{DELAY_OF_QUANTITY, Median};
+use super::median::{Median, delay_of_quantity};
 use crate::error::WebError;
 use crate::picture::Picture;
 use crate::view::chip::Chip;
@@ -145,7 +145,7 @@ impl Quantity {
 
     /// Returns a sentence about runs in which the clocks give no value of this quantity.
     fn undetermined_runs(&self, comparison: &Comparison) -> Option<String> {
-        let (_, delay) = DELAY_OF_QUANTITY.iter().find(|(quantity, _)| *quantity == self.name)?;
+        let delay = delay_of_quantity(&self.name)?;
         let runs = comparison.runs().filter(|run| {
             let statistics = comparison.statistics_by_run.get(&run.number);
             let has_delays = statistics.is_some_and(|statistics| statistics.bound(delay).is_some());

@@ -2,8 +2,9 @@
 
 use peernet_analysis::delays::{ClockInterval, ClockedSummaries};
 use peernet_analysis::summary::Scale;
+use peernet_analysis::transfer::DirectionNodes;
 use peernet_clock::Verdict;
-use peernet_logger::{Name, stage};
+use peernet_logger::Name;
 use peernet_statistics::number::{SPACE, interval_ms, throughput_between, within_ms};
 use peernet_store::MergeableStatistics;
 
@@ -11,13 +12,11 @@ use crate::view::chip::Chip;
 use crate::view::clocks;
 use crate::view::units::display_unit;
 
-/// Quantities that depend on two clocks, each with the delay that it is computed from.
-pub(super) static DELAY_OF_QUANTITY: [(Name, Name); 4] = [
-    (stage::UPLOAD, stage::UPLOAD),
-    (stage::DOWNLOAD, stage::DOWNLOAD),
-    (stage::UPLOAD_THROUGHPUT, stage::UPLOAD),
-    (stage::DOWNLOAD_THROUGHPUT, stage::DOWNLOAD),
-];
+/// Returns the delay that a quantity is computed from; `None` if the quantity does not depend on two clocks.
+pub(super) fn delay_of_quantity(quantity: &str) -> Option<&'static Name> {
+    let is_of_direction = |nodes: &&DirectionNodes| nodes.delay == *quantity || nodes.throughput == *quantity;
+    DirectionNodes::both().into_iter().find(is_of_direction).map(|nodes| &nodes.delay)
+}
 
 /// A median as a page shows it.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,7 +34,7 @@ impl Median {
     /// Returns the median of a node's values. `unit` is their SI unit. `None` without values.
     pub(super) fn of(mergeable: &MergeableStatistics, name: &str, unit: &str) -> Option<Self> {
         let value = mergeable.summary(name)?.quantile(0.5)?;
-        let delay = DELAY_OF_QUANTITY.iter().find(|(quantity, _)| *quantity == *name).map(|(_, delay)| delay);
+        let delay = delay_of_quantity(name);
         let bound = delay.and_then(|delay| mergeable.bound(delay));
         let verdict = bound.as_ref().and_then(clocks::verdict).filter(|verdict| *verdict != Verdict::Ok);
         let interval = delay.and_then(|delay| median_interval(mergeable, name, delay));
@@ -97,6 +96,7 @@ fn format_interval(unit: &str, ClockInterval { lo, hi, .. }: ClockInterval) -> S
 
 #[cfg(test)]
 mod tests {
+    use peernet_logger::stage;
     use peernet_statistics::Summary;
 
     use super::*;

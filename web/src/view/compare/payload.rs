@@ -1,9 +1,8 @@
 //! Latency and throughput against payload, as `peernet plot` draws them.
 
 use peernet_analysis::message_sizes::{MessageSketches, SizeSummary};
-use peernet_analysis::payload_study::{
-    DIRECTIONS, DirectionMessages, Link, PayloadStudy, group_by_link, pooled_note,
-};
+use peernet_analysis::payload_study::{DirectionMessages, Link, PayloadStudy, group_by_link, pooled_note};
+use peernet_analysis::transfer::DirectionNodes;
 use peernet_figures::drawing::Scaling;
 use peernet_figures::payload_figures;
 use peernet_logger::Slug;
@@ -49,9 +48,9 @@ pub(super) fn studies(comparison: &Comparison) -> Vec<PayloadStudy> {
     let links = group_by_link(runs.map(|(one, run)| (link_of(run), run.experiment.as_ref(), (one, run))));
     let studies = links.into_iter().map(|(link, runs)| {
         let labels_of_runs: Vec<&[String]> = runs.iter().map(|(one, _)| one.values.as_slice()).collect();
-        let directions = DIRECTIONS.map(|name| {
-            let sketches = runs.iter().filter_map(|(_, run)| sketches(comparison, run.number, name));
-            DirectionMessages::from_sketches(name, sketches)
+        let directions = DirectionNodes::both().map(|nodes| {
+            let sketches = runs.iter().filter_map(|(_, run)| sketches(comparison, run.number, nodes));
+            DirectionMessages::from_sketches(nodes, sketches)
         });
         PayloadStudy::new(&link, directions, pooled_note(&comparison.axes, &labels_of_runs))
     });
@@ -68,14 +67,14 @@ fn link_of(run: &RunSummary) -> Link {
 }
 
 /// Returns the distributions of the messages that a run sent in one direction; `None` if it sent none.
-fn sketches<'a>(comparison: &'a Comparison, run: i64, name: &str) -> Option<MessageSketches<'a>> {
+fn sketches<'a>(comparison: &'a Comparison, run: i64, nodes: &DirectionNodes) -> Option<MessageSketches<'a>> {
     let statistics = comparison.statistics_by_run.get(&run)?;
     Some(MessageSketches {
-        payload: statistics.summary(&format!("{name}-bytes"))?,
-        metadata: statistics.summary(&format!("{name}-logger-bytes")),
-        delay: statistics.summary(name),
-        half_width: statistics.half_widths(name),
-        ends: statistics.ends(name),
+        payload: statistics.summary(&nodes.payload)?,
+        metadata: statistics.summary(&nodes.metadata),
+        delay: statistics.summary(&nodes.delay),
+        half_width: statistics.half_widths(&nodes.delay),
+        ends: statistics.ends(&nodes.delay),
     })
 }
 

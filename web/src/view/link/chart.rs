@@ -1,7 +1,8 @@
 //! The chart of a link over time.
 
 use peernet_analysis::order::SortedValues;
-use peernet_clock::{Span, Verdict, WallTime};
+use peernet_analysis::transfer::DirectionNodes;
+use peernet_clock::{Direction, Span, Verdict, WallTime};
 use peernet_figures::look::{Style, TextStyle};
 use peernet_figures::plot::{At, Item, Label, Path};
 use peernet_figures::scale::{Scale, Tick, times_of_day};
@@ -11,7 +12,6 @@ use serde::Deserialize;
 
 use super::super::chip::{Chip, Tone};
 use super::super::incidents::IncidentLine;
-use super::super::speed::NetworkDirection;
 use super::delays::{delays_of_point, non_negative_bounds};
 use super::time_series::LinkTimeSeries;
 use super::tracks::{AxisPosition, IncidentSign, Track, Tracks, span};
@@ -163,9 +163,7 @@ pub(crate) fn tracks(
         gap_labels: labelled_gaps
             .map(|(from, to)| (AxisPosition(f64::midpoint(*from, *to)), "no report"))
             .collect(),
-        strips: [NetworkDirection::Up, NetworkDirection::Down]
-            .map(|direction| strip(&input, direction, &hatches))
-            .to_vec(),
+        strips: Direction::ALL.map(|direction| strip(&input, direction, &hatches)).to_vec(),
         tracks: all.into_iter().map(|track| track.picture(&background)).collect(),
         signs,
         times: time_labels(time_series, zone),
@@ -189,7 +187,7 @@ fn signs(input: &ChartInput<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<I
 }
 
 /// Draws the verdicts of a direction over time. Gaps are hatched.
-fn strip(input: &ChartInput<'_>, direction: NetworkDirection, hatches: &[Item]) -> Picture {
+fn strip(input: &ChartInput<'_>, direction: Direction, hatches: &[Item]) -> Picture {
     let bucket_width = input.time_series.bucket as f64 / input.time_series.seconds().max(1.0);
     let mut segments: Vec<(f64, f64, Verdict)> = Vec::new();
     for point in &input.time_series.points {
@@ -210,7 +208,7 @@ fn strip(input: &ChartInput<'_>, direction: NetworkDirection, hatches: &[Item]) 
     for (from, to, verdict) in segments {
         let class = strip_class(Chip::verdict(verdict).tone);
         items.push(span((from, to), class));
-        let words = format!("{} {verdict}", direction.delay_name());
+        let words = format!("{} {verdict}", DirectionNodes::of(direction).delay);
         let label = Label::new(At::new(from, 0.5), words, TextStyle { class, ..TextStyle::AXIS });
         texts.push(Item::Text(label.shifted(0.4, 0.36).with_max_width(to - from)));
     }
@@ -231,10 +229,9 @@ const fn strip_class(tone: Tone) -> &'static str {
 
 fn delays(input: &ChartInput<'_>) -> Track {
     let points = &input.coarse.points;
-    let directions = [NetworkDirection::Up, NetworkDirection::Down];
     let upper_bounds = || {
         let medians = points.iter().flat_map(|point| {
-            directions.map(|direction| delays_of_point(point, direction).and_then(|one| one.median))
+            Direction::ALL.map(|direction| delays_of_point(point, direction).and_then(|one| one.median))
         });
         medians.flatten().map(|median| non_negative_bounds(&median).1 * 1e3)
     };
@@ -245,10 +242,9 @@ fn delays(input: &ChartInput<'_>) -> Track {
     track.beyond = beyond(upper_bounds(), &scale, "ms");
     // The time of a point is the end of its bucket. The whisker and the dot are drawn in the middle of the bucket.
     let half_bucket = input.coarse.bucket as f64 / input.time_series.seconds().max(1.0) / 2.0;
-    for (direction, whiskers, dots) in [
-        (NetworkDirection::Up, "whiskers up", "dots up"),
-        (NetworkDirection::Down, "whiskers down", "dots down"),
-    ] {
+    for (direction, whiskers, dots) in
+        [(Direction::Up, "whiskers up", "dots up"), (Direction::Down, "whiskers down", "dots down")]
+    {
         // For each point its position on the time axis, and the positions of the upper bound, the lower bound and the
         // median.
         let marks: Vec<(f64, f64, f64, f64)> = points
@@ -322,12 +318,12 @@ fn finding(subject: &Subject<'_>, input: &ChartInput<'_>, incidents: usize) -> S
     if time_series.points.is_empty() {
         return format!("{text} Nothing was reported.");
     }
-    for direction in [NetworkDirection::Up, NetworkDirection::Down] {
+    for direction in Direction::ALL {
         let delays = input.coarse.points.iter().filter_map(|point| delays_of_point(point, direction));
         let worst = Verdict::worst(delays.clone().map(|one| one.verdict));
         if let Some(range) = range(delays.filter_map(|one| one.median).map(|median| median.value.seconds())) {
             let worst = worst.map_or_else(String::new, |verdict| format!(", worst verdict {verdict}"));
-            text.push_str(&format!(" Median {} {range}{worst}.", direction.delay_name()));
+            text.push_str(&format!(" Median {} {range}{worst}.", DirectionNodes::of(direction).delay));
         }
     }
     let max_errors: Vec<f64> = time_series

@@ -1,19 +1,18 @@
 //! Statistics of the one-way delays of one direction over a few seconds.
 
 use peernet_analysis::delays::DelaySummary;
-use peernet_clock::Verdict;
+use peernet_clock::{Direction, Verdict};
 use peernet_statistics::number::{NONE, within_ms};
 use peernet_store::ClockPoint;
 use peernet_stream::{DelayPoint, DelaySecond};
 
 use super::super::chip::Chip;
 use super::super::clocks;
-use super::super::speed::NetworkDirection;
 
 /// Statistics of the delays of one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Delays {
-    pub direction: NetworkDirection,
+    pub direction: Direction,
     /// Number of delays.
     pub count: u64,
     /// Median delay, with the median of all lower bounds and the median of all upper bounds; `None` without known
@@ -26,10 +25,10 @@ pub(crate) struct Delays {
 }
 
 /// Returns the delays of a direction in the seconds of one point; `None` if nothing was sent.
-pub(crate) fn delays_of_point(point: &ClockPoint, direction: NetworkDirection) -> Option<&DelaySecond> {
+pub(crate) fn delays_of_point(point: &ClockPoint, direction: Direction) -> Option<&DelaySecond> {
     match direction {
-        NetworkDirection::Up => point.up.as_ref(),
-        NetworkDirection::Down => point.down.as_ref(),
+        Direction::Up => point.up.as_ref(),
+        Direction::Down => point.down.as_ref(),
     }
 }
 
@@ -46,17 +45,14 @@ pub(super) fn format_delay(point: &DelayPoint) -> String {
 
 impl Delays {
     /// Returns the delays of some points.
-    pub(crate) fn of<'a>(
-        direction: NetworkDirection,
-        points: impl IntoIterator<Item = &'a ClockPoint>,
-    ) -> Self {
+    pub(crate) fn of<'a>(direction: Direction, points: impl IntoIterator<Item = &'a ClockPoint>) -> Self {
         let seconds: Vec<DelaySecond> =
             points.into_iter().filter_map(|point| delays_of_point(point, direction).copied()).collect();
         Self::merge(direction, &seconds)
     }
 
     /// Combines the delays of several seconds.
-    pub(crate) fn merge(direction: NetworkDirection, seconds: &[DelaySecond]) -> Self {
+    pub(crate) fn merge(direction: Direction, seconds: &[DelaySecond]) -> Self {
         let summary: DelaySummary = seconds.iter().collect();
         Self { direction, count: summary.count(), median: summary.median(), verdict: summary.verdict() }
     }
@@ -64,8 +60,8 @@ impl Delays {
     /// Returns the name of the stage for the start of a sentence.
     pub(crate) const fn title(&self) -> &'static str {
         match self.direction {
-            NetworkDirection::Up => "Upload",
-            NetworkDirection::Down => "Download",
+            Direction::Up => "Upload",
+            Direction::Down => "Download",
         }
     }
 

@@ -1,11 +1,10 @@
 //! Title of a link's page, and the meaning of the verdict on each direction.
 
-use peernet_clock::Verdict;
+use peernet_clock::{Direction, Verdict};
 use peernet_statistics::number::{SPACE, bound, ends_ms, interval_ms};
 
 use super::super::chip::Chip;
 use super::super::clocks;
-use super::super::speed::NetworkDirection;
 use super::delays::{Delays, format_delay, non_negative_bounds};
 use super::list::{TOO_YOUNG, missing_offset_reason};
 use super::{CONTRADICTION, Subject, is_young};
@@ -45,8 +44,7 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
         }
         _ => {}
     }
-    let [up, down] =
-        [NetworkDirection::Up, NetworkDirection::Down].map(|direction| subject.delays(direction).verdict);
+    let [up, down] = Direction::ALL.map(|direction| subject.delays(direction).verdict);
     let trusted = |directions: &str| format!("{route}: {directions} times can be trusted to {bound}");
     match (up, down) {
         (None, None) => {
@@ -88,7 +86,7 @@ pub(crate) struct Meaning {
 /// Returns the meaning of the verdict of each direction.
 pub(crate) fn meanings(subject: &Subject<'_>) -> Vec<Meaning> {
     let is_young_link = subject.offset().is_some_and(is_young);
-    [NetworkDirection::Up, NetworkDirection::Down]
+    Direction::ALL
         .map(|direction| subject.delays(direction))
         .iter()
         .map(|delays| meaning(delays, is_young_link))

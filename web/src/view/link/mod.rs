@@ -19,11 +19,10 @@ use std::sync::Arc;
 
 use peernet_aggregator::{LinkSnapshot, LiveState};
 use peernet_analysis::offset_trend::estimate_and_max_error;
-use peernet_clock::{MIN_EXCHANGES_FOR_FRESHNESS, Offset, RelatedClocks, Span, Verdict, WallTime};
+use peernet_clock::{Direction, MIN_EXCHANGES_FOR_FRESHNESS, Offset, RelatedClocks, Span, Verdict, WallTime};
 use peernet_store::{ClockPoint, DelayAssumptions, LinkKey, LinkRow};
 use peernet_stream::{NetworkName, Placement, PlacementKind};
 
-use super::speed::NetworkDirection;
 use crate::error::WebError;
 use delays::Delays;
 
@@ -254,7 +253,7 @@ impl<'a> Subject<'a> {
 
     /// Returns the delays of messages in the last ten seconds. Delays from before the current clock relation was
     /// established are excluded, because the verdict of a link must not depend on the first seconds of the link.
-    pub(crate) fn delays(&self, direction: NetworkDirection) -> Delays {
+    pub(crate) fn delays(&self, direction: Direction) -> Delays {
         let since = self.end - RECENT_SPAN;
         let recent = self.history().iter().rev().take_while(|point| point.at > since);
         let mut newest_first: Vec<&ClockPoint> = recent.map(|point| &**point).collect();
@@ -281,8 +280,7 @@ impl<'a> Subject<'a> {
         }
         let without_offset = self.live.map(|_| Verdict::Unsynchronised);
         let of_offset = self.offset().map(|offset| offset.verdict).or(without_offset);
-        let of_delays =
-            [NetworkDirection::Up, NetworkDirection::Down].map(|direction| self.delays(direction).verdict);
+        let of_delays = Direction::ALL.map(|direction| self.delays(direction).verdict);
         Verdict::worst(of_delays.into_iter().flatten().chain(of_offset))
     }
 

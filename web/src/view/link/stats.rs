@@ -1,12 +1,11 @@
 //! The current numbers of a link.
 
-use peernet_clock::{RelatedClocks, Span};
+use peernet_clock::{Direction, RelatedClocks, Span};
 use peernet_statistics::number::{
     NONE, SPACE, bound, count, figure, long_duration, offset_ms, percent, signed, trip_ms,
 };
 
 use super::super::chip::Chip;
-use super::super::speed::NetworkDirection;
 use super::list::missing_offset_reason;
 use super::time_series::LinkTimeSeries;
 use super::{Subject, estimate_and_max_error};
@@ -42,7 +41,7 @@ impl Stat {
 
 /// Returns the numbers in their order on the page.
 pub(crate) fn all(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Vec<Stat> {
-    let mut stats = vec![delay(subject, NetworkDirection::Up), delay(subject, NetworkDirection::Down)];
+    let mut stats = vec![delay(subject, Direction::Up), delay(subject, Direction::Down)];
     if !subject.same_clock() {
         stats.extend([offset(subject), drift(subject)]);
     }
@@ -52,7 +51,7 @@ pub(crate) fn all(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Vec<St
     stats
 }
 
-fn delay(subject: &Subject<'_>, direction: NetworkDirection) -> Stat {
+fn delay(subject: &Subject<'_>, direction: Direction) -> Stat {
     let delays = subject.delays(direction);
     let number = delays.median.is_some().then(|| delays.value());
     let line = match delays.interval() {

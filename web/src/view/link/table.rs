@@ -1,12 +1,11 @@
 //! The time series of a link as a table, with the same numbers as its chart.
 
-use peernet_clock::Offset;
+use peernet_clock::{Direction, Offset};
 use peernet_statistics::BUCKET_WIDTHS_S;
 use peernet_statistics::number::{NONE, bound_ms, count, offset_ms, trip_ms};
 use peernet_store::ClockPoint;
 
 use super::super::chip::Sign;
-use super::super::speed::NetworkDirection;
 use super::delays::Delays;
 use super::estimate_and_max_error;
 use super::stats::ppm;
@@ -17,8 +16,8 @@ use crate::zone::{Zone, ZonedTime};
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Row {
     pub at: ZonedTime,
-    pub up: Direction,
-    pub down: Direction,
+    pub up: DelayCells,
+    pub down: DelayCells,
     pub offset: String,
     pub bound: String,
     pub drift: String,
@@ -34,7 +33,7 @@ pub(crate) struct Row {
 
 /// Delays of one direction.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Direction {
+pub(crate) struct DelayCells {
     pub value: String,
     pub interval: String,
     pub sign: Option<Sign>,
@@ -57,7 +56,7 @@ impl Row {
     }
 
     /// Returns the delays of both directions, upload first.
-    pub(crate) fn directions(&self) -> [&Direction; 2] {
+    pub(crate) fn directions(&self) -> [&DelayCells; 2] {
         [&self.up, &self.down]
     }
 
@@ -68,8 +67,8 @@ impl Row {
         let trip = point.round_trip;
         Self {
             at: zone.moment(point.at),
-            up: Direction::of(&Delays::of(NetworkDirection::Up, [point])),
-            down: Direction::of(&Delays::of(NetworkDirection::Down, [point])),
+            up: DelayCells::of(&Delays::of(Direction::Up, [point])),
+            down: DelayCells::of(&Delays::of(Direction::Down, [point])),
             offset: estimate_and_error
                 .map_or_else(dash, |(estimate, max_error)| offset_ms(estimate, max_error)),
             bound: estimate_and_error.map_or_else(dash, |(_, max_error)| bound_ms(max_error)),
@@ -82,7 +81,7 @@ impl Row {
     }
 }
 
-impl Direction {
+impl DelayCells {
     fn of(delays: &Delays) -> Self {
         Self {
             value: delays.value(),

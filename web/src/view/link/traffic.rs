@@ -1,12 +1,13 @@
 //! Traffic of a link by pipeline.
 
 use peernet_aggregator::{LiveState, PipelineSnapshot};
-use peernet_logger::stage;
+use peernet_analysis::transfer::DirectionNodes;
+use peernet_clock::Direction;
 use peernet_statistics::number::{NONE, bytes, rate};
 
 use super::super::pipeline_table::Cell;
 use super::super::place;
-use super::super::speed::{self, NetworkDirection};
+use super::super::speed;
 use super::{RECENT_SPAN, Subject};
 
 /// One pipeline that uses the link.
@@ -41,9 +42,8 @@ impl TrafficRow {
             name: pipeline.pipeline.to_string(),
             href: place::pipeline_href(pipeline.host_name.as_str(), pipeline.pipeline.as_str()),
             rate: rate(window.rate_hz),
-            sizes: [size(&stage::UPLOAD_BYTES), size(&stage::DOWNLOAD_BYTES)],
-            speeds: [NetworkDirection::Up, NetworkDirection::Down]
-                .map(|direction| speed::cell(kind, window, direction)),
+            sizes: DirectionNodes::both().map(|nodes| size(&nodes.payload)),
+            speeds: Direction::ALL.map(|direction| speed::cell(kind, window, direction)),
             traffic: speed::traffic(kind, window),
         })
     }

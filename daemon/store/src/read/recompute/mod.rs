@@ -9,6 +9,7 @@ mod delay_sums;
 mod relation_periods;
 mod rolling;
 
+use peernet_analysis::transfer::DirectionNodes;
 use peernet_clock::{DelaySource, Direction, OneWayDelay, RawTime, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{RawStamps, Slug, stage};
 use sqlx::FromRow;
@@ -89,17 +90,14 @@ pub(crate) struct RejudgedDelay {
 }
 
 pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<RecomputedDelays>, StoreError> {
-    let mut stages = [
-        (Direction::Up, stage::UPLOAD, DelaySums::default(), DelaySums::default()),
-        (Direction::Down, stage::DOWNLOAD, DelaySums::default(), DelaySums::default()),
-    ];
+    let mut stages = Direction::ALL.map(|direction| (direction, DelaySums::default(), DelaySums::default()));
     let mut used_clocks = [false; RelatedClocks::ALL.len()];
     let samples = rejudge_delays(readers, run, |delay| {
         for (clocks, is_used) in RelatedClocks::ALL.iter().zip(&mut used_clocks) {
             *is_used |= delay.clocks == Some(*clocks);
         }
         let stage = stages.iter_mut().filter(|(direction, ..)| *direction == delay.direction);
-        stage.for_each(|(_, _, old, new)| {
+        stage.for_each(|(_, old, new)| {
             old.add(delay.before.as_ref());
             new.add(delay.after.as_ref());
         });
@@ -108,9 +106,9 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
     let Some(samples) = samples else { return Ok(None) };
     let stages = stages
         .into_iter()
-        .filter(|(_, _, old, new)| !old.is_empty() || !new.is_empty())
-        .map(|(_, stage, old, new)| RecomputedStage {
-            stage,
+        .filter(|(_, old, new)| !old.is_empty() || !new.is_empty())
+        .map(|(direction, old, new)| RecomputedStage {
+            stage: DirectionNodes::of(direction).delay.clone(),
             before: old.judgement(),
             after: new.judgement(),
         })

@@ -14,10 +14,10 @@ fn second(count: u32, value_ms: f64, verdict: Verdict) -> DelaySecond {
 #[test]
 fn median_weighs_delays_and_ignores_rare_verdicts() {
     let many = [second(98, 6.0, Verdict::Ok), second(1, 60.0, Verdict::Ok), second(1, 1.0, Verdict::Stepped)];
-    let all = Delays::merge(NetworkDirection::Up, &many);
+    let all = Delays::merge(Direction::Up, &many);
     assert_eq!((all.value().as_str(), all.verdict, all.count), ("6.00", Some(Verdict::Ok), 100));
     let worse =
-        Delays::merge(NetworkDirection::Up, &[second(90, 6.0, Verdict::Ok), second(10, 6.0, Verdict::Stale)]);
+        Delays::merge(Direction::Up, &[second(90, 6.0, Verdict::Ok), second(10, 6.0, Verdict::Stale)]);
     assert_eq!(worse.verdict, Some(Verdict::Stale));
 }
 
@@ -28,5 +28,5 @@ fn negative_bound_of_delay_is_not_shown() {
         bounds: Interval { lo: Span::from_micros(-450), hi: Span::from_micros(850) },
         ..point
     });
-    assert_eq!(Delays::merge(NetworkDirection::Down, &[low]).interval().as_deref(), Some("0.00 – 0.85"));
+    assert_eq!(Delays::merge(Direction::Down, &[low]).interval().as_deref(), Some("0.00 – 0.85"));
 }

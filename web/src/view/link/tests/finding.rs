@@ -128,11 +128,11 @@ fn verdict_ignores_first_seconds_of_link() {
     first.up = first.up.map(|second| DelaySecond { verdict: Verdict::Stale, ..second });
     let subject = Subject::live(&link);
     assert_eq!(
-        (subject.verdict(), subject.delays(NetworkDirection::Up).verdict),
+        (subject.verdict(), subject.delays(Direction::Up).verdict),
         (Some(Verdict::Ok), Some(Verdict::Ok))
     );
     // A second with a bad verdict counts if it is later than the first exchanges.
     let later = Arc::make_mut(&mut link.history[3]);
     later.up = later.up.map(|second| DelaySecond { verdict: Verdict::Stepped, ..second });
-    assert_eq!(Subject::live(&link).delays(NetworkDirection::Up).verdict, Some(Verdict::Stepped));
+    assert_eq!(Subject::live(&link).delays(Direction::Up).verdict, Some(Verdict::Stepped));
 }
