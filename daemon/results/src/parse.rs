@@ -4,12 +4,11 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
-use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Outcome, RowBuilder, Rows, column};
+use peernet_analysis::rows::{
+    Column, ColumnKind, FIXED_COLUMNS, Outcome, PUBLISHED_COLUMN_COUNT, RowBuilder, Rows, column,
+    published_stages,
+};
 use peernet_clock::{DelaySource, Verdict};
-
-/// Stages of the paper's original program. Their sum is the *Total* of the paper.
-const PUBLISHED_STAGES: [&str; 6] =
-    ["sensing", "upload", "preprocessing", "inference", "postprocessing", "download"];
 
 /// Defect of a file of rows.
 #[derive(Debug, thiserror::Error)]
@@ -37,7 +36,7 @@ struct ColumnParser {
     name: Column,
     /// Kind of the column; `None` if it is not one of the fixed columns.
     kind: Option<ColumnKind>,
-    /// Index in [`PUBLISHED_STAGES`], if the column is a published stage.
+    /// Index among the [`published_stages`], if the column is one of them.
     stage: Option<usize>,
     /// Index of the column's numbers in a row; `None` until the first number was read.
     index: Option<usize>,
@@ -64,7 +63,7 @@ impl RowParser {
             ColumnParser {
                 name: column(name),
                 kind: kind(name),
-                stage: PUBLISHED_STAGES.iter().position(|stage| *stage == name),
+                stage: published_stages().position(|stage| stage == name),
                 index: None,
                 is_wanted: wanted(name),
             }
@@ -98,7 +97,7 @@ impl RowParser {
         row.warm_up = is_warm_up;
         // Verdict and source of each delay: the upload at index 0, the download at index 1.
         let mut verdicts = [(None, None); 2];
-        let mut stages = [None; PUBLISHED_STAGES.len()];
+        let mut stages = [None; PUBLISHED_COLUMN_COUNT];
         for (column_parser, text) in columns.iter_mut().zip(record) {
             let cell = text.trim();
             if cell.is_empty() || column_parser.is_ignored() {
@@ -182,7 +181,7 @@ impl ColumnParser {
 /// program joins the names of nested nodes by underscores (`inference_backbone`), and adds `_val` for the value of a
 /// node that has nested nodes (`inference_val`).
 fn without_value_suffix(name: &str) -> &str {
-    name.strip_suffix("_val").filter(|stage| PUBLISHED_STAGES.contains(stage)).unwrap_or(name)
+    name.strip_suffix("_val").filter(|name| published_stages().any(|stage| stage == *name)).unwrap_or(name)
 }
 
 /// Stores the text of a cell. Returns `None` if the text is not valid in the column.

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use peernet_logger::{IterationValues, Measure, Node, NodeId, NodeRole, Tree, Unit};
+use peernet_logger::{IterationValues, Measure, Node, NodeId, NodeRole, Tree, Unit, stage};
 
 use super::Column;
 
@@ -82,6 +82,11 @@ pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
 /// Returns the names of the columns of the paper's original program, in their order.
 pub fn published_columns() -> impl Iterator<Item = &'static str> {
     FIXED_COLUMNS[..PUBLISHED_COLUMN_COUNT].iter().map(|(name, _)| *name)
+}
+
+/// Returns the stages of the paper's original program. Their sum is the *Total* of the paper.
+pub fn published_stages() -> impl Iterator<Item = &'static str> {
+    published_columns().filter(|name| stage::ORDER.iter().any(|stage| stage == name))
 }
 
 /// Returns the index of a column in [`FIXED_COLUMNS`]; `None` for a further column of a run.

@@ -1,30 +1,17 @@
 //! Scale in which the numbers of a column are shown.
 
-use peernet_logger::Unit;
+use peernet_logger::{Unit, stage};
 use peernet_statistics::number::{decimals, fixed, milliseconds, significant, throughput};
 
-/// Names of columns whose values are durations in seconds, even if no unit was logged, as in files
-/// of other programs. The same holds for these names with a number, such as `upload_2`.
-const DURATION_COLUMNS: [&str; 19] = [
-    "sensing",
-    "upload",
-    "preprocessing",
-    "inference",
-    "postprocessing",
-    "download",
+/// Names of columns other than the stages for which [`is_duration`] returns true.
+const FURTHER_DURATION_COLUMNS: [&str; 7] = [
     "capture",
     "transform",
-    "encode",
-    "send-queue",
-    "queue",
-    "batch-wait",
-    "ipc",
     "capture_capture-ipc",
     "restart",
     "capture_capture-restart",
     "actuation_actuation-ipc",
     "actuation_actuation-restart",
-    "actuation",
 ];
 
 /// Suffix of the column with the value of a node that has both a value and children.
@@ -48,19 +35,19 @@ impl Scale {
     /// from the unit that was logged with its values. A second node with the name of a standard column, such as
     /// `upload_2`, has the scale of that column if no unit was logged.
     pub fn for_column(column: &str, unit: Option<&str>) -> Self {
-        // Unlike the names in `DURATION_COLUMNS`, these names must match exactly: `total_2` can
-        // have any unit.
+        // Unlike the names for which `is_duration` returns true, these names must match exactly: `total_2` can have any
+        // unit.
         let is_duration_of_iteration =
             ["lateness", "total", "stages-total", "unattributed"].contains(&column);
         match column {
-            _ if is_duration_of_iteration || DURATION_COLUMNS.contains(&column) => Self::Milliseconds,
+            _ if is_duration_of_iteration || is_duration(column) => Self::Milliseconds,
             "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
             "upload-bytes" | "download-bytes" | "upload-logger-bytes" | "download-logger-bytes" => {
                 Self::Bytes
             }
             _ => match unit {
                 Some(unit) => Self::for_unit(unit),
-                None if DURATION_COLUMNS.contains(&without_number(column)) => Self::Milliseconds,
+                None if is_duration(without_number(column)) => Self::Milliseconds,
                 None => Self::AsMeasured,
             },
         }
@@ -112,6 +99,12 @@ impl Scale {
             Self::AsMeasured => significant(value),
         }
     }
+}
+
+/// Returns whether the values of a column are durations in seconds, even if no unit was logged, as in files of other
+/// programs. The same holds for these names with a number, such as `upload_2`.
+fn is_duration(column: &str) -> bool {
+    stage::ORDER.iter().any(|stage| stage == column) || FURTHER_DURATION_COLUMNS.contains(&column)
 }
 
 /// Returns the name of a column without an appended number and [`VALUE_SUFFIX`]: `upload` for

@@ -6,7 +6,7 @@ use peernet_stream::Outcome as StreamOutcome;
 use proptest::prelude::*;
 
 use super::*;
-use crate::rows::published_columns;
+use crate::rows::{published_columns, published_stages};
 use crate::testing::{add, iteration, offloaded, timer, tree};
 
 #[test]
@@ -14,6 +14,7 @@ fn published_columns_come_first_in_order() {
     let expected = "iteration,sensing,upload,preprocessing,inference,postprocessing,download,download-bytes,\
                     download-logger-bytes,upload-bytes,upload-logger-bytes,upload-throughput,download-throughput";
     assert_eq!(published_columns().collect::<Vec<_>>().join(","), expected);
+    assert!(published_stages().eq(published_columns().skip(1).take(6)));
 }
 
 #[test]
