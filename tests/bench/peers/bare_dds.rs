@@ -20,7 +20,7 @@ use rustdds::{
     no_key,
 };
 use serde_json::Value;
-use tokio::time::timeout;
+use tokio::time::{sleep, timeout};
 
 use self::round_trips::RoundTrips;
 
@@ -34,6 +34,9 @@ const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Longest wait for the other end.
 const DISCOVERY_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// Longest wait for the answer to one message during discovery, and the pause after an error.
+const DISCOVERY_INTERVAL: Duration = Duration::from_millis(300);
 
 /// Number of messages that each end keeps.
 const DEPTH: i32 = 16;
@@ -165,7 +168,14 @@ async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
     };
     timeout(DISCOVERY_TIMEOUT, async {
         // A message that is sent before the other end is discovered does not arrive.
-        while timeout(Duration::from_millis(300), exchange(&endpoint, next_message())).await.is_err() {}
+        loop {
+            match timeout(DISCOVERY_INTERVAL, exchange(&endpoint, next_message())).await {
+                Ok(Ok(())) => break,
+                // An error is no answer. The pause lets the time limit end a series of errors that occur at once.
+                Ok(Err(_)) => sleep(DISCOVERY_INTERVAL).await,
+                Err(_) => {}
+            }
+        }
     })
     .await
     .map_err(|_| {

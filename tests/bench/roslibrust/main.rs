@@ -92,14 +92,15 @@ async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
         loop {
             number += 1;
             message[8..HEAD_BYTES].copy_from_slice(&number.to_le_bytes());
-            if timeout(Duration::from_millis(300), endpoint.exchange(&message)).await.is_ok() {
-                break;
+            if let Ok(result) = timeout(Duration::from_millis(300), endpoint.exchange(&message)).await {
+                // As in the measurement below, an error ends the program.
+                return result;
             }
         }
     };
     timeout(DISCOVERY_TIMEOUT, discovery)
         .await
-        .context("nobody answered; is `roslibrust-peer serve` running?")?;
+        .context("nobody answered; is `roslibrust-peer serve` running?")??;
     let mut round_trips = RoundTrips::new(seconds)?;
     while let Some(begin) = round_trips.next() {
         number += 1;
