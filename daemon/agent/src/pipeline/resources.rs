@@ -183,6 +183,15 @@ impl PipelineResources {
         if self.schedule.is_closed() { 1 } else { self.config.max_in_flight.get() }
     }
 
+    /// Ends the sensor, and waits for a limited time until it has released its port or its device.
+    pub(super) async fn close(self) {
+        let Self { config, sensor, pending_preparation, .. } = self;
+        // A preparation that waits for the actuator's reset can still send a request to the sensor's thread. The thread
+        // ends only when nothing can send a request.
+        drop(pending_preparation);
+        sensor.close(&config.name).await;
+    }
+
     /// Returns whether a sample may be taken while an iteration is in flight. With a simulation it may not, because the
     /// simulation has to be advanced by the duration of that iteration first.
     pub(super) fn iterations_may_overlap(&self) -> bool {

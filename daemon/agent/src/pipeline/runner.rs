@@ -116,7 +116,7 @@ impl Runner {
         let Some(resources) = self.stop.run_until_cancelled(self.assemble()).await else { return Ok(()) };
         let mut resources = resources?;
         let result = self.run_assembled(&mut resources).await;
-        resources.sensor.close(&self.config.name).await;
+        resources.close().await;
         result
     }
 

@@ -1,6 +1,7 @@
 //! Tests of stopping: iterations in flight are completed, and their events are sent.
 
 use std::net::UdpSocket;
+use std::path::Path;
 
 use peernet_stream::{EndReason, Outcome};
 
@@ -69,10 +70,9 @@ async fn agent_without_aggregator_measures_and_stops() {
     agent.stop().await.expect("stops well");
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn port_of_sensor_is_free_after_stop() {
-    // The process needs some time to end, as a simulation with much memory does.
-    const SENSOR: &str = "\
+/// A sensor that holds a UDP port, and an actuator whose reset opens the file `GATE` and then takes longer than the test.
+// The process of the sensor needs some time to end, as a simulation with much memory does.
+const HOLDER_OF_PORT: &str = "\
 import atexit, os, socket, time
 class Sensor:
     def __init__(self):
@@ -80,17 +80,57 @@ class Sensor:
         self.socket.bind(('127.0.0.1', int(os.environ['PORT'])))
         atexit.register(time.sleep, 0.4)
     def sample(self): return b'sample'
+
+class Arm:
+    def reset(self):
+        open(os.environ['GATE'], 'w').close()
+        time.sleep(60)
+    def act(self, answer): pass
 ";
-    let port =
-        UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr()).expect("a free port").port();
-    let folder = tempfile::tempdir().expect("a folder");
-    std::fs::write(folder.path().join("own.py"), SENSOR).expect("can be written");
-    let tables = format!(
+
+/// Returns a pipeline whose sensor holds `port`. The folder is for the module of the sensor.
+fn pipeline_with_port(folder: &Path, port: u16) -> String {
+    std::fs::write(folder.join("own.py"), HOLDER_OF_PORT).expect("can be written");
+    format!(
         "[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = 'line'\nplacement = {{ kind = 'local', model = 'echo' }}\n\
          sensor = {{ kind = 'python', object = 'own::Sensor', folder = '{}', env = {{ PORT = '{port}' }} }}\n",
-        folder.path().display()
+        folder.display()
+    )
+}
+
+fn free_udp_port() -> u16 {
+    UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr()).expect("a free port").port()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn port_of_sensor_is_free_after_stop_during_reset() {
+    let (folder, port) = (tempfile::tempdir().expect("a folder"), free_udp_port());
+    let gate = folder.path().join("gate");
+    let made = std::process::Command::new("mkfifo").arg(&gate).status();
+    assert!(made.expect("is there").success());
+    let tables = format!(
+        "{}actuator = {{ kind = 'python', object = 'own::Arm', folder = '{}', env = {{ GATE = '{}' }}, timeout_ms = 2000 }}\n\
+         episode_steps = 2\n",
+        pipeline_with_port(folder.path(), port),
+        folder.path().display(),
+        gate.display()
     );
+    let agent = TestAgent::start("edge", None, &tables).await;
+    // The file can be read once the reset has opened it.
+    tokio::task::spawn_blocking(move || std::fs::read(gate))
+        .await
+        .expect("no panic")
+        .expect("the reset began");
+    assert!(UdpSocket::bind(("127.0.0.1", port)).is_err(), "the sensor has the port");
+    agent.stop().await.expect("stops well");
+    UdpSocket::bind(("127.0.0.1", port)).expect("the sensor has released its port");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn port_of_sensor_is_free_after_stop() {
+    let (folder, port) = (tempfile::tempdir().expect("a folder"), free_udp_port());
+    let tables = pipeline_with_port(folder.path(), port);
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
     aggregator.until(|received_events| !received_events.iterations().is_empty()).await;
