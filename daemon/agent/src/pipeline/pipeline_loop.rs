@@ -36,7 +36,7 @@ pub(super) enum LoopEnd {
     NoMoreSamples,
     /// A new day (UTC) began.
     Midnight,
-    /// The connection to the peer is lost; the text is the reason.
+    /// The connection to the peer is lost; the text is the reason. The run may have reached its limit.
     Disconnected(String),
     /// The agent stops.
     Stopped,

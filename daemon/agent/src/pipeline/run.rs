@@ -147,7 +147,7 @@ impl Run {
     }
 
     /// Returns the planned number of iterations of a run whose loop ended for `reason`. `None` if the run was stopped,
-    /// or if it lost its peer and continues after a reconnect.
+    /// or if it lost its peer, to which it cannot send the number.
     pub(super) fn planned_iterations(&self, reason: &LoopEnd) -> Option<u64> {
         match reason {
             // No further iteration starts, so the number of iterations so far is the planned number.

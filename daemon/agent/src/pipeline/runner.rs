@@ -148,12 +148,16 @@ impl Runner {
             };
             let loop_end = self.measure(resources, current_run, &placement).await;
             let planned_iterations = current_run.planned_iterations(&loop_end);
+            // The connection may be lost while the last iterations are in flight. No iteration would follow a reconnect.
+            let is_complete = current_run.is_limit_reached(self.context.host.clock.mono());
             let (reason, result) = match loop_end {
-                LoopEnd::Disconnected(reason) => {
+                LoopEnd::Disconnected(reason) if !is_complete => {
                     self.report_disconnected(&placement, current_run.id(), reason);
                     continue;
                 }
-                LoopEnd::Limit | LoopEnd::NoMoreSamples | LoopEnd::Midnight => (EndReason::Finished, Ok(())),
+                LoopEnd::Limit | LoopEnd::NoMoreSamples | LoopEnd::Midnight | LoopEnd::Disconnected(_) => {
+                    (EndReason::Finished, Ok(()))
+                }
                 LoopEnd::Stopped => (EndReason::Stopped, Ok(())),
                 LoopEnd::Broken(error) => (EndReason::Failed(error.to_string()), Err(error.into())),
             };

@@ -1,6 +1,6 @@
 //! Tests of clouds that are absent, go away and come back.
 
-use peernet_stream::{EndReason, IncidentKind, Outcome, PipelineState};
+use peernet_stream::{EndReason, IncidentKind, Iteration, Outcome, PipelineState};
 use peernet_test_ports::free_port;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, JoinSet};
@@ -144,6 +144,44 @@ async fn short_outage_while_sensor_waits_loses_no_sample() {
     assert_eq!(received_events.run_starts().len(), 1, "the same run");
     edge.stop().await.expect("stops well");
     second.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn run_that_loses_its_last_iteration_is_finished() {
+    let (aggregator, port) = (Aggregator::start().await, free_port());
+    let folder = tempfile::tempdir().expect("a folder");
+    let gate = folder.path().join("gate");
+    let made = std::process::Command::new("mkfifo").arg(&gate).status();
+    assert!(made.expect("is there").success());
+    // The gate can be opened once the model has the request. The model ends when the gate is opened again.
+    let script = format!(
+        "while read -r next; do cat {0} > /dev/null; cat {0} > /dev/null; exit 1; done",
+        gate.display()
+    );
+    let tables = format!(
+        "[serve]\nlisten = 'tcp://127.0.0.1:{port}'\n[[model]]\nname = 'slow'\nkind = 'exec'\ncommand = '{script}'\n"
+    );
+    let cloud = TestAgent::start("cloud", None, &tables).await;
+    let (forwarded_port, forwarding) = forward_port(port).await;
+    let tables = edge(forwarded_port, "slow").replace(
+        "load = { mode = 'rate', hz = 50.0 }",
+        "timeout_ms = 600000\nwarm_up = { iterations = 0 }\nlimit = { iterations = 1 }",
+    );
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let opened_gate = gate.clone();
+    let request_arrived = tokio::task::spawn_blocking(move || std::fs::write(opened_gate, "go"));
+    request_arrived.await.expect("no panic").expect("the model reads the gate");
+    forwarding.abort();
+
+    let received_events = aggregator.until(|received_events| !received_events.run_ends().is_empty()).await;
+    assert_eq!(received_events.run_ends()[0].reason, EndReason::Finished);
+    let iterations = received_events.iterations();
+    assert!(matches!(iterations[..], [Iteration { outcome: Outcome::Lost(_), .. }]), "{iterations:?}");
+    edge.until_state(|state| *state == PipelineState::Finished).await;
+    edge.stop().await.expect("stops well");
+    // A FIFO that is opened for both directions does not wait for a reader.
+    drop(std::fs::File::options().read(true).write(true).open(&gate).expect("the gate is there"));
+    cloud.stop().await.expect("stops well");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
