@@ -173,6 +173,18 @@ impl PipelineResources {
         }
     }
 
+    /// Skips and counts the starts that came due without a connection, except the newest, which still wait.
+    pub(super) fn skip_missed_starts(&mut self, now: MonoTime) {
+        if self.pending_preparation.is_some() {
+            // The preparation may have ended long before the connection is open again. The schedule then restarts: if
+            // it were postponed by the time until then, the starts would pause for as long once more.
+            self.advance_started_at = None;
+            self.schedule.skip_due(now);
+        } else {
+            self.schedule.catch_up(now);
+        }
+    }
+
     /// Returns the facts about sensor, transforms, load and actuator, then `model_facts`.
     pub(super) fn facts(&self, model_facts: Vec<(String, String)>) -> Vec<(String, String)> {
         self.facts.iter().cloned().chain(model_facts).collect()

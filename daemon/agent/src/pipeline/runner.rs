@@ -262,8 +262,7 @@ impl Runner {
         loop {
             let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
             let Some(opening_result) = opening.await else { return Ok(None) };
-            // The schedule continues without a connection: starts that come due are skipped and counted.
-            resources.schedule.catch_up(self.context.host.clock.mono());
+            resources.skip_missed_starts(self.context.host.clock.mono());
             let (problem, error, pause) = match opening_result {
                 Ok(placement) => {
                     let ends_reported_problem = run.is_none() && reported_problem.is_some();

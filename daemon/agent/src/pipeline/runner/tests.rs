@@ -1,9 +1,11 @@
-//! Tests of pipelines in which a part panics, or whose sensor returns a sample while there is no connection.
+//! Tests of pipelines in which a part panics, and of sensors that work while there is no connection.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
-use peernet_clock::{Clock, ClockIdentity, MonoTime, RawTime, SharedClock, SystemClock, WallTime};
+use peernet_clock::{
+    Clock, ClockIdentity, ManualClock, MonoTime, RawTime, SharedClock, Span, SystemClock, WallTime,
+};
 use peernet_external::exec::FingerprintKey;
 use peernet_inference::Bank;
 use peernet_logger::HostId;
@@ -15,6 +17,7 @@ use tokio::sync::{oneshot, watch};
 use super::super::iteration;
 use super::super::load::Start;
 use super::super::pipeline_loop::{PendingSample, PipelineLoop};
+use super::super::preparation::Preparation;
 use super::super::sensing::SensorOutput;
 use super::*;
 use crate::config::{AgentConfig, HostConfig};
@@ -212,4 +215,33 @@ async fn sample_that_arrives_without_connection_is_recorded_as_lost() {
 #[tokio::test]
 async fn sample_requested_by_earlier_run_is_not_recorded() {
     assert_eq!(outcomes_after_reconnect(|_| RunId::random()).await, []);
+}
+
+#[tokio::test]
+async fn outage_during_advance_does_not_delay_later_starts() {
+    let clock =
+        Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
+    let shared_clock: SharedClock = Arc::<ManualClock>::clone(&clock);
+    let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
+    let (context, config, live_state, _receiver) = context(sensor, Arc::clone(&shared_clock));
+    let mut resources = PipelineResources::assemble(
+        Arc::clone(&config),
+        Arc::clone(&live_state),
+        shared_clock,
+        &context.fingerprint_key,
+    )
+    .expect("a sensor that can be opened");
+    let (stop, drain_timeout) = (CancellationToken::new(), Duration::ZERO);
+    let runner = Runner { config, live_state, context, stop, drain_timeout };
+    resources.start_preparation(Preparation::Advance(Span::ZERO), clock.mono());
+    clock.advance(Span::from_seconds(60));
+    let no_run = None;
+    assert!(runner.connect(&mut resources, no_run).await.expect("no error").is_some(), "it is connected");
+    resources.pending_preparation.take().expect("it is in progress").await.expect("the sensor is advanced");
+    let now = clock.mono();
+    resources.resume_schedule(now);
+    resources.schedule.skip_due(now);
+    let wait = resources.schedule.next_at(now) - now;
+    assert!(wait <= Span::from_millis(10), "there are 100 starts per second: {wait}");
+    assert!(resources.schedule.unreported_skips() >= 6_000, "the starts during the outage are counted");
 }
