@@ -72,6 +72,9 @@ pub struct Slug(Arc<str>);
 pub struct InvalidName(pub String);
 
 impl Slug {
+    /// Maximum number of characters.
+    pub const MAX_CHARS: usize = 64;
+
     /// Returns the name as text.
     pub fn as_str(&self) -> &str {
         &self.0
@@ -98,7 +101,7 @@ impl TryFrom<String> for Slug {
     fn try_from(name: String) -> Result<Self, InvalidName> {
         let starts_alphanumeric = name.bytes().next().is_some_and(|byte| byte.is_ascii_alphanumeric());
         let has_valid_bytes = name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"._-".contains(&byte));
-        if starts_alphanumeric && has_valid_bytes && name.len() <= 64 {
+        if starts_alphanumeric && has_valid_bytes && name.len() <= Self::MAX_CHARS {
             Ok(Self(name.into()))
         } else {
             Err(InvalidName(name))

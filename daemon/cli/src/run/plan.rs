@@ -167,8 +167,10 @@ impl Plan {
         if configuration.users == 1 {
             return agent.name.clone();
         }
-        let name = agent.host_name().ok()?;
-        format!("{name}-{}", user + 1).parse().ok()
+        let (name, number) = (agent.host_name().ok()?, format!("-{}", user + 1));
+        // The end of a long name is omitted, so that the number fits. All characters of a name are ASCII.
+        let name = name.as_str().get(..Slug::MAX_CHARS - number.len()).unwrap_or(name.as_str());
+        format!("{name}{number}").parse().ok()
     }
 
     /// Describes the run: `Where = cloud, Model = S, repeat 2`.

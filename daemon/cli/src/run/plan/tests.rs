@@ -202,3 +202,13 @@ fn users_are_named_by_machine_and_number() {
     assert_eq!(name(3, 1), Some(format!("{machine}-2")));
     assert_eq!(name(2, 0), None, "a single user has the name of the machine");
 }
+
+#[test]
+fn users_of_host_with_long_name_have_different_names() {
+    let long_name = "r".repeat(Slug::MAX_CHARS);
+    let plan = plan(&FILE.replace("name = 'robot'", &format!("name = '{long_name}'")), None);
+    let run = plan.runs.iter().find(|run| run.configuration == 1).expect("the configuration has a run");
+    let names = [0, 1].map(|user| plan.agent_name(run, user).map(|name| name.to_string()));
+    let begin = "r".repeat(Slug::MAX_CHARS - 2);
+    assert_eq!(names, [Some(format!("{begin}-1")), Some(format!("{begin}-2"))]);
+}
