@@ -149,21 +149,30 @@ impl CloudLink {
         }
     }
 
-    /// Judges an exchange. `observation` is `None` if a host reports that its clock was stepped during the exchange.
+    /// Judges an exchange whose answer arrived at `arrived`. `observation` is `None` if a host reports that its clock was
+    /// stepped during the exchange.
     fn judge(
         &self,
         network: &NetworkName,
         observation: Option<&ExchangeObservation>,
         message_delays: [MessageDelay; 2],
-        now: Stamp,
+        arrived: Stamp,
     ) -> ([OneWayDelay; 2], ClockStateChanges) {
-        self.pace.record_data(now.mono);
-        self.adjust_pace(now.mono);
-        let mut clock_state = lock(&self.clock_state);
-        match observation {
+        self.pace.record_data(arrived.mono);
+        self.adjust_pace(arrived.mono);
+        self.update_clock_state(|clock_state, now| match observation {
             Some(observation) => clock_state.judge(network, observation, message_delays, now),
             None => clock_state.judge_interrupted(network, message_delays, now),
-        }
+        })
+    }
+
+    /// Updates the clock state at the present time.
+    // The clock is read under the lock, so that the times of the updates are in the order of the updates. An update at an
+    // earlier time than the previous update looks like a wall clock that was set back: it closes the current second early,
+    // and opens a closed second again.
+    fn update_clock_state<T>(&self, update: impl FnOnce(&mut LinkClockState, Stamp) -> T) -> T {
+        let mut clock_state = lock(&self.clock_state);
+        update(&mut clock_state, self.shared.host.clock.stamp())
     }
 
     /// Judges the delays of observed messages, one in each direction, or of a request and its first partial answer. The
@@ -178,23 +187,22 @@ impl CloudLink {
 
     /// Handles the result of a probe.
     pub(super) fn handle_probe_result(&self, result: &ProbeResult, authenticated: bool) {
-        let now = self.shared.host.clock.stamp();
-        let changes = lock(&self.clock_state).handle_probe_result(result, authenticated, now);
+        let changes = self.update_clock_state(|clock_state, now| {
+            clock_state.handle_probe_result(result, authenticated, now)
+        });
         self.report(changes);
     }
 
     /// Closes the current second if its time has passed.
     pub(super) fn advance_second(&self) {
-        let now = self.shared.host.clock.stamp();
-        self.adjust_pace(now.mono);
-        let changes = lock(&self.clock_state).advance_second(now);
+        self.adjust_pace(self.shared.host.clock.mono());
+        let changes = self.update_clock_state(LinkClockState::advance_second);
         self.report(changes);
     }
 
     /// Closes the current second at the end of the link.
     pub(super) fn finish(&self) {
-        let now = self.shared.host.clock.stamp();
-        let changes = lock(&self.clock_state).finish(now);
+        let changes = self.update_clock_state(LinkClockState::finish);
         self.report(changes);
     }
 
@@ -283,8 +291,7 @@ impl CloudLink {
 
     /// Records that the session that sent the probes has ended and that all probes of that session are counted.
     pub(super) fn settle_sessions(&self) {
-        let now = self.shared.host.clock.stamp();
-        let changes = lock(&self.clock_state).settle_sessions(now);
+        let changes = self.update_clock_state(LinkClockState::settle_sessions);
         self.report(changes);
     }
 
@@ -374,3 +381,6 @@ fn sum_of_delays(recorder: &Recorder, up: NodeId, down: NodeId, arrived: Stamp) 
     // times are wrong.
     Some(waiting_time - tree.get(down)?.start).filter(|span| !span.is_negative())
 }
+
+#[cfg(test)]
+mod tests;
