@@ -68,6 +68,8 @@ pub(crate) struct PeerWait {
 impl PeerWait {
     /// Default timeout for an unreachable peer.
     pub(crate) const DEFAULT_TIMEOUT: Span = Span::from_seconds(90);
+    /// Words at the beginning of the reason for giving up a peer.
+    pub(crate) const GAVE_UP: &str = "gave up after";
 
     pub(crate) const fn new(now: MonoTime) -> Self {
         Self { last_answer: now, last_present: now }
@@ -132,7 +134,7 @@ impl PeerWait {
         // `SILENCE`, even if the timeout is shorter.
         let timeout = if wait_reason.is_none() { timeout.max(SILENCE) } else { timeout };
         let reason = wait_reason.unwrap_or(NO_MESSAGE_REASON);
-        let text = || format!("gave up after {:.0} s without an answer: {reason}", absence.seconds());
+        let text = || format!("{} {:.0} s without an answer: {reason}", Self::GAVE_UP, absence.seconds());
         (absence > timeout).then(text)
     }
 }

@@ -21,7 +21,7 @@ use peernet_stream::{Condition, Grade};
 use super::children::{self, ChildEvent, ProcessResult};
 use super::file::Configuration;
 use super::plan::Plan;
-use crate::foreground::{Progress, Signals, long_duration};
+use crate::foreground::{PeerWait, Progress, Signals, long_duration};
 use crate::measure::RunRequest;
 use crate::short::shorten_label;
 
@@ -120,9 +120,7 @@ pub(super) async fn try_configurations(
             }
             Some(result) => {
                 let result = describe_failure(request, result);
-                // If a trial took as long as the timeout, it waited for the peer in vain. A shorter trial failed for
-                // another reason, which says nothing about the peer.
-                if duration_s >= request.peer_timeout_s.unwrap_or(PEER_TIMEOUT_S) {
+                if has_given_up_peer(&result) {
                     unreachable.extend(peer.map(|peer| (peer, result.clone())));
                 }
                 results.unavailable.extend(descriptions().map(|description| (description, result.clone())));
@@ -240,6 +238,12 @@ fn has_answer(result: &ProcessResult, loaded: Option<&Loaded>) -> bool {
     is_incomplete && loaded.is_some_and(|loaded| loaded.rows.iter().any(|row| row.is_in_statistics()))
 }
 
+/// Returns whether a trial waited for its peer in vain. A trial that failed for another reason says nothing about the
+/// peer, even if it took longer than the timeout.
+fn has_given_up_peer(result: &ProcessResult) -> bool {
+    result.reason.as_ref().is_some_and(|reason| reason.contains(PeerWait::GAVE_UP))
+}
+
 /// Adds the conditions of a run's hosts that impair measurements, unless they are already in the list.
 fn add_conditions(record: &RunRecord, conditions: &mut Vec<Condition>) {
     let hosts = std::iter::once(&record.edge).chain(&record.cloud);
@@ -255,6 +259,8 @@ fn add_conditions(record: &RunRecord, conditions: &mut Vec<Condition>) {
 
 #[cfg(test)]
 mod tests {
+    use peernet_clock::{MonoTime, Span};
+
     use super::*;
     use crate::run::tests::plan;
 
@@ -280,6 +286,16 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 5.0 } }
 label = '9'
 set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
 ";
+
+    #[test]
+    fn only_vain_wait_shows_that_peer_is_unreachable() {
+        let result = |reason: Option<String>| ProcessResult { code: Some(69), reason };
+        let at = |seconds: i64| MonoTime::from_nanos(seconds * 1_000_000_000);
+        let timeout = PeerWait::new(at(0)).timeout_reason(Some("refused"), at(9), Span::from_seconds(2));
+        assert!(has_given_up_peer(&result(Some(timeout.expect("the timeout has passed")))));
+        assert!(!has_given_up_peer(&result(Some("the sensor failed: no picture".to_owned()))));
+        assert!(!has_given_up_peer(&result(None)));
+    }
 
     #[test]
     fn configurations_with_equal_trials_share_one() {
