@@ -7,7 +7,7 @@ use peernet_analysis::accuracy::segmentation::SEGMENTATION_SCORE;
 use peernet_logger::stage::{TOP_1, TOP_5, UNKNOWN_LABEL};
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::Sample;
-use peernet_sensors::read_mask;
+use peernet_sensors::{SensorError, read_mask};
 
 /// Name of the value that is the mean average precision of the picture.
 const MAP_50: Name = Name::from_static(DETECTION_SCORES[0]);
@@ -21,14 +21,11 @@ const SEGMENTED_IOU: Name = Name::from_static(SEGMENTATION_SCORE);
 ///
 /// Records nothing if the label expects another form of answer, or if the model marked a class of the label as unknown
 /// (`unknown-label`). If a mask contains a class that the model does not have, records `unknown-label` only.
-pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) {
-    let scored = match ScoredAnswer::of(label, answer, log.tree(), read_mask) {
-        Ok(scored) => scored,
-        Err(error) => {
-            tracing::warn!(%error, "an answer is not scored, because the mask of its picture cannot be used; correct the file");
-            return;
-        }
-    };
+///
+/// # Errors
+/// When the mask of the picture cannot be read. Nothing is recorded then.
+pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) -> Result<(), SensorError> {
+    let scored = ScoredAnswer::of(label, answer, log.tree(), read_mask)?;
     let is_marked_by_model = log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some();
     let mut record = |name: Name, value: Option<f64>| {
         if let Some(value) = value {
@@ -49,6 +46,7 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
         Some(ScoredAnswer::Pixels(pixels)) => record(SEGMENTED_IOU, pixels.mean_iou()),
         None => {}
     }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -71,7 +69,7 @@ mod tests {
         let mut log = Recorder::new(Arc::new(clock), HostId::random());
         let json =
             Sample::from_part(Description::unshaped(MediaType::Json), answer.as_bytes().to_vec().into());
-        record_accuracy(&mut log, label, &json);
+        record_accuracy(&mut log, label, &json).expect("the label names no mask");
         log
     }
 
@@ -82,7 +80,7 @@ mod tests {
         log.record_value(UNKNOWN_LABEL, 1.0, Unit::NONE);
         let json =
             Sample::from_part(Description::unshaped(MediaType::Json), r#"{"label":"a","top":[]}"#.into());
-        record_accuracy(&mut log, "tench", &json);
+        record_accuracy(&mut log, "tench", &json).expect("the label names no mask");
         assert_eq!(scores(&log), (None, None));
     }
 
@@ -128,13 +126,13 @@ mod tests {
         let recorded = |label: &str, answer: &Sample| {
             let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
             let mut log = Recorder::new(Arc::new(clock), HostId::random());
-            record_accuracy(&mut log, label, answer);
-            value(&log, "mean-iou")
+            record_accuracy(&mut log, label, answer).map(|()| value(&log, "mean-iou"))
         };
-        assert_eq!(recorded(&label, &answer(vec![0, 0, 1, 1, 1, 7])), Some(1.0));
+        let iou_of = |label: &str, answer: &Sample| recorded(label, answer).expect("the mask is there");
+        assert_eq!(iou_of(&label, &answer(vec![0, 0, 1, 1, 1, 7])), Some(1.0));
         // Class 0 has an intersection of 2 pixels and a union of 3; so has class 1.
-        assert_eq!(recorded(&label, &answer(vec![0, 0, 1, 1, 0, 7])), Some(2.0 / 3.0));
-        assert_eq!(recorded("road", &answer(vec![0; 6])), None, "the label is no mask");
+        assert_eq!(iou_of(&label, &answer(vec![0, 0, 1, 1, 0, 7])), Some(2.0 / 3.0));
+        assert_eq!(iou_of("road", &answer(vec![0; 6])), None, "the label is no mask");
         // The mask has the classes 0 and 1; the model has one class, and then two.
         for (json, unknown, iou) in
             [(r#"{"class_count":1}"#, Some(1.0), None), (r#"{"class_count":2}"#, None, Some(1.0))]
@@ -143,13 +141,14 @@ mod tests {
             counted.parts[0].bytes = json.into();
             let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
             let mut log = Recorder::new(Arc::new(clock), HostId::random());
-            record_accuracy(&mut log, &label, &counted);
+            record_accuracy(&mut log, &label, &counted).expect("the mask is there");
             assert_eq!((value(&log, "unknown-label"), value(&log, "mean-iou")), (unknown, iou), "{json}");
         }
         let json = Sample::from_part(Description::unshaped(MediaType::Json), r#"{"label":"a"}"#.into());
-        assert_eq!(recorded(&label, &json), None, "the answer is no segmentation");
+        assert_eq!(iou_of(&label, &json), None, "the answer is no segmentation");
         std::fs::remove_file(file).expect("the mask is removed");
-        assert_eq!(recorded(&label, &answer(vec![0; 6])), None, "the file of the mask is missing");
+        let error = recorded(&label, &answer(vec![0; 6])).expect_err("the file of the mask is missing");
+        assert!(error.to_string().contains("mask.png"), "{error}");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::io;
 use std::sync::Arc;
 
 use peernet_actuators::Feedback;
-use peernet_clock::{MonoTime, Span, Stamp};
+use peernet_clock::{LogThrottle, MonoTime, Span, Stamp};
 use peernet_logger::{Recorder, RunId};
 use peernet_sample::printable_line;
 use peernet_stream::{IncidentKind, Outcome};
@@ -82,6 +82,8 @@ pub(super) struct PipelineLoop<'a> {
     consecutive_sensor_failures: u32,
     /// Pauses between preparations that fail.
     preparation_backoff: FailureBackoff,
+    /// Limits log lines about answers that are not scored.
+    unscored_answers: LogThrottle,
 }
 
 impl<'a> PipelineLoop<'a> {
@@ -101,6 +103,7 @@ impl<'a> PipelineLoop<'a> {
             iteration_backoff,
             consecutive_sensor_failures: 0,
             preparation_backoff: FailureBackoff::default(),
+            unscored_answers: LogThrottle::default(),
         };
         pipeline_loop.resume_pending_sample();
         pipeline_loop
@@ -236,8 +239,17 @@ impl<'a> PipelineLoop<'a> {
         self.in_flight.retain(|other| other.position.number != iteration.position.number);
         let ended = self.context.host.clock.stamp();
         // Computed after the end of the iteration was stamped, so that the computation adds no latency.
-        if let (Some(answer), Some(label)) = (answer, label) {
-            accuracy::record_accuracy(&mut log, &label, &answer);
+        if let (Some(answer), Some(label)) = (answer, label)
+            && let Err(error) = accuracy::record_accuracy(&mut log, &label, &answer)
+            // A data set without its masks would otherwise fill the log.
+            && let Some(times) = self.unscored_answers.count_event("mask", None, ended.mono)
+        {
+            let pipeline = &self.resources.config.name;
+            tracing::warn!(
+                %error, %pipeline, times,
+                "an answer is not scored, because the mask of its picture cannot be used; correct the file (logged at most once a \
+                 minute, with the count)"
+            );
         }
         self.finish_at(ended, iteration, log, outcome, feedback, transport);
     }
