@@ -6,7 +6,9 @@ use crate::output::print_to_stdout;
 use peernet_analysis::delays::is_exact;
 use peernet_analysis::table::text;
 use peernet_clock::RelatedClocks;
-use peernet_statistics::number::{self, NONE, bound_ms, column_decimals, fixed};
+use peernet_statistics::number::{
+    self, NONE, bound_ms, column_decimals, fixed_mean_std_ms, fixed_ms, join_mean_std,
+};
 use peernet_stream::FaultyHost;
 use serde::Deserialize;
 use serde_json::Value;
@@ -162,16 +164,14 @@ fn are_exact(stages: &[Stage]) -> bool {
 
 fn row(stage: &str, when: &str, judgement: &Judgement, decimals: usize) -> Vec<String> {
     let delay = judgement.delay.as_ref();
-    let milliseconds = |seconds: f64| fixed(seconds * 1e3, decimals);
+    let milliseconds = |seconds: f64| fixed_ms(seconds, decimals);
     let verdicts: Vec<String> = judgement
         .verdicts
         .iter()
         .map(|VerdictCount { verdict, count }| format!("{} {verdict}", number::count(*count)))
         .collect();
-    let spread = |statistics: &Statistics| match statistics.std {
-        Some(std) => format!("{} ± {}", milliseconds(statistics.mean), milliseconds(std)),
-        None => milliseconds(statistics.mean),
-    };
+    let spread =
+        |statistics: &Statistics| join_mean_std(fixed_mean_std_ms(statistics.mean, statistics.std, decimals));
     vec![
         stage.to_owned(),
         when.to_owned(),

@@ -10,7 +10,9 @@ use peernet_analysis::rows::Units;
 use peernet_analysis::summary::{Quantity, Scale, Summary, is_reported_as_count};
 use peernet_analysis::table::{Table, csv_text, decimals_of};
 use peernet_analysis::trust::Starts;
-use peernet_statistics::number::{self, NONE as UNKNOWN, bound_ms, column_decimals, count, fixed, join_ends};
+use peernet_statistics::number::{
+    self, NONE as UNKNOWN, bound_ms, column_decimals, count, fixed, fixed_ms, join_ends, join_mean_std,
+};
 
 /// Columns of the *Tabulated Metrics* in the paper's appendix, with their names in the paper, and as
 /// the last two entries the totals.
@@ -123,12 +125,18 @@ fn sentences(summary: &Summary) -> String {
 fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<String> {
     let unit = units.of(&quantity.column);
     let scale = Scale::for_column(&quantity.column, unit);
-    let format_number = number_format(scale, quantity, digits);
-    let quantile_cell = |value: Option<f64>| value.map_or_else(|| UNKNOWN.to_owned(), &format_number);
-    let mean = match quantity.std {
-        Some(std) => format!("{} ± {}", format_number(quantity.mean), format_number(std)),
-        None => format_number(quantity.mean),
+    let decimals = match scale {
+        Scale::Milliseconds => digits.milliseconds,
+        Scale::MegabytesPerSecond => digits.megabytes_per_second,
+        Scale::Bytes | Scale::AsMeasured => scale.decimals(quantity.median),
     };
+    let format_number = |value: f64| {
+        if value.is_infinite() { "∞".to_owned() } else { fixed(value * scale.factor(), decimals) }
+    };
+    let format_value = |value: f64| {
+        if scale == Scale::Milliseconds { fixed_ms(value, decimals) } else { format_number(value) }
+    };
+    let quantile_cell = |value: Option<f64>| value.map_or_else(|| UNKNOWN.to_owned(), format_value);
     let bounds = match quantity.bounds {
         None => String::new(),
         Some((lo, hi)) if lo == hi => number::EXACT.to_owned(),
@@ -138,7 +146,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<
         name.to_owned(),
         scale.symbol(unit.unwrap_or_default()).to_owned(),
         count(quantity.count),
-        mean,
+        join_mean_std((format_value(quantity.mean), quantity.std.map(format_number))),
         quantile_cell(Some(quantity.median)),
         bounds,
         quantile_cell(quantity.p95),
@@ -170,16 +178,6 @@ impl Digits {
             ),
         }
     }
-}
-
-/// Returns a function that formats the numbers of a row, all with the same number of decimals.
-fn number_format(scale: Scale, quantity: &Quantity, digits: Digits) -> impl Fn(f64) -> String {
-    let decimals = match scale {
-        Scale::Milliseconds => digits.milliseconds,
-        Scale::MegabytesPerSecond => digits.megabytes_per_second,
-        Scale::Bytes | Scale::AsMeasured => scale.decimals(quantity.median),
-    };
-    move |value| if value.is_infinite() { "∞".to_owned() } else { fixed(value * scale.factor(), decimals) }
 }
 
 /// Returns the sentence about the outcomes of the iterations.

@@ -1,9 +1,9 @@
 //! Best line of a comparison, and the differences between the other lines and the best line.
 
 use peernet_sample::printable_line;
-use peernet_statistics::number::column_decimals;
+use peernet_statistics::number::{column_decimals, fixed_ms};
 
-use super::difference_table::{INTERVAL_LIMITATION, MEAN_INTERVAL_MEANING, in_milliseconds};
+use super::difference_table::{INTERVAL_LIMITATION, MEAN_INTERVAL_MEANING};
 use super::ranking::{ConfigurationTotal, Ranking, find_unranked, model_computes};
 use super::{Comparison, EMPTY_CELL, Line, MeanEstimate, accepted_values};
 use crate::loaded::Loaded;
@@ -59,7 +59,7 @@ fn differences_table(comparison: &Comparison) -> Table {
     let mut header = axes.clone();
     header.extend(["mean", "beyond the smallest", "95 % confidence"].map(str::to_owned));
     let rows = others().map(|(line, difference)| {
-        let mean = line.latency(total_column.name()).map(|latency| in_milliseconds(latency.mean, decimals));
+        let mean = line.latency(total_column.name()).map(|latency| fixed_ms(latency.mean, decimals));
         let mean = mean.unwrap_or_else(|| EMPTY_CELL.to_owned());
         let (difference, interval) = difference.texts(decimals);
         let interval = interval.unwrap_or_else(|| EMPTY_CELL.to_owned());

@@ -1,7 +1,7 @@
 //! The differences between two lines of a comparison as a table.
 
 use peernet_sample::printable_line;
-use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, fixed_or_less_than};
+use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed_ms};
 
 use super::{Difference, Differences, EMPTY_CELL, StageDifference};
 use crate::delays::is_exact;
@@ -96,7 +96,7 @@ impl Differences {
         let clock_decimals =
             clock_errors.map(|error| decimals(error * 1e3, 2).min(MAX_MS_DECIMALS)).max().unwrap_or_default();
         let cells = |values: (f64, f64), difference: Difference, decimals: usize| {
-            let ms = |seconds: f64| in_milliseconds(seconds, decimals);
+            let ms = |seconds: f64| fixed_ms(seconds, decimals);
             let (difference, interval) = difference.texts(decimals);
             let interval = interval.unwrap_or_else(|| EMPTY_CELL.to_owned());
             [ms(values.0), ms(values.1), difference, interval]
@@ -105,7 +105,7 @@ impl Differences {
             if is_exact(error) {
                 return EXACT.to_owned();
             }
-            format!("±{}", fixed_or_less_than(error * 1e3, clock_decimals))
+            format!("±{}", fixed_ms(error, clock_decimals))
         };
         let row = |stage: &StageDifference| {
             let name = std::iter::once(stage.stage.clone());
@@ -125,9 +125,4 @@ impl Differences {
         };
         format!("In ms. {INTERVAL_MEANING}{clocks} {INTERVAL_LIMITATION}")
     }
-}
-
-/// Formats seconds as milliseconds.
-pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
-    fixed(seconds * 1e3, decimals)
 }

@@ -2,10 +2,11 @@
 
 use peernet_sample::printable_line;
 use peernet_statistics::number::{
-    column_decimals, count, decimals, fixed, join_ends, percent, range_ms, share,
+    column_decimals, count, decimals, fixed, fixed_mean_std_ms, join_ends, join_mean_std, percent, range_ms,
+    share,
 };
 
-use super::difference_table::{MAX_MS_DECIMALS, in_milliseconds};
+use super::difference_table::MAX_MS_DECIMALS;
 use super::{Comparison, EMPTY_CELL, LATENCIES, Latency, Line, MIN_VALUES, SCORES};
 use crate::accuracy::{ACCURACIES, ACCURACY_TITLES, Accuracy, UnknownLabels};
 use crate::actuator_results::EPISODES_SEPARATOR;
@@ -327,11 +328,7 @@ pub(super) fn with_name(name: &str, text: &str) -> String {
 
 /// Returns the cell of a latency: mean ± standard deviation in ms.
 fn latency_cell(latency: Latency, decimals: usize) -> String {
-    let ms = |seconds: f64| in_milliseconds(seconds, decimals);
-    match latency.std {
-        None => ms(latency.mean),
-        Some(std) => format!("{} ± {}", ms(latency.mean), ms(std)),
-    }
+    join_mean_std(fixed_mean_std_ms(latency.mean, latency.std, decimals))
 }
 
 /// Returns a share in per cent with its interval.

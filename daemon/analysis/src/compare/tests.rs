@@ -126,6 +126,19 @@ fn stages_without_column_are_listed_below_table() {
 }
 
 #[test]
+fn short_mean_is_not_rounded_to_zero() {
+    let mut runs = paper();
+    let short = run("local", [Some(0.000_2), None, Some(18.55), None]);
+    runs[0] = with_model("policy", "orin", None, short);
+    let comparison = Comparison::new(&runs);
+    assert!(comparison.text().contains(" <0.001 ± 0.001  "), "{}", comparison.text());
+    assert!(comparison.markdown().contains("| \\<0.001 ± 0.001 |"), "{}", comparison.markdown());
+    assert!(comparison.latex().contains("& $<$0.001 $\\pm$ 0.001 &"), "{}", comparison.latex());
+    let differences = Differences::between_lines(&comparison, &runs, 0, 1, 5).captioned().table;
+    assert_eq!((&*differences.rows[0][0], &*differences.rows[0][1]), ("sensing", "<0.001"));
+}
+
+#[test]
 fn every_format_has_every_line() {
     let comparison = Comparison::new(&paper());
     let markdown = comparison.markdown();

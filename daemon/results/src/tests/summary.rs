@@ -157,6 +157,25 @@ fn summary_has_metrics_of_the_paper() {
 }
 
 #[test]
+fn short_mean_is_not_rounded_to_zero() {
+    let mut rows = rows(10);
+    for row in &mut rows {
+        row.values.push(("queue".into(), 2e-7));
+        row.values.push(("restart".into(), 0.0));
+    }
+    let text = text(&Summary::from_rows(&to_rows(&rows)));
+    // Returns the mean and the median.
+    let cells = |metric: &str| {
+        let line =
+            text.lines().find(|line| line.starts_with(metric)).unwrap_or_else(|| panic!("{metric}: {text}"));
+        let cells: Vec<&str> = line[metric.len()..].split_whitespace().collect();
+        [cells[2], cells[5]].map(str::to_owned)
+    };
+    assert_eq!(cells("queue"), ["<0.001", "<0.001"]);
+    assert_eq!(cells("Restart of the model's process"), ["0", "0"]);
+}
+
+#[test]
 fn columns_of_standard_nodes_are_durations() {
     let values =
         [("ipc", 0.001), ("capture_capture-ipc", 0.002), ("mine_capture-ipc_2", 0.003), ("mine", 4.0)];

@@ -65,7 +65,7 @@ impl DurationFormat {
 
     /// Formats a duration; a value that would be rounded to zero is `<0.01`.
     pub fn duration(self, seconds: f64) -> String {
-        fixed_or_less_than(seconds * 1e3, self.decimals)
+        fixed_ms(seconds, self.decimals)
     }
 
     /// Formats a time, or a deviation, that may be zero or negative.
@@ -104,9 +104,24 @@ pub fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
 
 /// Formats mean and deviation as one text: `16.2 ± 1.1`.
 pub fn mean_std(mean: f64, std: Option<f64>) -> String {
-    match mean_std_ms(mean, std) {
-        (mean, Some(std)) => format!("{mean} ± {std}"),
-        (mean, None) => mean,
+    join_mean_std(mean_std_ms(mean, std))
+}
+
+/// Formats a duration in ms with this number of decimals; a value that would be rounded to zero is `<0.01`.
+pub fn fixed_ms(seconds: f64, decimals: usize) -> String {
+    fixed_or_less_than(seconds * 1e3, decimals)
+}
+
+/// Formats mean and deviation in ms, both with this number of decimals: `<0.01` and `0.50`.
+pub fn fixed_mean_std_ms(mean: f64, std: Option<f64>, decimals: usize) -> (String, Option<String>) {
+    (fixed_ms(mean, decimals), std.map(|std| fixed(std * 1e3, decimals)))
+}
+
+/// Joins the texts of mean and deviation: `16.2 ± 1.1`.
+pub fn join_mean_std((mean, std): (String, Option<String>)) -> String {
+    match std {
+        Some(std) => format!("{mean} ± {std}"),
+        None => mean,
     }
 }
 

@@ -17,8 +17,8 @@ pub use bounds::{bound, bound_ms, ends_ms, interval_ms, offset_ms, shift_ms, sig
 pub use estimate::Estimate;
 pub use long_duration::{estimated_duration, long_duration};
 pub use milliseconds::{
-    DurationFormat, column_decimals, duration, error_ms, mean_std, mean_std_ms, milliseconds, range_ms,
-    total_ms, trip_ms,
+    DurationFormat, column_decimals, duration, error_ms, fixed_mean_std_ms, fixed_ms, join_mean_std,
+    mean_std, mean_std_ms, milliseconds, range_ms, total_ms, trip_ms,
 };
 pub use quantity::{
     Quantity, bytes, gigabytes, percent, rate, share, throughput, throughput_between, throughput_with_margin,

@@ -8,12 +8,11 @@ use peernet_figures::plot::Item;
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
-use peernet_statistics::number::{self, NONE, count, duration, mean_std_ms};
+use peernet_statistics::number::{self, NONE, count, duration, fixed_mean_std_ms, mean_std_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics, RunSummary};
 use peernet_stream::Placement;
 
 use super::spread::{TICKS, box_plot};
-use super::table::mean_and_std;
 use super::{Comparison, Configuration};
 use crate::look;
 use crate::picture::Picture;
@@ -85,7 +84,7 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
             total: if bar.parts.is_empty() {
                 (NONE.to_owned(), None)
             } else {
-                mean_and_std(bar.total, bar.std, decimals)
+                fixed_mean_std_ms(bar.total, bar.std, decimals)
             },
             bar: Picture::of_items(items, "stages", &label(one, bar)),
             is_best: best == Some(index),

@@ -6,7 +6,7 @@ use peernet_analysis::quality::Quality;
 use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::stage;
 use peernet_statistics::number::{
-    NONE, bytes, column_decimals, count, duration, fixed, fixed_or_less_than, percent,
+    NONE, bytes, column_decimals, count, duration, fixed_mean_std_ms, fixed_ms, percent,
 };
 use peernet_store::QuantityStatistics;
 
@@ -79,7 +79,7 @@ impl Table {
             cells: columns
                 .iter()
                 .map(|(name, decimals)| match one.statistics(name) {
-                    Some(QuantityStatistics { mean, std, .. }) => mean_and_std(*mean, *std, *decimals),
+                    Some(QuantityStatistics { mean, std, .. }) => fixed_mean_std_ms(*mean, *std, *decimals),
                     None => (NONE.to_owned(), None),
                 })
                 .collect(),
@@ -145,11 +145,6 @@ impl QualityColumn {
     }
 }
 
-/// Formats mean and standard deviation in ms.
-pub(super) fn mean_and_std(mean: f64, std: Option<f64>, decimals: usize) -> (String, Option<String>) {
-    (fixed_or_less_than(mean * 1e3, decimals), std.map(|std| fixed(std * 1e3, decimals)))
-}
-
 /// Returns the miss rate of a configuration.
 fn miss_rate_cell(configuration: &Configuration) -> Cell {
     let Some(misses) = configuration.misses() else { return Cell::none("no deadline") };
@@ -191,7 +186,7 @@ impl DifferenceRow {
     }
 
     fn new(stage: &StageDifference, decimals: usize) -> Self {
-        let ms = |mean: f64| fixed_or_less_than(mean * 1e3, decimals);
+        let ms = |mean: f64| fixed_ms(mean, decimals);
         let mean = |mean: Option<f64>| mean.map_or_else(|| NONE.to_owned(), ms);
         let texts = stage.mean_difference.map(|difference| difference.texts(decimals));
         let (difference, interval) = texts.unwrap_or_else(|| (NONE.to_owned(), None));
