@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use peernet_statistics::number::{bytes, counted, range_of_counts};
 use peernet_stream::ExperimentPosition;
 
+use crate::concurrent_edges::concurrent_groups;
 use crate::message_sizes::{Message, MessageSketches, SizeSummary};
 use crate::record::RunRecord;
 use crate::rows::{RowRef, is_plausible};
@@ -60,13 +61,12 @@ pub fn group_by_link<'a, T>(
     runs: impl IntoIterator<Item = (Link, Option<&'a ExperimentPosition>, T)>,
 ) -> Vec<(Link, Vec<T>)> {
     let runs: Vec<_> = runs.into_iter().collect();
-    let positions: Vec<Option<&ExperimentPosition>> = runs.iter().map(|(_, position, _)| *position).collect();
+    let indices: Vec<usize> = (0..runs.len()).collect();
+    let groups = concurrent_groups(&indices, |run| runs[*run].1, |run| &runs[*run].0.hosts[0]);
     let mut links: Vec<(Link, Vec<T>)> = Vec::new();
-    for (mut link, position, run) in runs {
-        // Runs with the same position ran at the same time. Each of them is the run of one user.
-        let has_several_users =
-            position.is_some() && positions.iter().filter(|other| **other == position).take(2).count() > 1;
-        if has_several_users && let Some(name) = name_without_number(&link.hosts[0]) {
+    for (index, (mut link, _, run)) in runs.into_iter().enumerate() {
+        let is_user = groups.iter().any(|edges| edges.len() > 1 && edges.contains(&&index));
+        if is_user && let Some(name) = name_without_number(&link.hosts[0]) {
             link.hosts[0] = name;
         }
         match links.iter_mut().find(|(other, _)| *other == link) {
@@ -325,12 +325,25 @@ mod tests {
         assert_eq!(study.missing, ["not drawn: 2 messages of upload, because no delay is known"]);
     }
 
-    #[test]
-    fn runs_over_one_link_are_one_study() {
-        let link = |edge: &str, address: &str| Link {
+    fn link(edge: &str, address: &str) -> Link {
+        Link {
             hosts: [edge.to_owned(), "cloud".to_owned()],
             network: ["zmq-tcp".to_owned(), address.to_owned()],
-        };
+        }
+    }
+
+    fn position(users: &str) -> ExperimentPosition {
+        ExperimentPosition {
+            name: "line".to_owned(),
+            id: "1".to_owned(),
+            configuration: vec![("Users".to_owned(), users.to_owned())],
+            repeat: 0,
+            ..ExperimentPosition::default()
+        }
+    }
+
+    #[test]
+    fn runs_over_one_link_are_one_study() {
         let runs = [("a", "tcp://x:1"), ("b", "tcp://x:1"), ("a", "tcp://x:1"), ("a", "tcp://y:1")];
         let links = group_by_link(runs.iter().zip(0..).map(|((edge, at), run)| (link(edge, at), None, run)));
         let names: Vec<(String, Vec<i32>)> =
@@ -339,13 +352,6 @@ mod tests {
             [("a → cloud (x:1)", vec![0, 2]), ("b → cloud (x:1)", vec![1]), ("a → cloud (y:1)", vec![3])];
         assert_eq!(names, expected.map(|(name, runs)| (name.to_owned(), runs)));
         // First one user, then two users at the same time.
-        let position = |users: &str| ExperimentPosition {
-            name: "line".to_owned(),
-            id: "1".to_owned(),
-            configuration: vec![("Users".to_owned(), users.to_owned())],
-            repeat: 0,
-            ..ExperimentPosition::default()
-        };
         let (alone, together) = (position("1"), position("2"));
         let users = [("a-7", &alone), ("a-7-1", &together), ("a-7-2", &together)];
         let users = users.map(|(edge, position)| (link(edge, "tcp://x:1"), Some(position), ()));
@@ -354,5 +360,14 @@ mod tests {
         assert_eq!(links[0].0.name(), "a-7 → cloud (x:1)");
         let unknown = Link { hosts: Default::default(), network: link("a", "tcp://x:1").network };
         assert_eq!(unknown.name(), "");
+    }
+
+    #[test]
+    fn edge_that_repeated_run_is_no_user() {
+        let position = position("1");
+        // The second run measured the position of the first run again.
+        let runs = [0, 1].map(|run| (link("a-1", "tcp://x:1"), Some(&position), run));
+        let links = group_by_link(runs);
+        assert_eq!((links.len(), links[0].0.name().as_str()), (1, "a-1 → cloud (x:1)"));
     }
 }
