@@ -1,6 +1,6 @@
 //! Comparisons as CSV, for programs.
 
-use super::{Comparison, Difference, EMPTY_CELL, LATENCIES, Line, SCORES};
+use super::{Comparison, Difference, LATENCIES, Line, SCORES, csv_labels};
 use crate::accuracy::{ACCURACIES, Accuracy};
 use crate::actuator_results::{EpisodeReturn, SuccessRate};
 use crate::deadline::Misses;
@@ -45,8 +45,7 @@ impl Comparison {
         let row = |(index, line): (usize, &Line)| {
             let flag = |value: bool| u8::from(value).to_string();
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
-            let label = |label: &String| if label == EMPTY_CELL { String::new() } else { label.clone() };
-            let mut cells: Vec<String> = line.labels.iter().map(label).collect();
+            let mut cells = csv_labels(&line.labels);
             cells.extend([line.repeats as u64, line.count, line.failed].map(|count| count.to_string()));
             let is_untested = self.untested.contains(&index);
             let tie = if is_untested || self.unranked.contains(&index) {

@@ -42,6 +42,12 @@ pub fn readable_names<'a>(
     names.iter().zip(&rows).map(name).collect()
 }
 
+/// Returns the labels as cells of a CSV file, in which the cell of a missing label is empty.
+pub(crate) fn csv_labels(labels: &[String]) -> Vec<String> {
+    let cell = |label: &String| if label == EMPTY_CELL { String::new() } else { label.clone() };
+    labels.iter().map(cell).collect()
+}
+
 /// Returns the labels, each after the name of its axis. Missing labels are left out.
 fn name_with_axes(axes: &[String], labels: &[String]) -> String {
     let present = axes.iter().zip(labels).filter(|(_, label)| *label != EMPTY_CELL);

@@ -32,6 +32,7 @@ pub use columns::{ChosenColumns, Column, choose_columns, choose_further_columns}
 pub use configuration::{Configurations, group_by_labels};
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, STAGES, StageDifference};
+pub(crate) use labels::csv_labels;
 pub use labels::{
     RunFacts, describe_labels, distinguishing_pairs, experiment_columns, readable_names, tabulate,
 };

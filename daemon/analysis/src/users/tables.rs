@@ -5,7 +5,7 @@ use peernet_statistics::number::{
 };
 
 use super::{Users, UsersLine};
-use crate::compare::{readable_names, replayed_configurations};
+use crate::compare::{csv_labels, readable_names, replayed_configurations};
 use crate::table::{Table, csv_text};
 
 /// Sentence on the time whose answers are counted.
@@ -38,7 +38,7 @@ impl Users {
         header.extend(["total-mean", "total-p50", "total-p95", "total-p99", "replayed"]);
         let number = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
         let row = |line: &UsersLine| {
-            let mut cells = line.labels.clone();
+            let mut cells = csv_labels(&line.labels);
             let (least, most) = line.rate_range().unzip();
             cells.push(line.edges.to_string());
             cells.extend([line.rate, least, most, line.fairness].map(number));

@@ -75,6 +75,17 @@ fn rates_cover_only_common_time() {
 }
 
 #[test]
+fn empty_label_is_empty_cell_of_csv() {
+    let runs = [("", "a"), ("", "b"), ("x", "a"), ("x", "b")]
+        .map(|(load, name)| edge(&[("N", "2"), ("Load", load)], (name, 0.0), 0.5, 21, 0.25));
+    for csv in [Users::from_runs(&runs).expect("several edges").csv(), Comparison::new(&runs).csv()] {
+        let rows: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+        let column = rows[0].iter().position(|title| *title == "Load").expect("an axis");
+        assert_eq!([rows[1][column], rows[2][column]], ["", "x"], "{csv}");
+    }
+}
+
+#[test]
 fn users_at_different_times_have_no_rates() {
     let users = Users::from_runs(&[edge(&[], ("a", 0.0), 0.5, 5, 0.1), edge(&[], ("b", 100.0), 0.5, 5, 0.1)]);
     let users = users.expect("several edges");
