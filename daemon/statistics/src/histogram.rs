@@ -164,24 +164,34 @@ pub struct BinCounts {
 }
 
 impl Summary {
-    /// Counts the values in each bin, below the first bin and above the last bin. Each value is counted once.
-    pub fn count_in(&self, binning: &Binning) -> BinCounts {
-        let total = self.count();
-        // The cumulative counts are rounded, not the counts of the bins, so that the counts add up to the number of
-        // values.
-        let below = |x: f64| (self.fraction_below(x).unwrap_or(0.0) * total as f64).round() as u64;
-        let mut cumulative: Vec<u64> = binning.edges().into_iter().map(below).collect();
+    /// Returns the number of values below each edge of the bins, for drawing; it may have a fractional part. `edges`
+    /// must be ascending. `range` is the range of the values that are shown: the outer bin at one of its ends is open
+    /// if no value lies beyond this end.
+    pub fn counts_below(&self, edges: &[f64], range: (f64, f64)) -> Vec<f64> {
+        let total = self.count() as f64;
+        let below = |x: &f64| self.fraction_below(*x).unwrap_or(0.0) * total;
+        let mut counts: Vec<f64> = edges.iter().map(below).collect();
         // The edges are rounded. Because of this, the smallest value could lie below the first bin, or the largest
         // above the last bin.
-        if let Some(first) = cumulative.first_mut().filter(|_| binning.range.0 <= self.moments.min) {
-            *first = 0;
+        if let Some(first) = counts.first_mut().filter(|_| range.0 <= self.moments.min) {
+            *first = 0.0;
         }
-        if let Some(last) = cumulative.last_mut().filter(|_| binning.range.1 >= self.moments.max) {
+        if let Some(last) = counts.last_mut().filter(|_| range.1 >= self.moments.max) {
             *last = total;
         }
+        counts
+    }
+
+    /// Counts the values in each bin, below the first bin and above the last bin. Each value is counted once. `edges`
+    /// and `range` are those of [`Self::counts_below`].
+    pub fn count_in(&self, edges: &[f64], range: (f64, f64)) -> BinCounts {
+        // The cumulative counts are rounded, not the counts of the bins, so that the counts add up to the number of
+        // values.
+        let cumulative = self.counts_below(edges, range).into_iter().map(|count| count.round() as u64);
+        let cumulative: Vec<u64> = cumulative.collect();
         let [first, last] = [cumulative.first(), cumulative.last()].map(|count| count.copied().unwrap_or(0));
         let counts = cumulative.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
-        BinCounts { below: first, counts, above: total - last }
+        BinCounts { below: first, counts, above: self.count() - last }
     }
 }
 
@@ -214,10 +224,19 @@ mod tests {
             );
             assert!(exact.count.abs_diff(stored.count) <= 2, "{exact:?} {stored:?}");
             let outside = sorted.iter().filter(|value| **value > exact.range.1).count() as u64;
-            let counts = summary.count_in(&stored);
+            let counts = summary.count_in(&stored.edges(), stored.range);
             assert_eq!((counts.below, counts.above), (0, outside));
             assert_eq!(counts.counts.iter().sum::<u64>() + outside, sorted.len() as u64);
         }
+    }
+
+    #[test]
+    fn counts_of_bins_add_up_to_count() {
+        let (_, summary) = sorted_and_summary((1..=1000).map(f64::from));
+        let edges = [0.0, 250.0, 500.0, 750.0, 1001.0];
+        let BinCounts { below, counts, above } = summary.count_in(&edges, (0.0, 1001.0));
+        assert_eq!((below, counts.iter().sum::<u64>(), above), (0, 1000, 0));
+        assert!(counts.iter().all(|count| count.abs_diff(250) < 10), "{counts:?}");
     }
 
     #[test]
@@ -226,7 +245,8 @@ mod tests {
             let (_, summary) = sorted_and_summary([value; 40]);
             let binning = Binning::of(&summary, MAX_BINS).expect("values");
             assert_eq!((binning.range, binning.count), ((value, value), 1));
-            assert_eq!(summary.count_in(&binning), BinCounts { below: 0, counts: vec![40], above: 0 });
+            let counts = summary.count_in(&binning.edges(), binning.range);
+            assert_eq!(counts, BinCounts { below: 0, counts: vec![40], above: 0 });
         }
         assert_eq!(Binning::of(&Summary::default(), MAX_BINS), None);
         assert_eq!(Binning::of([1.0_f64, 2.0, 3.0].as_slice(), 2).map(|bins| bins.count), Some(2));

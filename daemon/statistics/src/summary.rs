@@ -79,13 +79,6 @@ impl Summary {
             self.sketch.fraction_below(x)
         }
     }
-
-    /// Returns the number of values between each edge and the next, for drawing, as [`Sketch::histogram`] does. Unlike
-    /// in a sketch, the number is exactly 0 between edges that lie outside of the observed extremes.
-    pub fn histogram(&self, edges: &[f64]) -> Vec<f64> {
-        let below = |x: f64| self.fraction_below(x).unwrap_or(0.0) * self.count() as f64;
-        edges.windows(2).map(|pair| (below(pair[1]) - below(pair[0])).max(0.0)).collect()
-    }
 }
 
 impl Merge for Summary {
@@ -138,14 +131,5 @@ mod tests {
         (0..20).for_each(|_| summary.merge(&summary.clone()));
         let bytes = rmp_serde::to_vec(&summary).expect("serialises");
         assert_eq!(rmp_serde::from_slice::<Summary>(&bytes).expect("reads back"), summary);
-    }
-
-    #[test]
-    fn histogram_bins_add_up_to_count() {
-        let mut summary = Summary::default();
-        (1..=1000).for_each(|n| summary.record(f64::from(n)));
-        let bars = summary.histogram(&[0.0, 250.0, 500.0, 750.0, 1001.0]);
-        assert!((bars.iter().sum::<f64>() - 1000.0).abs() < 1e-9);
-        assert!(bars.iter().all(|bar| (bar - 250.0).abs() < 10.0), "{bars:?}");
     }
 }

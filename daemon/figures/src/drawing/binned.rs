@@ -1,7 +1,7 @@
 //! Axis that several distributions share. The distributions are sketches.
 
 use peernet_statistics::Summary;
-use peernet_statistics::histogram::{Binning, MAX_BINS, shown_range};
+use peernet_statistics::histogram::{BinCounts, Binning, MAX_BINS, shown_range};
 
 use crate::look::{Stage, Style};
 use crate::plot::{At, Axis, Item, Unit};
@@ -113,29 +113,23 @@ impl BinnedAxis {
         (lo..=hi).contains(&value).then(|| self.scale.at(value * self.unit.per_si))
     }
 
+    /// Returns the edges of the bins in SI units.
+    fn edges_si(&self) -> Vec<f64> {
+        self.edges.iter().map(|edge| edge / self.unit.per_si).collect()
+    }
+
     /// Returns the number of values below the lower end of the axis, and the number of values above its
     /// upper end.
     pub fn beyond(&self, values: &Summary) -> (u64, u64) {
-        let (lo, hi) = self.range();
-        let count_below =
-            |x| (values.fraction_below(x).unwrap_or(0.0) * values.count() as f64).round() as u64;
-        (count_below(lo), values.count() - count_below(hi))
+        let BinCounts { below, above, .. } = values.count_in(&self.edges_si(), self.range());
+        (below, above)
     }
 
     /// Returns the beginning, the end and the height of each bar of a distribution, as shares of the plot. The bar of
     /// the bin with most values has the full height.
     pub fn bars(&self, values: &Summary) -> Vec<[f64; 3]> {
-        let mut edges: Vec<f64> = self.edges.iter().map(|edge| edge / self.unit.per_si).collect();
-        // If no value lies beyond an end of the axis, the bin at this end is open. Otherwise a value at the end could
-        // miss the bin because of rounding.
-        let (lo, hi) = self.range();
-        if let Some(first) = edges.first_mut().filter(|_| lo <= values.moments.min) {
-            *first = f64::NEG_INFINITY;
-        }
-        if let Some(last) = edges.last_mut().filter(|_| hi >= values.moments.max) {
-            *last = f64::INFINITY;
-        }
-        let counts = values.histogram(&edges);
+        let cumulative = values.counts_below(&self.edges_si(), self.range());
+        let counts: Vec<f64> = cumulative.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let largest_count = counts.iter().copied().fold(0.0, f64::max);
         let filled_bins = self.edges.windows(2).zip(&counts).filter(|(_, count)| **count > 0.0);
         let bar = |(edges, count): (&[f64], &f64)| {

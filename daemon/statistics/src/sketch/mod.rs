@@ -135,16 +135,6 @@ impl Sketch {
         (count > 0).then(|| self.count_below(x) / count as f64)
     }
 
-    /// Returns the number of values between each edge and the next (lower edge included, upper edge excluded), for
-    /// drawing. `edges` must be ascending. The result has one element fewer than `edges`. Elements may have a
-    /// fractional part.
-    pub fn histogram(&self, edges: &[f64]) -> Vec<f64> {
-        edges
-            .windows(2)
-            .map(|pair| (self.count_below(pair[1]) - self.count_below(pair[0])).max(0.0))
-            .collect()
-    }
-
     /// Returns the packed form that is stored and sent: usually two bytes per bin that is not empty.
     pub fn to_bytes(&self) -> Vec<u8> {
         packed::pack(self)

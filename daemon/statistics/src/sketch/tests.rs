@@ -88,12 +88,8 @@ proptest! {
     }
 
     #[test]
-    fn full_histogram_counts_all_numbers(values in numbers()) {
+    fn all_numbers_lie_between_smallest_and_largest_float(values in numbers()) {
         let sketch = sketch_of(&values);
-        let edges = [f64::MIN, -10.0, 0.0, 1e-3, 1.0, 1e3, f64::MAX];
-        let bars = sketch.histogram(&edges);
-        prop_assert_eq!(bars.len(), edges.len() - 1);
-        prop_assert!((bars.iter().sum::<f64>() - values.len() as f64).abs() < 1e-6);
         prop_assert_eq!(sketch.fraction_below(f64::MAX), Some(1.0));
         prop_assert_eq!(sketch.fraction_below(f64::MIN), Some(0.0));
     }

@@ -85,8 +85,8 @@ pub(crate) async fn histogram(
     let Some(values) = whole_runs(readers, &[run], stage).await?.remove(&run) else { return Ok(None) };
     let Some(statistics) = values.statistics() else { return Ok(None) };
     let Some(binning) = Binning::of(&values.summary, max_bins) else { return Ok(None) };
-    let BinCounts { below, counts, above } = values.summary.count_in(&binning);
     let (stage, edges) = (stage.into(), binning.edges());
+    let BinCounts { below, counts, above } = values.summary.count_in(&edges, binning.range);
     Ok(Some(Histogram { stage, unit: values.unit, edges, counts, below, beyond: above, statistics }))
 }
 

@@ -6,10 +6,8 @@ use peernet_statistics::histogram::{Binning, MAX_BINS, shown_range};
 /// Values counted in bins of equal width.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bins {
-    /// Lower end of the first bin.
-    pub from: f64,
-    /// Width of a bin.
-    pub width: f64,
+    /// Edges of the bins in ascending order, one more than there are bins.
+    pub edges: Vec<f64>,
     /// Number of values in each bin. A value on the border of two bins is counted in the upper bin. A value at the
     /// upper end of the last bin is counted in the last bin.
     pub counts: Vec<u64>,
@@ -23,8 +21,9 @@ impl Bins {
     pub fn of(values: &SortedValues) -> Option<Self> {
         let finite: SortedValues =
             values.values().iter().copied().filter(|value| value.is_finite()).collect();
-        let Binning { range: (lo, hi), from, width, count } = Binning::of(finite.values(), MAX_BINS)?;
-        let mut bins = Self { from, width, counts: vec![0; count], beyond: (0, 0) };
+        let binning = Binning::of(finite.values(), MAX_BINS)?;
+        let Binning { range: (lo, hi), from, width, count } = binning;
+        let mut bins = Self { edges: binning.edges(), counts: vec![0; count], beyond: (0, 0) };
         for value in finite.values() {
             if *value < lo {
                 bins.beyond.0 += 1;
@@ -36,26 +35,6 @@ impl Bins {
             }
         }
         Some(bins)
-    }
-
-    /// Returns the upper end of the last bin.
-    pub fn to(&self) -> f64 {
-        self.from + self.width * self.counts.len() as f64
-    }
-
-    /// Returns the lower end of the bin with this index, which is the upper end of the previous bin.
-    pub fn edge(&self, index: usize) -> f64 {
-        self.from + self.width * index as f64
-    }
-
-    /// Returns the two ends of the bin with this index.
-    pub fn bin(&self, index: usize) -> (f64, f64) {
-        (self.edge(index), self.edge(index + 1))
-    }
-
-    /// Returns the number of values in the bin that has most values.
-    pub fn largest_count(&self) -> u64 {
-        self.counts.iter().copied().max().unwrap_or_default()
     }
 }
 
@@ -72,12 +51,17 @@ mod tests {
         Bins::of(&values.into_iter().collect())
     }
 
+    /// Returns the lower end of the first bin and the upper end of the last bin.
+    fn ends(bins: &Bins) -> (f64, f64) {
+        (bins.edges[0], bins.edges[bins.counts.len()])
+    }
+
     #[test]
     fn uniform_values_fill_bins_evenly() {
         let bins = bins((0..1000).map(f64::from)).expect("there are values");
         // The width is twice the interquartile range, divided by the cube root of the number of values. There are
         // 999 / (2 · 499.5 / 10) bins.
-        assert_eq!((bins.counts.len(), bins.from, bins.to()), (10, 0.0, 999.0));
+        assert_eq!((bins.counts.len(), ends(&bins)), (10, (0.0, 999.0)));
         assert_eq!((bins.counts.iter().sum::<u64>(), bins.beyond), (1000, (0, 0)));
         assert!(bins.counts.iter().all(|count| (99..=101).contains(count)), "{bins:?}");
     }
@@ -87,7 +71,7 @@ mod tests {
         let tail = bins((0..1000).map(f64::from).chain([1e5, 2e6, -7e5])).expect("there are values");
         assert_eq!(tail.beyond, (1, 2), "the three values far from the rest are beyond the bins");
         assert_eq!(tail.beyond.0 + tail.beyond.1 + tail.counts.iter().sum::<u64>(), 1003);
-        assert!(tail.from >= 0.0 && tail.to() < 1000.0, "{tail:?}");
+        assert!(ends(&tail).0 >= 0.0 && ends(&tail).1 < 1000.0, "{tail:?}");
         let normal = bins((0..1000).map(|i| (f64::from(i) / 500.0 - 1.0).powi(3))).expect("there are values");
         assert_eq!(normal.beyond, (0, 0), "without a far tail, every value is in a bin");
         let few = bins([1.0, 1.1, 1.2, 90.0]).expect("there are values");
@@ -100,7 +84,7 @@ mod tests {
         for count in [15, 72, 150] {
             let stalled = bins(run(count).chain([101.0])).expect("there are values");
             assert_eq!(stalled.beyond, (0, 1), "{count} values");
-            assert!(stalled.to() < 3.0 && stalled.counts.iter().filter(|count| **count > 0).count() >= 4);
+            assert!(ends(&stalled).1 < 3.0 && stalled.counts.iter().filter(|count| **count > 0).count() >= 4);
         }
         let three_stalls = bins(run(40).chain([37.0, 92.0, 101.0])).expect("there are values");
         assert_eq!(three_stalls.beyond, (0, 3));
@@ -121,13 +105,14 @@ mod tests {
         for value in [0.0, -3.0, 1e-9, 7.0] {
             let equal = bins([value; 40]).expect("there are values");
             assert_eq!(equal.counts, [40]);
-            assert!(equal.from <= value && value <= equal.to() && equal.width > 0.0, "{equal:?}");
+            let (from, to) = ends(&equal);
+            assert!(from <= value && value <= to && from < to, "{equal:?}");
         }
         let mostly_equal =
             bins(std::iter::repeat_n(1.0, 97).chain([0.5, 2.0, 3.0])).expect("there are values");
         // The interquartile range is 0, so it gives no width of the bins.
         assert_eq!(mostly_equal.counts.len(), MAX_BINS);
         let negative = bins([-3.0, -2.0, -2.0, -1.0]).expect("there are values");
-        assert_eq!((negative.from, negative.to(), negative.counts.iter().sum::<u64>()), (-3.0, -1.0, 4));
+        assert_eq!((ends(&negative), negative.counts.iter().sum::<u64>()), ((-3.0, -1.0), 4));
     }
 }

@@ -36,16 +36,16 @@ impl Histogram {
     /// Lays the figure out.
     pub fn figure(&self) -> Figure {
         let (title, notes) = (self.title.clone(), self.notes.clone());
-        let plots = Bins::of(&self.values).map(|bins| self.distribution(&bins).plot());
+        let plots = Bins::of(&self.values).map(|bins| self.distribution(bins).plot());
         Figure { title, notes, plots: plots.into_iter().collect(), ..Figure::default() }
     }
 
-    fn distribution(&self, bins: &Bins) -> Distribution {
+    fn distribution(&self, bins: Bins) -> Distribution {
         let quantiles =
             [("median", self.values.median()), ("p95", self.values.p95()), ("p99", self.values.p99())];
         Distribution {
-            edges: (0..=bins.counts.len()).map(|index| bins.edge(index)).collect(),
-            counts: bins.counts.clone(),
+            edges: bins.edges,
+            counts: bins.counts,
             // A column has at most one value in each iteration.
             count_noun: CountNoun::Iterations,
             beyond: bins.beyond,

@@ -92,7 +92,7 @@ fn axis_has_range_and_bins_of_histogram() {
         |n: u32| [0.02, 300.0].get(n as usize).copied().unwrap_or(5.0 + f64::from(n * 37 % 1_000) / 1e3);
     let uploads = seconds((0..10_000).map(upload_ms));
     let binning = Binning::of(&uploads, MAX_BINS).expect("values");
-    let outside = uploads.count_in(&binning);
+    let outside = uploads.count_in(&binning.edges(), binning.range);
     assert_eq!((outside.below, outside.above), (1, 1));
     let single = axis_in_ms([&uploads]).expect("values");
     assert!(!single.scale.is_logarithmic() && single.bars(&uploads).len() <= binning.count, "{single:?}");
