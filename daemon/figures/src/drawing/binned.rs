@@ -5,7 +5,7 @@ use peernet_statistics::histogram::{BinCounts, Binning, MAX_BINS, shown_range};
 
 use crate::look::{Stage, Style};
 use crate::plot::{At, Axis, Item, Unit};
-use crate::scale::Scale;
+use crate::scale::{Scale, ZERO_THRESHOLD};
 
 /// Number of bins between the smallest and the largest value that is shown.
 const BINS: u32 = 48;
@@ -19,8 +19,6 @@ const ROUNDING: f64 = 1e-9;
 const ZERO_SHARE: f64 = 1e-12;
 /// Approximate number of ticks on the axis.
 const TICKS: usize = 5;
-/// An axis begins at zero unless the smallest value is more than this share of the largest value.
-const ZERO_THRESHOLD: f64 = 0.75;
 
 /// Axis of a quantity, divided into the bins of its histograms.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,19 +5,15 @@ use peernet_statistics::number::fixed;
 use super::histogram::shown_range_of;
 use crate::look::{Mark, Style};
 use crate::plot::{Axis, Figure, Item, Key, Path, Plot, Swatch, Unit};
-use crate::scale::Scale;
+use crate::scale::{Scale, ZERO_THRESHOLD, is_wide};
 use peernet_analysis::order::SortedValues;
 
 /// Maximum number of points of a curve.
 const CURVE_POINTS: usize = 240;
-/// The axis is logarithmic if the ratio of the largest to the smallest median is at least this.
-const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Exponent that gives the room beyond the values at each end of a logarithmic axis. The ratio of the
 /// largest to the smallest value is raised to this power. The axis begins at the smallest value divided
 /// by the result, and ends at the largest value multiplied by the result.
 const AXIS_MARGIN_EXPONENT: f64 = 0.02;
-/// An axis begins at zero unless the smallest value is more than this share of the largest value.
-const ZERO_THRESHOLD: f64 = 0.5;
 /// Height at which the first curve has its mark, as a share of the plot.
 const FIRST_MARK_HEIGHT: f64 = 0.12;
 /// Difference between the heights at which two consecutive curves have their marks, so that no mark hides another.
@@ -75,7 +71,7 @@ impl Cumulative {
             self.shown_curves().filter_map(|(curve, _)| curve.values.median()).collect();
         let (smallest, largest) = medians.values().first().zip(medians.values().last())?;
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
-        Some(if lo > 0.0 && *largest >= LOGARITHMIC_RATIO * smallest {
+        Some(if lo > 0.0 && is_wide((*smallest, *largest)) {
             let room = (hi / lo).powf(AXIS_MARGIN_EXPONENT);
             Scale::logarithmic((lo / room, hi * room))
         } else if lo > hi * ZERO_THRESHOLD {

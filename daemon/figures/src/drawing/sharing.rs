@@ -6,7 +6,7 @@ use peernet_statistics::number::fixed;
 use super::is_drawable;
 use crate::look::{Style, series};
 use crate::plot::{Axis, Figure, Height, Item, Key, Marks, Path, Plot, Swatch, Unit};
-use crate::scale::{Scale, Tick};
+use crate::scale::{Scale, Tick, is_wide};
 
 /// Maximum number of curves that a reader can distinguish.
 pub const MAX_CURVES: usize = 4;
@@ -26,8 +26,6 @@ const WHISKER_WIDTH: f64 = 0.45;
 const FAIRNESS_HEIGHT: f64 = 28.5;
 /// The axis of edges is logarithmic if the ratio of the largest to the smallest number of edges is at least this.
 const LOGARITHMIC_EDGES_RATIO: f64 = 8.0;
-/// The axis of latencies is logarithmic if the ratio of the highest to the lowest latency is more than this.
-const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Room beyond the values at each end of a linear axis, as a share of their range. On a logarithmic axis, the room is a
 /// factor: the ratio of the largest to the smallest value to this power.
 const AXIS_MARGIN: f64 = 0.06;
@@ -174,7 +172,7 @@ impl Sharing {
 
     /// Returns the plot of latencies between `low` and `high` and, below it, the plot of fairness if fairness is known.
     fn plots(&self, (low, high): (f64, f64), edges_axis: Axis) -> Vec<Plot> {
-        let y_scale = if low > 0.0 && high > low * LOGARITHMIC_RATIO {
+        let y_scale = if is_wide((low, high)) {
             let room = (high / low).powf(AXIS_MARGIN);
             Scale::logarithmic((low / room, high * room))
         } else {

@@ -17,6 +17,10 @@ use peernet_statistics::number::{fixed, significant};
 const MAX_MAGNITUDE: f64 = 1e150;
 /// Smallest magnitude of an end of a scale other than zero. An end with a smaller magnitude becomes zero.
 const MIN_MAGNITUDE: f64 = 1e-150;
+/// [`is_wide`] is true for a range if the ratio of its ends is more than this.
+const WIDE_RATIO: f64 = 12.0;
+/// A linear scale begins at zero unless the smallest value is more than this share of the largest value.
+pub(crate) const ZERO_THRESHOLD: f64 = 0.5;
 /// Margin that [`Scale::from_zero`] adds beyond the values, as a share of their range.
 const MARGIN: f64 = 0.04;
 /// [`Scale::decades`] returns a scale only if the ratio of the largest to the smallest value is more than this.
@@ -218,6 +222,12 @@ impl Scale {
         let step = ticks.len().div_ceil(2 * max_ticks.max(1)).max(1);
         ticks.into_iter().step_by(step).collect()
     }
+}
+
+/// Returns whether a linear scale from `lo` to `hi` would squeeze the small values, so that the scale should be
+/// logarithmic.
+pub(crate) fn is_wide((lo, hi): (f64, f64)) -> bool {
+    lo > 0.0 && hi > lo * WIDE_RATIO
 }
 
 /// Limits a range to numbers whose differences and ratios are finite, so that loops along the range terminate.

@@ -41,6 +41,14 @@ fn logarithmic_positions_stay_within_scale() {
 }
 
 #[test]
+fn range_above_ratio_is_wide() {
+    assert_eq!(
+        [(1.0, 12.0), (1.0, 12.1), (0.0, 9.0), (-1.0, 90.0)].map(is_wide),
+        [false, true, false, false]
+    );
+}
+
+#[test]
 fn extreme_values_have_few_ticks_and_finite_positions() {
     let extremes =
         [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, -1e308, 1e17, 0.0, 5e-324, 1e-308, 7.0];

@@ -7,7 +7,7 @@ use peernet_statistics::number::significant;
 use crate::look::{Fill, INK, Mark, Style, WHITE};
 use crate::plot::{At, Axis, Figure, Item, Plot, Table, Unit};
 use crate::render::file;
-use crate::scale::Scale;
+use crate::scale::{Scale, is_wide};
 use peernet_analysis::quality::{Quality, QualityEstimate};
 
 /// Half the width of a whisker's cap, points.
@@ -16,8 +16,6 @@ const CAP_HALF_WIDTH: f64 = 1.4;
 const RADIUS: f64 = 2.1;
 /// Width of the rim that separates a point from its neighbours, points.
 const RIM: f64 = 0.4;
-/// The axis is logarithmic if the ratio of the largest to the smallest latency is more than this.
-const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Maximum number of points that a reader can distinguish.
 pub const MAX_QUALITY_POINTS: usize = 24;
 /// Room beyond the intervals at each end of the axis of a quality that is a share, percentage points.
@@ -197,7 +195,7 @@ impl QualityAgainstLatency {
             (high + margin).min(presentation.range.1 + room_for_points),
         );
         let y_scale = Scale::linear(ends);
-        let x_scale = if slowest > fastest * LOGARITHMIC_RATIO {
+        let x_scale = if is_wide((fastest, slowest)) {
             let room = (slowest / fastest).powf(0.08);
             Scale::logarithmic((fastest / room, slowest * room))
         } else {
