@@ -12,14 +12,6 @@ pub use self::median_interval::{
 pub use self::verdict_counts::VerdictCounts;
 use crate::order::{SortedValues, weighted_median};
 
-/// Returns whether an interval of this width, or half width, is that of an exact delay: one clock stamped both ends of
-/// the message.
-// The relation of two clocks always has an error, so an interval without width needs no relation. The width is tested
-// and not the source of the delay, because stored statistics have no sources.
-pub fn is_exact(width: f64) -> bool {
-    width == 0.0
-}
-
 /// Summary of the one-way delays of one direction over several seconds.
 #[derive(Clone, Debug, Default)]
 pub struct DelaySummary {

@@ -3,11 +3,10 @@
 
 use crate::exit::Failure;
 use crate::output::print_to_stdout;
-use peernet_analysis::delays::is_exact;
 use peernet_analysis::table::text;
 use peernet_clock::RelatedClocks;
 use peernet_statistics::number::{
-    self, NONE, bound_ms, column_decimals, fixed_mean_std_ms, fixed_ms, join_mean_std,
+    self, NONE, bound_ms, column_decimals, fixed_mean_std_ms, fixed_ms, is_exact, join_mean_std,
 };
 use peernet_stream::FaultyHost;
 use serde::Deserialize;

@@ -11,7 +11,8 @@ use peernet_analysis::summary::{Quantity, Scale, Summary, is_reported_as_count};
 use peernet_analysis::table::{Table, csv_text, decimals_of};
 use peernet_analysis::trust::Starts;
 use peernet_statistics::number::{
-    self, NONE as UNKNOWN, bound_ms, column_decimals, count, fixed, fixed_ms, join_ends, join_mean_std,
+    self, NONE as UNKNOWN, bound_ms, column_decimals, count, fixed, fixed_ms, is_exact, join_ends,
+    join_mean_std,
 };
 
 /// Columns of the *Tabulated Metrics* in the paper's appendix, with their names in the paper, and as
@@ -102,7 +103,8 @@ fn table(summary: &Summary) -> Table {
 
 /// Returns the sentences below the table, one per line.
 fn sentences(summary: &Summary) -> String {
-    let has_uncertain_bounds = |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| lo < hi);
+    let has_uncertain_bounds =
+        |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| !is_exact(hi - lo));
     let needs_explanation = summary.quantities.iter().any(has_uncertain_bounds);
     let bounds = if needs_explanation { "Clock bounds contain the median of the true values." } else { "" };
     let unknown_labels = summary.unknown_labels.as_ref().map(|labels| labels.sentence(summary.counts.ok));
@@ -139,7 +141,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<
     let quantile_cell = |value: Option<f64>| value.map_or_else(|| UNKNOWN.to_owned(), format_value);
     let bounds = match quantity.bounds {
         None => String::new(),
-        Some((lo, hi)) if lo == hi => number::EXACT.to_owned(),
+        Some((lo, hi)) if is_exact(hi - lo) => number::EXACT.to_owned(),
         Some((lo, hi)) => join_ends([format_number(lo), format_number(hi)]),
     };
     vec![

@@ -1,8 +1,7 @@
 //! Accuracy of one-way delays, in a cell of a table.
 
-use peernet_analysis::delays::is_exact;
 use peernet_clock::Verdict;
-use peernet_statistics::number::{EXACT, bound_ms, interval_ms};
+use peernet_statistics::number::{EXACT, bound_ms, interval_ms, is_exact};
 use peernet_store::DelayAccuracy;
 use peernet_stream::PlacementKind;
 

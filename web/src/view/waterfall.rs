@@ -2,13 +2,12 @@
 
 mod bars;
 
-use peernet_analysis::delays::is_exact;
 use peernet_analysis::slowness::REST_OF_UNATTRIBUTED;
 use peernet_analysis::unaccounted_time::{NETWORK_AND_REST, UnaccountedTime};
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{
-    DurationFormat, EXACT, NONE, SPACE, ends_ms, shift_ms, signed_within_ms, within_ms,
+    DurationFormat, EXACT, NONE, SPACE, ends_ms, is_exact, shift_ms, signed_within_ms, within_ms,
 };
 use peernet_store::IterationDetail;
 

@@ -1,10 +1,9 @@
 //! The differences between two lines of a comparison as a table.
 
 use peernet_sample::printable_line;
-use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed_ms};
+use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed_ms, is_exact};
 
 use super::{Difference, Differences, EMPTY_CELL, StageDifference};
-use crate::delays::is_exact;
 use crate::table::{CaptionedTable, Table, csv_text};
 
 /// Maximum number of decimals of a number of ms: the last decimal is a microsecond. The clock of another host is never

@@ -1,6 +1,6 @@
 //! Histograms of a run: the six histograms of the paper's original program, or the histogram of a column.
 
-use peernet_statistics::number::{fixed, interval_ms, throughput_between};
+use peernet_statistics::number::{fixed, interval_ms, is_exact, throughput_between};
 use peernet_stream::PlacementKind;
 
 use super::columns::{count_note, heading, too_large_note, unit, values};
@@ -81,5 +81,5 @@ fn clock_bounds_note(rows: &Rows, column: &str) -> Option<String> {
         }
         _ => format!("{} ms", interval_ms(lo, hi)),
     };
-    (lo < hi).then(|| format!("clock bounds of the median: {interval}"))
+    (!is_exact(hi - lo)).then(|| format!("clock bounds of the median: {interval}"))
 }

@@ -17,9 +17,17 @@ fn decimals_within(seconds: f64, half_width: f64) -> usize {
     }
 }
 
+/// Returns whether an interval of this width, or half width, is that of an exact delay: one clock stamped both ends of
+/// the message.
+// The relation of two clocks always has an error, so an interval without width needs no relation. The width is tested
+// and not the source of the delay, because stored statistics have no sources.
+pub fn is_exact(width: f64) -> bool {
+    width == 0.0
+}
+
 /// Formats the largest error of a value: `±0.65`, `±0.006`, or `exact` for zero.
 pub fn bound_ms(half_width: f64) -> String {
-    if half_width == 0.0 {
+    if is_exact(half_width) {
         return EXACT.to_owned();
     }
     format!("±{}", fixed_or_less_than(half_width * 1e3, decimals(half_width * 1e3, 2).min(MAX_DECIMALS)))
@@ -27,7 +35,7 @@ pub fn bound_ms(half_width: f64) -> String {
 
 /// Formats the largest error of a value with its unit: `±0.65 ms`, `exact`.
 pub fn bound(half_width: f64) -> String {
-    let unit = if half_width == 0.0 { String::new() } else { format!("{SPACE}ms") };
+    let unit = if is_exact(half_width) { String::new() } else { format!("{SPACE}ms") };
     format!("{}{unit}", bound_ms(half_width))
 }
 

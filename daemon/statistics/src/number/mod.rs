@@ -13,7 +13,9 @@ mod quantity;
 #[cfg(test)]
 mod tests;
 
-pub use bounds::{bound, bound_ms, ends_ms, interval_ms, offset_ms, shift_ms, signed_within_ms, within_ms};
+pub use bounds::{
+    bound, bound_ms, ends_ms, interval_ms, is_exact, offset_ms, shift_ms, signed_within_ms, within_ms,
+};
 pub use estimate::Estimate;
 pub use long_duration::{estimated_duration, long_duration};
 pub use milliseconds::{

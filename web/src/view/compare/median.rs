@@ -5,7 +5,7 @@ use peernet_analysis::summary::Scale;
 use peernet_analysis::transfer::DirectionNodes;
 use peernet_clock::Verdict;
 use peernet_logger::Name;
-use peernet_statistics::number::{SPACE, interval_ms, throughput_between, within_ms};
+use peernet_statistics::number::{SPACE, interval_ms, is_exact, throughput_between, within_ms};
 use peernet_store::MergeableStatistics;
 
 use crate::view::chip::Chip;
@@ -75,7 +75,7 @@ fn median_interval(mergeable: &MergeableStatistics, name: &str, delay: &Name) ->
     } else {
         clocked.interval_of_median_throughput()
     };
-    interval.filter(|interval| interval.hi > interval.lo)
+    interval.filter(|interval| !is_exact(interval.hi - interval.lo))
 }
 
 fn with_unit(value: &str, unit: &str) -> String {

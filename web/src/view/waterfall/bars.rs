@@ -5,6 +5,7 @@ use peernet_figures::drawing::Orientation;
 use peernet_figures::look::{Style, stage};
 use peernet_figures::plot::{At, Item, Label};
 use peernet_figures::scale::Scale;
+use peernet_statistics::number::is_exact;
 
 use crate::picture::Picture;
 use crate::timeline::{NodeLocation, PlacedNode, Timeline, Visit};
@@ -102,7 +103,7 @@ pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, has_med
     }
     // The uncertain end of a message is on the cloud: the arrival of an upload, the departure of a download. The
     // whisker is drawn there.
-    let bounds = node.delay.and_then(|delay| delay.bounds).filter(|(lo, hi)| hi > lo).zip(visit);
+    let bounds = node.delay.and_then(|delay| delay.bounds).filter(|(lo, hi)| !is_exact(hi - lo)).zip(visit);
     let ends = bounds.and_then(|((lo, hi), visit)| match visit.answer_times {
         Some((_, back)) if is_download => Some([back - hi, back - lo]),
         None if is_download => None,

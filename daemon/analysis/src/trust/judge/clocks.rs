@@ -2,11 +2,11 @@
 //! edge alone.
 
 use peernet_clock::Verdict;
-use peernet_statistics::number::{ends_ms, milliseconds, within_ms};
+use peernet_statistics::number::{ends_ms, is_exact, milliseconds, within_ms};
 use peernet_stream::Grade;
 
 use super::{finding, percent, with_advice};
-use crate::delays::{ClockInterval, is_exact};
+use crate::delays::ClockInterval;
 use crate::trust::{DelayQuality, Finding, TrustInput};
 
 /// If at least this share of the delays has no value, the finding is bad.
