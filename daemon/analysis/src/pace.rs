@@ -1,6 +1,6 @@
 //! Pace of a configuration, from the few iterations of a trial.
 
-use crate::rows::Rows;
+use crate::rows::{Outcome, Rows};
 
 /// Durations that a trial of a configuration has measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,10 +17,12 @@ pub struct Pace {
 
 impl Pace {
     /// Returns the pace from the iterations of a trial and the duration of its process, seconds. `None` unless an
-    /// iteration started after another one.
+    /// iteration started after a successful one.
     pub fn from_trial(rows: &Rows, duration_s: f64) -> Option<Self> {
-        let starts: Vec<f64> = rows.iter().map(|row| row.at()).collect();
-        let intervals = starts.windows(2).map(|pair| pair[1] - pair[0]);
+        let rows: Vec<_> = rows.iter().collect();
+        // An iteration that failed may have ended at once.
+        let pairs = rows.windows(2).filter(|pair| pair[0].outcome() == Outcome::Ok);
+        let intervals = pairs.map(|pair| pair[1].at() - pair[0].at());
         // The smallest values are taken: the first iterations may include the loading of a model or a new connection.
         let iteration_s = intervals.filter(|interval| *interval > 0.0).reduce(f64::min)?;
         let smallest_sum = |stages: &[&str]| {
@@ -30,7 +32,7 @@ impl Pace {
         };
         Some(Self {
             iteration_s,
-            overhead_s: (duration_s - iteration_s * starts.len() as f64).max(0.0),
+            overhead_s: (duration_s - iteration_s * rows.len() as f64).max(0.0),
             sensing_s: smallest_sum(&["sensing"]),
             computing_s: smallest_sum(&["preprocessing", "inference", "postprocessing"]),
         })
@@ -40,7 +42,7 @@ impl Pace {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rows::{Outcome, Row};
+    use crate::rows::Row;
     use crate::testing::row_of_values;
 
     #[test]
@@ -56,6 +58,17 @@ mod tests {
         let expected = Pace { iteration_s: 0.5, overhead_s: 2.5, sensing_s: 0.125, computing_s: 0.25 };
         assert_eq!(pace, Some(expected));
         assert_eq!(Pace::from_trial(&rows(&[(10.0, 1.0)]), 1.0), None);
+    }
+
+    #[test]
+    fn failed_iteration_does_not_shorten_interval() {
+        let rows = |starts: &[(f64, Outcome)]| -> Rows {
+            starts.iter().map(|(at, outcome)| Row { at: *at, ..row_of_values(*outcome, &[]) }).collect()
+        };
+        let (ok, failed) = (Outcome::Ok, Outcome::Failed);
+        let pace = Pace::from_trial(&rows(&[(10.0, ok), (12.0, failed), (12.125, ok), (12.625, ok)]), 4.0);
+        assert_eq!(pace.map(|pace| pace.iteration_s), Some(0.5));
+        assert_eq!(Pace::from_trial(&rows(&[(10.0, failed), (10.125, ok)]), 4.0), None);
     }
 
     #[test]
