@@ -174,6 +174,8 @@ impl Sending {
     }
 
     fn handle_refusal(&mut self, reason: &str, now: MonoTime) {
+        // A refusal may arrive after a welcome. Batches in flight are sent again after the next welcome.
+        self.durable_lane.reset_in_flight();
         self.session.record_refusal(now);
         self.notices.push_back(Notice::Refused(reason.to_owned()));
     }

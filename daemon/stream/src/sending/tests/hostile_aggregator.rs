@@ -18,6 +18,19 @@ fn acknowledgement_of_unsent_batch_causes_new_hello() {
     assert_eq!(agent.take_sent_numbers().last(), Some(&3));
 }
 
+#[test]
+fn batches_are_sent_again_after_late_refusal() {
+    let mut agent = Agent::new_welcomed(config());
+    agent.offer_batches(5);
+    assert_eq!(agent.take_sent_numbers(), [1, 2, 3], "the window is full");
+    agent.receive(&ToAgent::Refused { reason: "no".into() });
+    // The next hello follows after a pause of one second.
+    agent.advance_ms(1_000);
+    agent.welcome(0, None);
+    assert_eq!(agent.deliver(), [1, 2, 3, 4, 5]);
+    assert!(agent.sending.is_idle());
+}
+
 fn message(stream: StreamId, kind: u8, number: u64, window: u32, chain: Option<ChainHash>) -> ToAgent {
     match kind {
         0 | 1 => {
