@@ -52,7 +52,8 @@ struct OldestBatch {
     number: u64,
     /// Chain hash of the batch before the oldest.
     previous_chain: ChainHash,
-    /// Time of the first event of the oldest batch, if it is in the file only.
+    /// Time of the first event of the oldest batch, if it is in the file only. After an acknowledgement, this is the
+    /// time of the last stored batch, until the oldest batch is read.
     since: Option<WallTime>,
 }
 
@@ -337,7 +338,8 @@ impl Backlog {
     fn forget(&mut self, batch: &SpooledBatch, freed: &mut FreedBatches) {
         freed.events += u64::from(batch.events);
         self.sent.forget(batch);
-        (self.oldest.number, self.oldest.previous_chain) = (batch.number + 1, batch.chain);
+        self.oldest =
+            OldestBatch { number: batch.number + 1, previous_chain: batch.chain, since: Some(batch.since) };
     }
 
     /// Returns the chain hash of a batch, and the scan result for the batches up to it that are in the file only;

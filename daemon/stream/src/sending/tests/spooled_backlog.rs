@@ -84,6 +84,37 @@ fn file_is_read_while_batches_are_in_flight() {
 }
 
 #[test]
+fn waiting_events_are_not_older_than_last_stored_batch() {
+    let mut agent = Agent::new(SendingConfig { batch_bytes: LONG_BODY_BYTES, ..config() });
+    for _ in 0..40 {
+        agent.advance_ms(1_000);
+        agent.sending.offer(&incident(&"x".repeat(LONG_BODY_BYTES - 100)), agent.now());
+        agent.settle();
+    }
+    agent.advance_ms(1_000);
+    let millis = agent.millis;
+    let mut agent = agent.restart();
+    agent.millis = millis;
+    agent.connect();
+    agent.welcome(0, None);
+    let mut stored = 0;
+    while let Some(last) = agent.take_sent_numbers().last().copied() {
+        stored = last;
+        let (stream, now) = (agent.stream(), agent.now());
+        agent.sending.on_message(&ToAgent::Ack { stream, through: stored, window: 3 }, now);
+        // The disk does not answer, so no further batch is read.
+        while let Some(action) = agent.sending.next(now.mono) {
+            if let Action::Send(frame) = action {
+                agent.record_frame(frame.into());
+            }
+        }
+    }
+    assert!((2..40).contains(&stored), "{stored}");
+    // The first event of batch `n` was offered in second `n`.
+    assert_eq!(agent.accounting().oldest, Some(at(1_000 * stored.cast_signed()).wall));
+}
+
+#[test]
 fn unreadable_spool_is_read_again() {
     let mut agent = agent_with_backlog(20).restart();
     agent.spool_is_broken = true;
