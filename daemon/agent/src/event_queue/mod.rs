@@ -186,7 +186,8 @@ impl Overflow {
             reason: "the event queue of the agent was full".to_owned(),
         });
         gap.count += 1;
-        gap.to = now;
+        // The wall clock may have been set back since the first drop.
+        (gap.from, gap.to) = (gap.from.min(now), gap.to.max(now));
     }
 }
 
@@ -223,5 +224,21 @@ mod tests {
         assert_eq!((gaps[0].count, gaps[0].run, gaps[0].pipeline.as_ref()), (2, Some(run), Some(&pipeline)));
         assert_eq!(gaps[0].to - gaps[0].from, Span::from_nanos(10));
         assert!(receiver.overflow.take_gaps().is_empty());
+    }
+
+    #[test]
+    fn gap_ends_after_its_start_although_clock_is_set_back() {
+        let wall = WallTime::from_unix_nanos;
+        let clock = Arc::new(ManualClock::new(wall(500), ClockIdentity::new("boot", "system")));
+        let (event_queue, receiver) = channel(Arc::<ManualClock>::clone(&clock), EventCounter::default());
+        let (pipeline, run): (Slug, _) = ("line".parse().expect("a name"), RunId::random());
+        let dropped_before_step = ITERATION_CAPACITY as u64 + 1;
+        for number in 1..=dropped_before_step {
+            event_queue.push_iteration(&pipeline, iteration(&clock, run, number));
+        }
+        clock.step_wall(Span::from_nanos(-100));
+        event_queue.push_iteration(&pipeline, iteration(&clock, run, dropped_before_step + 1));
+        let gaps = receiver.overflow.take_gaps();
+        assert_eq!((gaps[0].from, gaps[0].to, gaps[0].count), (wall(400), wall(500), 2));
     }
 }

@@ -64,14 +64,14 @@ impl Losses {
 
     /// Counts the events of `gap`. Another component dropped these events and reported no gap.
     pub(super) fn add_gap(&mut self, gap: Gap, now: Stamp) {
-        let Gap { pipeline, run, from, count, reason, .. } = gap;
+        let Gap { pipeline, run, from, to, count, reason } = gap;
         self.add(pipeline.clone(), run, now, count, reason.clone());
         let has_same_cause = |loss: &&mut Loss| {
             let gap = &loss.gap;
             gap.pipeline == pipeline && gap.run == run && gap.reason == reason
         };
         if let Some(loss) = self.entries.iter_mut().find(has_same_cause) {
-            loss.gap.from = loss.gap.from.min(from);
+            (loss.gap.from, loss.gap.to) = (loss.gap.from.min(from), loss.gap.to.max(to));
         }
     }
 
@@ -106,9 +106,10 @@ impl Losses {
 impl Loss {
     fn extend(&mut self, now: Stamp, count: u64) {
         if self.gap.count == 0 {
-            self.gap.from = now.wall;
+            (self.gap.from, self.gap.to) = (now.wall, now.wall);
         }
-        self.gap.to = now.wall;
+        // The wall clock may have been set back since the first drop.
+        (self.gap.from, self.gap.to) = (self.gap.from.min(now.wall), self.gap.to.max(now.wall));
         self.gap.count += count;
     }
 
@@ -146,6 +147,17 @@ mod tests {
         // Reported losses free capacity for other losses.
         losses.add(None, None, at(300), 1, "another".into());
         assert_eq!(losses.take_ended(None, at(300).mono).expect("a gap").reason, "another");
+    }
+
+    #[test]
+    fn gap_ends_after_its_start_although_clock_is_set_back() {
+        let mut losses = Losses::default();
+        let after_step = Stamp { wall: at(200).wall, ..at(5_000) };
+        for now in [at(4_000), after_step] {
+            losses.add(None, None, now, 1, "full".into());
+        }
+        let gap = losses.take_due(after_step.mono).expect("a gap");
+        assert_eq!((gap.from, gap.to, gap.count), (at(200).wall, at(4_000).wall, 2));
     }
 
     #[test]
