@@ -1,7 +1,8 @@
 //! Tests of a full queue and of data that arrives hours after its time.
 
 use peernet_logger::{HostId, RunId};
-use peernet_stream::{Event, Incident, IncidentKind};
+use peernet_stream::{Event, Incident, IncidentKind, ToAgent};
+use sqlx::Connection;
 
 use crate::generate;
 use crate::scripted_agent::{Reply, ScriptedAgent};
@@ -58,15 +59,15 @@ async fn deferred_batches_are_requested_when_queue_has_capacity() {
     let mut resend_requests = 0;
     loop {
         match agents[2].socket.receive().await {
-            peernet_stream::ToAgent::Resend { from, .. } => {
+            ToAgent::Resend { from, .. } => {
                 resend_requests += 1;
                 let deferred_batches = [&second_batch, &third_batch];
                 for frame in &deferred_batches[usize::try_from(from).expect("small") - 2..] {
                     agents[2].socket.send_frame((*frame).clone()).await;
                 }
             }
-            peernet_stream::ToAgent::Ack { through: 3, .. } => break,
-            peernet_stream::ToAgent::Ack { .. } => {}
+            ToAgent::Ack { through: 3, .. } => break,
+            ToAgent::Ack { .. } => {}
             other => panic!("{other:?}"),
         }
     }
@@ -77,6 +78,43 @@ async fn deferred_batches_are_requested_when_queue_has_capacity() {
             .await,
         3
     );
+    testbed.stop().await;
+}
+
+#[tokio::test]
+async fn repeated_hello_is_welcomed_while_queue_is_full() {
+    let mut testbed = Testbed::new().await;
+    let mut agents = Vec::new();
+    for name in ["one", "two"] {
+        let mut scripted_agent = ScriptedAgent::welcome(&testbed, name).await;
+        scripted_agent.send_next().await;
+        scripted_agent.expect(Reply::Ack(1)).await;
+        agents.push(scripted_agent);
+    }
+    let repeated_hello = agents[0].hello("one");
+    let mut holder = testbed.connection().await;
+    sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut holder).await.expect("locks");
+    // 25 large batches leave less than 1 MiB of the queue. The small batches fill this rest.
+    for _ in 0..26 {
+        let frame = large_batch(&mut agents[0]);
+        agents[0].socket.send_frame(frame).await;
+    }
+    testbed.snapshot("a deferred batch", |snapshot| snapshot.totals.rejected_batches.deferred > 0).await;
+    for _ in 0..1_100 {
+        agents[1].send_next().await;
+    }
+    testbed
+        .snapshot("a deferred batch of the second agent", |snapshot| {
+            snapshot
+                .hosts
+                .iter()
+                .any(|host| host.description.name.as_str() == "two" && host.rejected_batches.deferred > 0)
+        })
+        .await;
+    let answer = agents[0].socket.greet(&repeated_hello).await;
+    assert!(matches!(answer, ToAgent::Welcome { stored: 1, .. }), "{answer:?}");
+    sqlx::raw_sql("ROLLBACK").execute(&mut holder).await.expect("unlocks");
+    holder.close().await.expect("closes");
     testbed.stop().await;
 }
 

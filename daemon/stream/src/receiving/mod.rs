@@ -310,6 +310,17 @@ impl Receiving {
         HelloResult::Welcome { reply, missing, replaced, missing_previous, displaced }
     }
 
+    /// Returns whether a hello adds nothing to the session of its process: the session has the same stream, and the agent
+    /// holds all batches after the accepted batches. The welcome to such a hello reports nothing that is to be stored.
+    pub fn is_repeated_hello(&self, hello: &Hello) -> bool {
+        let has_session = self
+            .hosts
+            .get(&hello.host.id)
+            .is_some_and(|session| (session.process, session.stream) == (hello.process, hello.stream));
+        let progress = self.streams.get(&hello.stream).filter(|_| has_session);
+        progress.is_some_and(|progress| progress.has_all_before(hello.oldest))
+    }
+
     /// Returns whether the host must wait for the writer, because its stream has too many batches that are not stored,
     /// or because the host has too many other streams in memory.
     fn has_too_many_unstored(&self, host: HostId, stream: StreamId) -> bool {

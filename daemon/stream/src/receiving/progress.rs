@@ -106,6 +106,12 @@ impl Progress {
         })
     }
 
+    /// Returns whether a batch of the stream is stored and all batches before `oldest` are accepted. No batch is missing
+    /// then if the agent's oldest batch is `oldest`.
+    pub(super) const fn has_all_before(&self, oldest: u64) -> bool {
+        self.mark.is_some() && oldest <= self.next()
+    }
+
     /// Returns the number of the last stored batch, and the mark that the agent compares with its own batches. If no
     /// batch is stored, the number is that of the first batch minus 1.
     pub(super) const fn stored(&self) -> (u64, Option<HighWaterMark>) {

@@ -72,6 +72,23 @@ fn message_without_session_requests_hello() {
 }
 
 #[test]
+fn hello_is_repeated_only_if_nothing_has_changed() {
+    let (mut aggregator, id, stream) = (receiving(), HostId::random(), StreamId::random());
+    let first_hello = hello(id, "edge", 1, stream, 4);
+    assert!(!aggregator.is_repeated_hello(&first_hello));
+    expect_welcome(&aggregator.handle_hello(&first_hello, record_with(Some(mark(id, 3))), at(0).mono));
+    assert!(aggregator.is_repeated_hello(&first_hello));
+    let of_other_process = hello(id, "edge", 2, stream, 4);
+    let of_other_stream = hello(id, "edge", 1, StreamId::random(), 4);
+    let with_missing_batch = hello(id, "edge", 1, stream, 5);
+    for other in [of_other_process, of_other_stream, with_missing_batch] {
+        assert!(!aggregator.is_repeated_hello(&other), "{other:?}");
+    }
+    aggregator.handle_goodbye(id);
+    assert!(!aggregator.is_repeated_hello(&first_hello));
+}
+
+#[test]
 fn hello_with_impossible_batch_numbers_is_refused() {
     let valid_hello = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
     for (first, oldest) in [(0, 0), (0, 1), (5, 4), (u64::MAX, u64::MAX), (1, u64::MAX), (1, 1 << 63)] {

@@ -63,12 +63,19 @@ impl IngestSession {
             self.refuse(from, &hello, reason, now);
             return;
         }
+        // An agent repeats its hello every ten seconds while nothing can be stored. A repeated hello adds nothing to the
+        // database and takes no place in the queue. The agent therefore keeps its session, and with it the live lane,
+        // even if the queue is full.
+        let is_repeated = self.hosts.is_stored(host)
+            && self.hosts.secret(host).is_some()
+            && self.receiving.is_repeated_hello(&hello);
         // If the queue has no capacity for the work that follows, the hello counts as lost; the agent repeats the
         // hello.
-        let (Some(introduction_slot), Some(gap_slot)) = (self.queue.reserve(0), self.queue.reserve(0)) else {
+        let slots = if is_repeated { None } else { self.queue.reserve(0).zip(self.queue.reserve(0)) };
+        if slots.is_none() && !is_repeated {
             self.output.count_deferred_hello();
             return;
-        };
+        }
         let record = self.store.streams.stream_record(&hello, self.hosts.seniority(host));
         // A welcome acknowledges all batches up to the stream's mark. While the database is closed, it is unknown
         // whether these batches are still stored, so the agent has to wait and repeats its hello.
@@ -113,7 +120,12 @@ impl IngestSession {
                     missing_previous,
                     secret,
                 };
-                let dropped_newcomer = if self.hosts.is_stored(host) {
+                let dropped_newcomer = slots.and_then(|(introduction_slot, gap_slot)| {
+                    if !self.hosts.is_stored(host) {
+                        // A newcomer is stored with its first batch, so nothing is queued now.
+                        drop((introduction_slot, gap_slot));
+                        return self.hosts.add_newcomer(introduction, missing);
+                    }
                     if let Some(secret) = &introduction.secret {
                         self.hosts.enrol(host, secret);
                     }
@@ -126,11 +138,7 @@ impl IngestSession {
                     }
                     self.store.streams.record_hello(host, stream);
                     None
-                } else {
-                    // A newcomer is stored with its first batch, so nothing is queued now.
-                    drop((introduction_slot, gap_slot));
-                    self.hosts.add_newcomer(introduction, missing)
-                };
+                });
                 if let Some(dropped_newcomer) = dropped_newcomer {
                     self.end_dropped_newcomer(dropped_newcomer);
                 }
@@ -145,7 +153,7 @@ impl IngestSession {
                 self.output.announce(LiveEvent::Hello(Box::new(description), process));
             }
             HelloResult::Refused { reason, .. } => {
-                drop((introduction_slot, gap_slot));
+                drop(slots);
                 self.refuse(from, &hello, reason, now);
             }
             // The agent repeats its hello, and that hello decides.
