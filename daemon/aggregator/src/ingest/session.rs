@@ -159,6 +159,11 @@ impl IngestSession {
         if !self.has_session(from, head.host) {
             return;
         }
+        if self.hosts.is_newcomer(head.host) && self.hosts.limit_refusal(head.host).is_some() {
+            // Other newcomers have been stored since this host's hello. The answer to its next hello has the reason.
+            self.forget_newcomer(head.host);
+            return self.output.reply(from.connection, ToAgent::Unknown);
+        }
         // The first batch of a newcomer stores the host, too, which needs two more slots.
         let newcomer_slots = if self.hosts.is_newcomer(head.host) {
             let Some(slots) = self.queue.reserve(0).zip(self.queue.reserve(0)) else {

@@ -64,6 +64,29 @@ async fn hosts_per_connection_are_limited() {
 }
 
 #[tokio::test]
+async fn hosts_welcomed_together_do_not_exceed_limit() {
+    let mut testbed = Testbed::with_max_hosts(2).await;
+    let mut first = ScriptedAgent::welcome(&testbed, "first").await;
+    first.send_next().await;
+    first.expect(Reply::Ack(1)).await;
+    let mut second = ScriptedAgent::welcome(&testbed, "second").await;
+    let mut third = ScriptedAgent::welcome(&testbed, "third").await;
+    second.send_next().await;
+    second.expect(Reply::Ack(1)).await;
+    third.send_next().await;
+    third.expect(Reply::Unknown).await;
+    let answer = third.socket.greet(&third.hello("third")).await;
+    assert!(
+        matches!(&answer, ToAgent::Refused { reason } if reason.contains("raise max_hosts")),
+        "{answer:?}"
+    );
+    assert_eq!(testbed.count("SELECT count(*) FROM host WHERE name IS NOT NULL").await, 2);
+    second.send_next().await;
+    second.expect(Reply::Ack(2)).await;
+    testbed.stop().await;
+}
+
+#[tokio::test]
 async fn unreadable_and_unknown_messages_are_counted() {
     let mut testbed = Testbed::new().await;
     let mut stranger = ScriptedAgent::new(&testbed).await;

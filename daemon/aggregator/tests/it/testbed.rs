@@ -20,16 +20,22 @@ pub(crate) struct Testbed {
     pub(crate) clock: SharedClock,
     /// Address that the aggregator listens on; it stays the same after a restart.
     pub(crate) address: String,
+    max_hosts: usize,
     running: Option<(RunningAggregator, CancellationToken)>,
 }
 
 impl Testbed {
     pub(crate) async fn new() -> Self {
+        Self::with_max_hosts(AggregatorConfig::default().max_hosts).await
+    }
+
+    /// Starts an aggregator that stores at most `max_hosts` hosts.
+    pub(crate) async fn with_max_hosts(max_hosts: usize) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let database = folder.path().join("data/peernet.sqlite");
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")));
         let address = "tcp://127.0.0.1:0".to_owned();
-        let mut testbed = Self { _folder: folder, database, clock, address, running: None };
+        let mut testbed = Self { _folder: folder, database, clock, address, max_hosts, running: None };
         testbed.start().await;
         testbed
     }
@@ -40,6 +46,7 @@ impl Testbed {
             listen: self.address.clone(),
             database: self.database.clone(),
             commit_interval_ms: 5,
+            max_hosts: self.max_hosts,
             ..AggregatorConfig::default()
         }
     }
