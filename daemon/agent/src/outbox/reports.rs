@@ -238,11 +238,14 @@ fn describe_quarantine(quarantined: &QuarantinedSpool) -> String {
     let advice = format!(
         "check the disk, for example with smartctl, and delete {path} when you do not need these events"
     );
-    let Some(RecoveryCounts { batches, events, lost_batches, lost_events }) = recovered else {
-        return format!(
-            "{moved}, and an empty spool was created, because no batch could be read before the damage: events in the damaged file \
-             that the aggregator had not stored are lost; {advice}"
-        );
+    let RecoveryCounts { batches, events, lost_batches, lost_events } = match recovered {
+        Ok(recovered) => recovered,
+        Err(error) => {
+            return format!(
+                "{moved}, and an empty spool was created, because no batch could be recovered: {error}; events that the \
+                 aggregator had not stored are only in that file and are not sent; {advice}"
+            );
+        }
     };
     let lost = match lost_batches {
         Some(0) => "no batch was lost".to_owned(),
@@ -270,15 +273,18 @@ mod tests {
             reason: "the spool s is damaged: malformed".to_owned(),
             new_path: "/var/s.damaged-5".into(),
             bytes: 40_960,
-            recovered: None,
+            recovered: Err("the disk is full".to_owned()),
         };
         let text = describe_quarantine(&quarantined);
-        for part in ["(40,960 bytes) was moved to /var/s.damaged-5", "empty spool", "delete /var/s.damaged-5"]
-        {
+        for part in [
+            "(40,960 bytes) was moved to /var/s.damaged-5",
+            "an empty spool was created, because no batch could be recovered: the disk is full",
+            "delete /var/s.damaged-5",
+        ] {
             assert!(text.contains(part), "{text}");
         }
         let recovered = RecoveryCounts { batches: 1, events: 1_200, lost_batches: Some(3), lost_events: 30 };
-        quarantined.recovered = Some(recovered);
+        quarantined.recovered = Ok(recovered);
         let text = describe_quarantine(&quarantined);
         for part in [
             "the 1 batch before the damage, with 1,200 events",
@@ -286,7 +292,7 @@ mod tests {
         ] {
             assert!(text.contains(part), "{text}");
         }
-        quarantined.recovered = Some(RecoveryCounts { lost_batches: None, ..recovered });
+        quarantined.recovered = Ok(RecoveryCounts { lost_batches: None, ..recovered });
         assert!(describe_quarantine(&quarantined).contains("their number cannot be read"));
     }
 

@@ -88,10 +88,8 @@ impl OpenSpool {
             Err(error) if error.is_damage() => {
                 let quarantine_result = quarantine(path, error.damage(), clock.wall());
                 let mut moved = quarantine_result.map_err(io("quarantine the damaged spool", path))?;
-                match recover(&moved.new_path, path, host).await {
-                    Ok(recovered) => moved.recovered = Some(recovered),
-                    Err(error) => tracing::debug!(%error, "nothing was recovered from the damaged spool"),
-                }
+                let recovered = recover(&moved.new_path, path, host).await;
+                moved.recovered = recovered.map_err(|error| error.to_string());
                 quarantined = Some(moved);
                 connect_despite_full_disk(path, host, &mut reserve).await
             }

@@ -21,12 +21,12 @@ pub(in crate::outbox) struct QuarantinedSpool {
     pub(in crate::outbox) new_path: PathBuf,
     /// Length of the file and its write-ahead log, in bytes.
     pub(in crate::outbox) bytes: u64,
-    /// Numbers of recovered and of lost batches; `None` if no batch was recovered.
-    pub(in crate::outbox) recovered: Option<RecoveryCounts>,
+    /// Numbers of recovered and of lost batches; the reason as text if no batch was recovered.
+    pub(in crate::outbox) recovered: Result<RecoveryCounts, String>,
 }
 
 /// Renames the spool, its write-ahead log (`-wal`) and its shared memory (`-shm`). The `sqlite3` shell may recover data
-/// from these files. The spool must not be open.
+/// from these files. The spool must not be open. Recovers no batch.
 pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Result<QuarantinedSpool> {
     // A spool that was quarantined in the same second must not be overwritten.
     let unused_path = |seconds: i64| {
@@ -48,7 +48,10 @@ pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Res
     }
     match fs::remove_file(damage_flag_path(spool)) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(QuarantinedSpool { reason, new_path, bytes, recovered: None }),
+        _ => {
+            let recovered = Err("recovery was not tried".to_owned());
+            Ok(QuarantinedSpool { reason, new_path, bytes, recovered })
+        }
     }
 }
 

@@ -47,7 +47,7 @@ pub(super) enum RecoveryError {
     #[error("cannot create a new spool: {0}")]
     Create(String),
     /// The spool has no batch, or its first batch is damaged.
-    #[error("no batch before the damage")]
+    #[error("no batch can be read before the damage")]
     NoBatch,
     /// The damaged spool belongs to another host, or has no stream.
     #[error("the spool does not name this host as its owner")]

@@ -158,7 +158,8 @@ async fn batches_of_another_host_are_not_recovered() {
     drop(file.close().await);
     flag_as_damaged(&spool_folder.path(), "a page was broken");
     let OpenSpool { state, quarantined, .. } = spool_folder.open().await.expect("opens");
-    assert_eq!(quarantined.expect("is quarantined").recovered, None);
+    let reason = quarantined.expect("is quarantined").recovered.expect_err("nothing is recovered");
+    assert!(reason.contains("this host as its owner"), "{reason}");
     assert_eq!(state.newest, (0, ChainHash::START));
 }
 
