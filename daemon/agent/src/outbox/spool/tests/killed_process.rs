@@ -5,6 +5,7 @@ use peernet_stream::{KILLED_REASON, SentUnspooled, SubmittedEvents};
 
 use super::*;
 use crate::event_queue::EventCounter;
+use crate::outbox::spool::quarantine::flag_as_damaged;
 
 fn at(nanos: i64) -> WallTime {
     WallTime::from_unix_nanos(nanos)
@@ -132,6 +133,26 @@ async fn only_original_spool_reports_loss_and_not_its_copy() {
 
     let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.unreported.len(), state.totals.dropped), (1, 4), "the original spool has the loss");
+}
+
+#[tokio::test]
+async fn losses_are_reported_after_recovery_of_damaged_spool() {
+    let (spool_folder, run) = (SpoolFolder::new(), RunId::random());
+    let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
+    count_events(&counter, run, 10);
+    file.append(&batches(ChainHash::START, 1..=2, 10), &totals_after(run, 6, 0, &state.totals))
+        .await
+        .expect("appends");
+    flag_as_damaged(&spool_folder.path(), "a page was broken");
+    file.close().await.expect("closes");
+    drop(counter);
+
+    let OpenSpool { state, quarantined, counter, .. } = spool_folder.open().await.expect("opens");
+    counter.remove();
+    let recovered = quarantined.expect("is quarantined").recovered.expect("the batches are intact");
+    assert_eq!((recovered.batches, recovered.lost_batches), (2, Some(0)));
+    let losses: Vec<_> = state.unreported.iter().map(|gap| (gap.run, gap.count)).collect();
+    assert_eq!((losses, state.totals.produced, state.totals.dropped), (vec![(Some(run), 4)], 10, 4));
 }
 
 #[tokio::test]
