@@ -94,6 +94,13 @@ pub(crate) struct LiveStatistics(Arc<[Arc<PipelineLiveState>]>);
 #[derive(Debug)]
 pub(crate) struct Receipt(Vec<SentSeconds>);
 
+impl Receipt {
+    /// Keeps the newest `max_seconds` seconds of each pipeline: the other seconds were not sent.
+    pub(crate) fn truncate(&mut self, max_seconds: usize) {
+        self.0.iter_mut().for_each(|sent_seconds| sent_seconds.truncate(max_seconds));
+    }
+}
+
 impl LiveStatistics {
     pub(crate) fn new(states: Vec<Arc<PipelineLiveState>>) -> Self {
         Self(states.into())

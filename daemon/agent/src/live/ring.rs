@@ -23,9 +23,16 @@ pub(super) struct Ring {
     version: u64,
 }
 
-/// Seconds of a ring that are in an update: (start in Unix time, version).
+/// Seconds of a ring that are in an update, newest first: (start in Unix time, version).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct SentSeconds(Vec<(i64, u64)>);
+
+impl SentSeconds {
+    /// Keeps the newest `max_seconds` seconds.
+    pub(super) fn truncate(&mut self, max_seconds: usize) {
+        self.0.truncate(max_seconds);
+    }
+}
 
 impl Ring {
     /// Adds an iteration that ended within the second `at` (Unix time).

@@ -1,7 +1,7 @@
 //! Decides when a live update is due, and sends it when the socket can take it.
 
 use peernet_clock::WallTime;
-use peernet_stream::{Accounting, Sending, ToAggregator, codec};
+use peernet_stream::{Accounting, LiveUpdate, Sending, ToAggregator, codec};
 
 use crate::live::Receipt;
 use crate::outbox::connection::Connection;
@@ -94,13 +94,101 @@ impl LiveLane {
         sent: WallTime,
         accounting: Accounting,
     ) -> (Vec<u8>, Receipt) {
-        let (update, receipt) = self.sources.update(state_machine.host(), sent, accounting);
-        let message = ToAggregator::Live(update);
-        let frame = if state_machine.is_compressing() {
-            codec::encode_compressed(&message)
-        } else {
-            codec::encode(&message)
-        };
+        let (update, mut receipt) = self.sources.update(state_machine.host(), sent, accounting);
+        let frame = encode(update, &mut receipt, state_machine.is_compressing());
         (frame, receipt)
+    }
+}
+
+/// Encodes an update. An update that is longer than a message may be is shortened: it leaves out the older half of each
+/// pipeline's seconds, repeatedly if necessary. Later updates contain these seconds.
+// The aggregator closes a connection on which a longer message arrives. The next connection would begin with all
+// seconds again.
+fn encode(update: LiveUpdate, receipt: &mut Receipt, compress: bool) -> Vec<u8> {
+    let mut message = ToAggregator::Live(update);
+    let mut frame = codec::encode(&message);
+    while frame.len() > codec::MAX_MESSAGE_BYTES
+        && let ToAggregator::Live(update) = &mut message
+        && leave_out_older_seconds(update, receipt)
+    {
+        frame = codec::encode(&message);
+    }
+    if compress { codec::encode_compressed(&message) } else { frame }
+}
+
+/// Removes the older half of each pipeline's seconds from an update and from its receipt. Returns `false` if the update
+/// has no seconds.
+fn leave_out_older_seconds(update: &mut LiveUpdate, receipt: &mut Receipt) -> bool {
+    let max_seconds = update.pipelines.iter().map(|pipeline| pipeline.seconds.len()).max().unwrap_or(0);
+    // The seconds are sorted, newest first.
+    update.pipelines.iter_mut().for_each(|pipeline| pipeline.seconds.truncate(max_seconds / 2));
+    receipt.truncate(max_seconds / 2);
+    max_seconds > 0
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::Span;
+    use peernet_logger::{Anchor, HostId, Measure, Name, NodeId, Tree, Unit, stage};
+    use peernet_stream::{HostClock, HostMetrics, Outcome, Placement};
+
+    use super::*;
+    use crate::live::{LiveStatistics, PipelineLiveState};
+
+    /// Returns live statistics of eight seconds that do not fit into one message.
+    fn long_statistics() -> LiveStatistics {
+        let anchor = Anchor { host: HostId::from_bytes([1; 16]), wall: WallTime::from_unix_nanos(0) };
+        let mut tree = Tree::new(stage::ITERATION, anchor);
+        for n in 0..60 {
+            let name = Name::from(format!("{n:0>120}"));
+            tree.add(NodeId::ROOT, name, Span::ZERO, Measure::Value(1.0, Unit::NONE));
+        }
+        let pipeline = |n: usize| {
+            let name = format!("line-{n}").parse().expect("a name");
+            let pipeline = PipelineLiveState::new(name, "closed".to_owned(), Placement::sensor_alone());
+            let is_warm_up = false;
+            (1..=8).for_each(|second| pipeline.record(second, &Outcome::Ok, is_warm_up, &tree));
+            Arc::new(pipeline)
+        };
+        LiveStatistics::new((0..64).map(pipeline).collect())
+    }
+
+    fn update(statistics: &LiveStatistics) -> (LiveUpdate, Receipt) {
+        let (pipelines, receipt) = statistics.snapshot();
+        let update = LiveUpdate {
+            host: HostId::from_bytes([1; 16]),
+            sent: WallTime::from_unix_nanos(0),
+            pipelines,
+            links: Vec::new(),
+            clock: HostClock::default(),
+            metrics: HostMetrics::default(),
+            accounting: Accounting::default(),
+        };
+        (update, receipt)
+    }
+
+    /// Returns the seconds of each pipeline in an update, without repetitions.
+    fn seconds(update: &LiveUpdate) -> Vec<Vec<i64>> {
+        let seconds = update.pipelines.iter();
+        let mut seconds: Vec<Vec<i64>> =
+            seconds.map(|pipeline| pipeline.seconds.iter().map(|second| second.at).collect()).collect();
+        seconds.dedup();
+        seconds
+    }
+
+    #[test]
+    fn long_update_leaves_older_seconds_to_later_update() {
+        let statistics = long_statistics();
+        let (first, mut receipt) = update(&statistics);
+        assert_eq!(seconds(&first), [[8, 7, 6, 5, 4, 3, 2, 1]]);
+        let compress = false;
+        let frame = encode(first, &mut receipt, compress);
+        let Ok(ToAggregator::Live(sent)) = codec::decode(&frame) else { panic!("an update was expected") };
+        assert_eq!(seconds(&sent), [[8, 7, 6, 5]]);
+        statistics.mark_sent(&receipt);
+        let (second, _) = update(&statistics);
+        assert_eq!(seconds(&second), [[4, 3, 2, 1]]);
     }
 }
