@@ -245,7 +245,7 @@ impl IngestSession {
 
     /// Treats a batch that did not fit into the queue as if it had not arrived.
     fn defer_batch(&mut self, head: BatchHead) {
-        self.receiving.defer_batch(head.stream);
+        self.receiving.defer_batch(head.host, head.stream);
         self.output.count_deferred_batch(head.host);
     }
 

@@ -95,8 +95,8 @@ fn drive_receiving(script: &mut Script<'_>) {
                 accepted.remove(&stream);
             }
             8 => {
-                let stream = script.stream();
-                receiving.defer_batch(stream);
+                let (stream, host) = (script.stream(), script.host());
+                receiving.defer_batch(host, stream);
                 let max_requests = usize::from(script.byte() % 4);
                 assert!(receiving.request_deferred(max_requests).len() <= max_requests);
             }

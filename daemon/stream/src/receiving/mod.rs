@@ -359,10 +359,11 @@ impl Receiving {
         self.handle_live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
 
-    /// Records that the queue had no capacity for a batch of the stream. The batch counts as not received, and
-    /// [`request_deferred`](Self::request_deferred) requests it again.
-    pub fn defer_batch(&mut self, stream: StreamId) {
-        if self.current_sender(stream).is_none() {
+    /// Records that the queue had no capacity for a batch of the stream, which `host` sent. The batch counts as not
+    /// received, and [`request_deferred`](Self::request_deferred) requests it again.
+    pub fn defer_batch(&mut self, host: HostId, stream: StreamId) {
+        // The head of a batch may name any stream. No host can cause a request to another host.
+        if self.current_sender(stream) != Some(host) {
             return;
         }
         if let Some(progress) = self.streams.get_mut(&stream) {

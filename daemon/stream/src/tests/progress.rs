@@ -227,9 +227,9 @@ fn deferred_streams_are_requested_oldest_first() {
         })
         .collect();
     for agent in [2, 0, 2, 1] {
-        aggregator.defer_batch(agents[agent].1);
+        aggregator.defer_batch(agents[agent].0, agents[agent].1);
     }
-    aggregator.defer_batch(StreamId::random());
+    aggregator.defer_batch(agents[0].0, StreamId::random());
     let request = |agent: usize| (agents[agent].0, ToAgent::Resend { stream: agents[agent].1, from: 1 });
     assert_eq!(aggregator.request_deferred(0), []);
     assert_eq!(aggregator.request_deferred(2), [request(2), request(0)]);
@@ -237,11 +237,22 @@ fn deferred_streams_are_requested_oldest_first() {
     aggregator.handle_hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), record_with(None), at(1).mono);
     assert_eq!(aggregator.request_deferred(2), []);
     // The queue had no capacity for a requested batch, which is deferred again.
-    aggregator.defer_batch(agents[2].1);
+    aggregator.defer_batch(agents[2].0, agents[2].1);
     assert_eq!(aggregator.request_deferred(9), [request(2)]);
-    aggregator.defer_batch(agents[0].1);
+    aggregator.defer_batch(agents[0].0, agents[0].1);
     aggregator.handle_goodbye(agents[0].0);
     assert_eq!(aggregator.request_deferred(9), []);
+}
+
+#[test]
+fn host_cannot_defer_stream_of_other_host() {
+    let (mut aggregator, other) = (AggregatorEnd::with_stored_batches(0), HostId::random());
+    let hello_of_other = hello(other, "other", 1, StreamId::random(), 1);
+    expect_welcome(&aggregator.receiving.handle_hello(&hello_of_other, record_with(None), at(0).mono));
+    aggregator.receiving.defer_batch(other, aggregator.stream);
+    assert_eq!(aggregator.receiving.request_deferred(1), []);
+    aggregator.receiving.defer_batch(aggregator.id, aggregator.stream);
+    assert_eq!(aggregator.receiving.request_deferred(1), [(aggregator.id, aggregator.resend(1))]);
 }
 
 #[test]

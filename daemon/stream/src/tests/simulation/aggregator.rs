@@ -106,7 +106,7 @@ impl Aggregator {
                 return Some(ToAgent::Unknown);
             }
             if self.queue.len() >= self.capacity {
-                self.receiving.defer_batch(head.stream);
+                self.receiving.defer_batch(head.host, head.stream);
                 return None;
             }
             let body = codec::decode_batch_body(frame.clone());
