@@ -31,7 +31,7 @@ use peernet_clock::{MonoTime, Stamp, WallTime};
 pub use self::action::{Action, Notice};
 pub use self::config::{Compression, SendingConfig};
 use self::durable_lane::DurableLane;
-use self::session::Session;
+use self::session::{ConnectionState, Session};
 use self::spool_failure::{SpoolFailure, SpoolWork};
 use self::spool_reader::SpoolReader;
 use self::spooler::EventSpooler;
@@ -291,7 +291,10 @@ impl Sending {
         let Some(stream) = self.renewal.finish() else { return };
         self.spooler.renew(stream);
         self.record_recovery(SpoolWork::Renew);
-        self.schedule_hello(now.mono);
+        // Without a connection, no hello may be sent. The next connection begins with a hello.
+        if !matches!(self.session.state, ConnectionState::Down) {
+            self.schedule_hello(now.mono);
+        }
     }
 
     /// Records that the spool could not be moved to the new stream.

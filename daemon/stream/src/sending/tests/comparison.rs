@@ -209,6 +209,23 @@ fn nothing_is_sent_during_stream_renewal() {
 }
 
 #[test]
+fn stream_renewal_without_connection_sends_no_hello() {
+    let mut agent = agent_with_unacknowledged(4, 0);
+    let old_stream = agent.file.stream;
+    agent.connect();
+    agent.spool_is_broken = true;
+    agent.welcome_with_process(9, OTHER_CHAIN, Some(1));
+    agent.sending.on_disconnected();
+    let hellos = agent.hellos.len();
+    agent.spool_is_broken = false;
+    (0..2).for_each(|_| agent.advance_ms(1_000));
+    assert_eq!((renewals(&agent), agent.hellos.len()), (1, hellos));
+    agent.connect();
+    assert_eq!(agent.hellos.len(), hellos + 1);
+    assert_eq!(agent.hellos[hellos].previous_stream, Some(old_stream));
+}
+
+#[test]
 fn large_file_is_compared_without_being_kept_in_memory() {
     let mut agent = Agent::new_welcomed(SendingConfig { batch_bytes: 200, ..config() });
     agent.offer_batches(500);
