@@ -216,22 +216,37 @@ pub struct Accounting {
     pub trouble: Option<String>,
 }
 
+// Counts may come from another host or from a file, which can contain any number, so the sums saturate.
 impl OutcomeCounts {
     /// Returns the number of all iterations.
     pub const fn total(&self) -> u64 {
-        self.ok + self.failed + self.lost + self.timeout
+        self.ok.saturating_add(self.all_failed())
     }
 
     /// Returns the number of iterations with any outcome but `ok`.
     pub const fn all_failed(&self) -> u64 {
-        self.failed + self.lost + self.timeout
+        self.failed.saturating_add(self.lost).saturating_add(self.timeout)
     }
 
     /// Adds the counts of `other`.
     pub const fn merge(&mut self, other: &Self) {
-        self.ok += other.ok;
-        self.failed += other.failed;
-        self.lost += other.lost;
-        self.timeout += other.timeout;
+        self.ok = self.ok.saturating_add(other.ok);
+        self.failed = self.failed.saturating_add(other.failed);
+        self.lost = self.lost.saturating_add(other.lost);
+        self.timeout = self.timeout.saturating_add(other.timeout);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_of_implausible_counts_saturate() {
+        let mut counts = OutcomeCounts { ok: 1, failed: u64::MAX, lost: 1, timeout: u64::MAX };
+        assert_eq!((counts.total(), counts.all_failed()), (u64::MAX, u64::MAX));
+        let other = counts;
+        counts.merge(&other);
+        assert_eq!(counts, OutcomeCounts { ok: 2, failed: u64::MAX, lost: 2, timeout: u64::MAX });
     }
 }
