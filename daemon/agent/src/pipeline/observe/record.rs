@@ -54,6 +54,19 @@ pub(super) struct UnpairedCounts {
     pub(super) output_unmatched: u64,
 }
 
+// Anybody on the network can publish any sequence number, so the counts saturate.
+impl UnpairedCounts {
+    /// Adds input messages that this agent did not receive.
+    pub(super) const fn add_missing_input(&mut self, count: u64) {
+        self.input_missing = self.input_missing.saturating_add(count);
+    }
+
+    /// Adds output messages that this agent did not receive.
+    pub(super) const fn add_missing_output(&mut self, count: u64) {
+        self.output_missing = self.output_missing.saturating_add(count);
+    }
+}
+
 /// Names of the values of a topic. Age and period are the terms of the topic statistics of ROS 2.
 struct TopicNames {
     /// Reception by the agent minus `header.stamp`; contains the offset of the clocks if the publisher is on another
@@ -241,6 +254,16 @@ mod tests {
         assert_eq!((value("input-missing"), value("output-missing")), (Some(2.0), None));
         assert_eq!((value("output-unmatched"), value("input-period")), (Some(1.0), Some(0.04)));
         assert_eq!(ended, output.message.received_at);
+    }
+
+    #[test]
+    fn forged_sequence_numbers_do_not_wrap_missing_counts() {
+        let mut unpaired_counts = UnpairedCounts::default();
+        for missing in [u64::MAX, 2] {
+            unpaired_counts.add_missing_input(missing);
+            unpaired_counts.add_missing_output(missing);
+        }
+        assert_eq!((unpaired_counts.input_missing, unpaired_counts.output_missing), (u64::MAX, u64::MAX));
     }
 
     #[test]

@@ -206,7 +206,7 @@ impl<'a> Observation<'a> {
             return;
         }
         let arrival = self.input_arrivals.record(at);
-        self.unpaired_counts.input_missing += message.missing_before;
+        self.unpaired_counts.add_missing_input(message.missing_before);
         // The position is assigned here and not when the output message arrives, because an input message without an
         // output message is an iteration, too.
         let position = run.assign_position(at);
@@ -239,7 +239,7 @@ impl<'a> Observation<'a> {
             return;
         }
         let arrival = self.output_arrivals.record(at);
-        self.unpaired_counts.output_missing += message.missing_before;
+        self.unpaired_counts.add_missing_output(message.missing_before);
         match message.key(self.config.pair_by) {
             Ok(key) => {
                 let host_stamp = self.stamps.stamp(Side::Output, &message, key);
