@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use peernet_clock::Span;
 use peernet_logger::HostId;
 use peernet_statistics::SplitMix64;
 
@@ -34,6 +35,19 @@ impl ReconnectBackoff {
         self.add_jitter(pause)
     }
 
+    /// Returns the pause before the first attempt to reconnect, after a connection that was in use for `used_for`.
+    ///
+    /// There is no pause if the connection was in use for [`MAX_PAUSE`](Self::MAX_PAUSE) or longer; the next pause is
+    /// then the shortest one. Otherwise the pauses grow: an edge must not reconnect as fast as it can to a peer that
+    /// accepts each session and closes it at once.
+    pub(crate) fn pause_after_connection(&mut self, used_for: Span) -> Duration {
+        if used_for.to_duration() < Self::MAX_PAUSE {
+            return self.next_pause();
+        }
+        self.reset();
+        Duration::ZERO
+    }
+
     /// Resets the next pause to the shortest one, after a successful attempt.
     pub(crate) const fn reset(&mut self) {
         self.pause = Self::MIN_PAUSE;
@@ -62,6 +76,12 @@ mod tests {
             assert!(is_about(pause, middle), "{pause:?} should be about {middle} s");
         }
         reconnect_backoff.reset();
+        assert!(is_about(reconnect_backoff.next_pause(), 0.25));
+        for middle in [0.5, 1.0] {
+            let pause = reconnect_backoff.pause_after_connection(Span::from_millis(4_999));
+            assert!(is_about(pause, middle), "{pause:?} should be about {middle} s after a short connection");
+        }
+        assert_eq!(reconnect_backoff.pause_after_connection(Span::from_seconds(5)), Duration::ZERO);
         assert!(is_about(reconnect_backoff.next_pause(), 0.25));
     }
 }

@@ -123,8 +123,12 @@ impl Runner {
     /// Runs the pipeline with these resources to its end.
     async fn run_assembled(&self, resources: &mut PipelineResources) -> Result<(), PipelineError> {
         let mut run: Option<Run> = None;
+        let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
+        let mut pause = Duration::ZERO;
         loop {
-            let Some(placement) = self.connect(resources, run.as_ref().map(Run::id)).await? else {
+            let run_id = run.as_ref().map(Run::id);
+            let connected = self.connect(resources, run_id, pause, &mut reconnect_backoff).await;
+            let Some(placement) = connected? else {
                 self.end_run(run.as_mut(), EndReason::Stopped);
                 return Ok(());
             };
@@ -146,6 +150,7 @@ impl Runner {
                     run.insert(new_run)
                 }
             };
+            let connected_at = self.context.host.clock.mono();
             let loop_end = self.measure(resources, current_run, &placement).await;
             let planned_iterations = current_run.planned_iterations(&loop_end);
             // The connection may be lost while the last iterations are in flight. No iteration would follow a reconnect.
@@ -153,6 +158,8 @@ impl Runner {
             let (reason, result) = match loop_end {
                 LoopEnd::Disconnected(reason) if !is_complete => {
                     self.report_disconnected(&placement, current_run.id(), reason);
+                    let used_for = self.context.host.clock.mono() - connected_at;
+                    pause = reconnect_backoff.pause_after_connection(used_for);
                     continue;
                 }
                 LoopEnd::Limit | LoopEnd::NoMoreSamples | LoopEnd::Midnight | LoopEnd::Disconnected(_) => {
@@ -249,21 +256,25 @@ impl Runner {
         }
     }
 
-    /// Opens the placement, and retries until that succeeds. Returns `None` if the agent stops.
+    /// Opens the placement after a pause, and retries until that succeeds. Returns `None` if the agent stops.
     async fn connect(
         &self,
         resources: &mut PipelineResources,
         run: Option<RunId>,
+        mut pause: Duration,
+        reconnect_backoff: &mut ReconnectBackoff,
     ) -> Result<Option<Placement>, PipelineError> {
-        let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
         // A problem is reported when it first occurs and not at every attempt. If a run is in progress, the loss of its
         // peer has already been reported.
         let mut reported_problem = run.map(|_| ConnectProblem::Unreachable);
         loop {
-            let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
-            let Some(opening_result) = opening.await else { return Ok(None) };
+            let opening = async {
+                tokio::time::sleep(pause).await;
+                Placement::open(&self.config, &self.context).await
+            };
+            let Some(opening_result) = self.stop.run_until_cancelled(opening).await else { return Ok(None) };
             resources.skip_missed_starts(self.context.host.clock.mono());
-            let (problem, error, pause) = match opening_result {
+            let (problem, error, next_pause) = match opening_result {
                 Ok(placement) => {
                     let ends_reported_problem = run.is_none() && reported_problem.is_some();
                     self.report_connected(&placement, run, ends_reported_problem);
@@ -288,9 +299,7 @@ impl Runner {
                 reported_problem = Some(problem);
             }
             self.live_state.set_state(PipelineState::Waiting(error));
-            if self.stop.run_until_cancelled(tokio::time::sleep(pause)).await.is_none() {
-                return Ok(None);
-            }
+            pause = next_pause;
         }
     }
 

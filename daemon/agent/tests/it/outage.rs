@@ -1,5 +1,7 @@
 //! Tests of clouds that are absent, go away and come back.
 
+use std::time::{Duration, Instant};
+
 use peernet_stream::{EndReason, IncidentKind, Iteration, Outcome, PipelineState};
 use peernet_test_ports::free_port;
 use tokio::net::{TcpListener, TcpStream};
@@ -106,6 +108,32 @@ async fn dead_cloud_loses_iterations_in_flight_and_run_continues() {
     assert_contiguous(&received_events.iterations());
     assert_eq!(received_events.run_ends()[0].reason, EndReason::Stopped);
     second.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn cloud_that_ends_each_session_is_reached_after_growing_pauses() {
+    let port = free_port();
+    let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let forwarded_port = listener.local_addr().expect("bound").port();
+    let edge = TestAgent::start("edge", None, &edge(forwarded_port, "slow")).await;
+    let mut connected_at = Vec::new();
+    for _ in 0..4 {
+        let (mut edge_side, _) = listener.accept().await.expect("the edge connects");
+        connected_at.push(Instant::now());
+        let mut cloud_side = TcpStream::connect(("127.0.0.1", port)).await.expect("the cloud listens");
+        tokio::select! {
+            end = tokio::io::copy_bidirectional(&mut edge_side, &mut cloud_side) => panic!("{end:?}"),
+            _ = edge.until_state(|state| *state == PipelineState::Running) => {}
+        }
+        drop((edge_side, cloud_side));
+        edge.until_state(is_waiting).await;
+    }
+    // The three pauses are 0.25 s, 0.5 s and 1 s, ± 20 %.
+    let elapsed = connected_at[3] - connected_at[0];
+    assert!(elapsed >= Duration::from_millis(1_400), "{elapsed:?}");
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

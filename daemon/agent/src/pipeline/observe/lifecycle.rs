@@ -30,8 +30,11 @@ pub(in crate::pipeline) async fn run_to_end(
 ) -> Result<(), PipelineError> {
     config.check_peer().map_err(SourceError::from)?;
     let mut active_run: Option<(Run, Observation<'_>)> = None;
+    let mut reconnect_backoff = ReconnectBackoff::new(runner.context.host.id);
+    let mut pause = Duration::ZERO;
     loop {
-        let connected = connect(runner, config, active_run.as_ref().map(|(run, _)| run.id())).await;
+        let run_id = active_run.as_ref().map(|(run, _)| run.id());
+        let connected = connect(runner, config, run_id, pause, &mut reconnect_backoff).await;
         let mut source = match connected {
             Ok(Some(source)) => source,
             Ok(None) => {
@@ -65,6 +68,7 @@ pub(in crate::pipeline) async fn run_to_end(
             }
         };
         runner.live_state.set_state(PipelineState::Running);
+        let connected_at = runner.context.host.clock.mono();
         let reason = loop {
             match observation.run(&mut source, run, runner).await {
                 // A run without a limit ends at midnight (UTC), and a new run begins.
@@ -83,6 +87,7 @@ pub(in crate::pipeline) async fn run_to_end(
                 }
             }
         };
+        pause = reconnect_backoff.pause_after_connection(runner.context.host.clock.mono() - connected_at);
         source.close().await;
         if let Some(reason) = reason {
             run.end(reason, &runner.context);
@@ -148,20 +153,24 @@ fn describe_publishers(topic: &Topic, peer: Option<&PeerDescription>) -> String 
     locations.join(", ")
 }
 
-/// Subscribes to both topics, and retries until that succeeds. If no run is in progress, also waits until
+/// Subscribes to both topics after a pause, and retries until that succeeds. If no run is in progress, also waits until
 /// both topics have publishers. Returns `None` if the agent stops.
 async fn connect(
     runner: &Runner,
     config: &ObserveConfig,
     run: Option<RunId>,
+    mut pause: Duration,
+    reconnect_backoff: &mut ReconnectBackoff,
 ) -> Result<Option<Source>, SourceError> {
     let host = &runner.context.host;
     let name = node_name(&host.name, &runner.config.name);
-    let mut reconnect_backoff = ReconnectBackoff::new(host.id);
     let mut reported_error = String::new();
     loop {
-        let opening = runner.stop.run_until_cancelled(Source::open(config, &name, &host.clock));
-        let Some(opening_result) = opening.await else { return Ok(None) };
+        let opening = async {
+            tokio::time::sleep(pause).await;
+            Source::open(config, &name, &host.clock).await
+        };
+        let Some(opening_result) = runner.stop.run_until_cancelled(opening).await else { return Ok(None) };
         let error = match opening_result {
             Ok(mut source) => match await_publishers(runner, config, &mut source, run).await {
                 Ok(true) => return Ok(Some(source)),
@@ -188,10 +197,7 @@ async fn connect(
             reported_error.clone_from(&text);
         }
         runner.live_state.set_state(PipelineState::Waiting(text));
-        if runner.stop.run_until_cancelled(tokio::time::sleep(reconnect_backoff.next_pause())).await.is_none()
-        {
-            return Ok(None);
-        }
+        pause = reconnect_backoff.next_pause();
     }
 }
 

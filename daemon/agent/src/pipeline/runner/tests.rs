@@ -235,8 +235,10 @@ async fn outage_during_advance_does_not_delay_later_starts() {
     let runner = Runner { config, live_state, context, stop, drain_timeout };
     resources.start_preparation(Preparation::Advance(Span::ZERO), clock.mono());
     clock.advance(Span::from_seconds(60));
-    let no_run = None;
-    assert!(runner.connect(&mut resources, no_run).await.expect("no error").is_some(), "it is connected");
+    let (no_run, no_pause) = (None, Duration::ZERO);
+    let mut reconnect_backoff = ReconnectBackoff::new(HostId::from_bytes([7; 16]));
+    let connecting = runner.connect(&mut resources, no_run, no_pause, &mut reconnect_backoff);
+    assert!(connecting.await.expect("no error").is_some(), "it is connected");
     resources.pending_preparation.take().expect("it is in progress").await.expect("the sensor is advanced");
     let now = clock.mono();
     resources.resume_schedule(now);

@@ -2,6 +2,7 @@
 
 use std::pin::pin;
 use std::sync::Arc;
+use std::time::Duration;
 
 use peernet_clock::{LogThrottle, MonoTime, OneWayDelay, Span};
 use peernet_networks::CloseReason;
@@ -62,9 +63,11 @@ impl PeerTask {
 
     /// Queries the peer until the observer closes its channel. A lost connection is reopened.
     pub(super) async fn run(mut self, first_connection: PeerConnection) {
+        let mut reconnect_backoff = ReconnectBackoff::new(self.connector.host().id);
         let mut next_connection = Some(first_connection);
         while let Some(connection) = next_connection.map(Arc::new) {
             self.connection = Some(Arc::clone(&connection));
+            let connected_at = self.now();
             let Some(reason) = self.query_through(&connection).await else {
                 self.abandon();
                 // Dropping the channels lets the observer continue, so that the observer need not wait for the goodbye.
@@ -81,7 +84,8 @@ impl PeerTask {
             );
             self.connector.report(IncidentKind::Disconnected, Some(connection.host), text);
             drop(connection);
-            next_connection = self.reconnect().await;
+            let pause = reconnect_backoff.pause_after_connection(self.now() - connected_at);
+            next_connection = self.reconnect(pause, &mut reconnect_backoff).await;
         }
         self.abandon();
     }
@@ -120,24 +124,28 @@ impl PeerTask {
         }
     }
 
-    /// Reopens the connection, and retries until that succeeds. Returns `None` if the observer has closed its channel.
-    async fn reconnect(&mut self) -> Option<PeerConnection> {
+    /// Reopens the connection after a pause, and retries until that succeeds. Returns `None` if the observer has closed
+    /// its channel.
+    async fn reconnect(
+        &mut self,
+        mut pause: Duration,
+        reconnect_backoff: &mut ReconnectBackoff,
+    ) -> Option<PeerConnection> {
         let connector = Arc::clone(&self.connector);
-        let mut reconnect_backoff = ReconnectBackoff::new(connector.host().id);
         let mut reported_problem = None;
         loop {
+            self.wait_for(tokio::time::sleep(pause)).await?;
             let problem = match self.wait_for(connector.open()).await? {
                 Ok(connection) => return Some(connection),
                 Err(problem) => problem,
             };
-            let pause = problem.pause(&mut reconnect_backoff);
+            pause = problem.pause(reconnect_backoff);
             // The loss of the connection has been reported already; only a refusal is new information.
             if problem.is_refusal() && reported_problem.as_ref() != Some(&problem) {
                 let unknown_peer = None;
                 connector.report(problem.kind(), unknown_peer, problem.describe());
                 reported_problem = Some(problem);
             }
-            self.wait_for(tokio::time::sleep(pause)).await?;
         }
     }
 
