@@ -1,6 +1,8 @@
 //! Tests of profiling a ROS system between two of its topics, without changes to its nodes.
 
-use peernet_tests::{Api, LoopbackDeployment, Process, Ros1System, wait_until};
+use std::process::Command;
+
+use peernet_tests::{Api, LoopbackDeployment, Process, Ros1System, python, wait_until};
 use serde_json::Value;
 
 /// Returns a pipeline that observes the nodes between two topics.
@@ -171,6 +173,38 @@ fn observation_continues_after_ros_restart() {
     {
         assert!(incidents.contains(part), "{part} is missing in {incidents}");
     }
+    assert_eq!(agent.stop().code(), 0);
+}
+
+/// Calls a master or a node; returns the value of its answer.
+fn call_ros(uri: &str, method: &str, arguments: &str) -> String {
+    let code = format!("import xmlrpc.client as c; print(c.ServerProxy('{uri}').{method}({arguments})[2])");
+    let output = Command::new(python()).args(["-c", &code]).output().expect("starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).trim().to_owned()
+}
+
+#[test]
+fn run_at_its_limit_ends_without_node_and_master() {
+    let (deployment, mut ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.start_aggregator();
+    let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 1 }";
+    let limited = observing_pipeline("limited", "/camera", "/never", keys)
+        .replace("timeout_ms = 500", "timeout_ms = 600000");
+    let unlimited = observing_pipeline("unlimited", "/camera", "/out", "");
+    let agent = ros.start_agent(&deployment, "robot", &(limited + &unlimited));
+    let _silent_relay = ros.start_node(&["relay", "silent", "/camera", "/never", "0", "1"]);
+    let _relay = ros.start_node(&["relay", "relay", "/camera", "/out", "0", "0"]);
+    let _camera = ros.start_node(&["camera", "camera", "/camera", "20"]);
+    // The pipeline without a limit receives the same messages, and shows that the other pipeline has received the
+    // message that reaches its limit.
+    wait_until("iterations", || (answered_iterations(&api, "unlimited") > 20).then_some(()));
+    let node = call_ros(&ros.uri(), "lookupNode", "'/test', '/peernet_robot_limited'");
+    ros.kill_master();
+    call_ros(&node, "shutdown", "'/test', 'user request'");
+    let run = wait_for_finished_run(&api);
+    let detail = api.json(&format!("/api/v1/runs/{run}"));
+    assert_eq!((&detail["pipeline"], &detail["counts"]["lost"]), (&"limited".into(), &1.into()), "{detail}");
     assert_eq!(agent.stop().code(), 0);
 }
 

@@ -86,7 +86,7 @@ impl<'a> Observation<'a> {
     }
 
     /// Records iterations of `run` until the session ends. All iterations that had started are recorded by then, unless
-    /// the ROS node of the subscriptions has ended.
+    /// the ROS node of the subscriptions ends while the run is not yet ending.
     pub(super) async fn run(&mut self, source: &mut Source, run: &mut Run, runner: &Runner) -> SessionEnd {
         let clock = &runner.context.host.clock;
         let mut stopping = pin!(runner.stop.cancelled());
@@ -94,6 +94,9 @@ impl<'a> Observation<'a> {
         let mut drain_deadline = pin!(tokio::time::sleep(Duration::ZERO));
         let mut ending: Option<SessionEnd> = None;
         let mut problem: Option<String> = None;
+        // `true` once a topic can no longer be observed while the run is ending. The run then ends without the topic:
+        // a new source may never come, for example because the ROS master is gone.
+        let (mut is_input_lost, mut is_output_lost) = (false, false);
         let mut reported_drops = source.input.dropped() + source.output.dropped();
         let mut next_check_at = clock.mono();
         for message in std::mem::take(&mut self.inputs_of_next_run) {
@@ -139,7 +142,7 @@ impl<'a> Observation<'a> {
                     drain_deadline.as_mut().reset(tokio::time::Instant::now() + runner.drain_timeout);
                     ending = Some(SessionEnd::Stopped);
                 }
-                message = source.input.next() => match message {
+                message = source.input.next(), if !is_input_lost => match message {
                     Ok(message) if ending.is_none() => self.handle_input(message, run, runner),
                     Ok(message)
                         if matches!(ending, Some(SessionEnd::Midnight))
@@ -149,15 +152,20 @@ impl<'a> Observation<'a> {
                     }
                     // The run is ending: no further iteration starts.
                     Ok(_) => {}
+                    Err(_) if ending.is_some() => is_input_lost = true,
                     Err(error) => return SessionEnd::SourceLost(error.into()),
                 },
-                message = source.output.next() => match message {
+                message = source.output.next(), if !is_output_lost => match message {
                     Ok(message) => {
                         // Input messages that were received before this output message must be handled before it.
                         if ending.is_none() {
                             self.handle_received_inputs(&mut source.input, run, runner);
                         }
                         self.handle_output(message, run, runner);
+                    }
+                    Err(error) if ending.is_some() => {
+                        is_output_lost = true;
+                        self.lose_unpaired_inputs(&error.to_string(), run, runner);
                     }
                     Err(error) => return SessionEnd::SourceLost(error.into()),
                 },
@@ -174,11 +182,16 @@ impl<'a> Observation<'a> {
     /// Records the unpaired input messages as lost. The pairs that wait for the peer are recorded with the stamps that
     /// the peer has sent so far.
     pub(super) async fn abandon(&mut self, reason: &str, run: &mut Run, runner: &Runner) {
-        for input in self.pairing.take_unpaired_inputs() {
-            record_lost(&input, reason.to_owned(), run, runner);
-        }
+        self.lose_unpaired_inputs(reason, run, runner);
         if let Some(peer) = &mut self.peer {
             peer.abandon().await.into_iter().for_each(|settled_pair| record_pair(settled_pair, run, runner));
+        }
+    }
+
+    /// Records the unpaired input messages as lost.
+    fn lose_unpaired_inputs(&mut self, reason: &str, run: &mut Run, runner: &Runner) {
+        for input in self.pairing.take_unpaired_inputs() {
+            record_lost(&input, reason.to_owned(), run, runner);
         }
     }
 
