@@ -82,6 +82,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let machine_problems = check::configurations(&arguments.file, &configurations, &clock)?;
     let path = arguments.result_loc.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(DEFAULT_PARENT).join(file.experiment.name.as_str()));
+    // The folder is locked before its record is read. Otherwise the record could lack the last runs of a command that
+    // ends in between, and these runs would be measured again. A check and a dry run write nothing, so they need no
+    // lock.
+    let folder = if arguments.check || arguments.dry_run { None } else { Some(Folder::open(&path)?) };
     // `--restart` replaces the record, and `--check` checks the file only, so a broken record must not stop them.
     let existing_record = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
     // A continued experiment keeps the seed of `--seed` although the option is not repeated; otherwise its plan would
@@ -89,6 +93,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let seed = arguments.seed.or_else(|| existing_record.as_ref().map(|record| record.plan.seed));
     let plan = Plan::new(&file.experiment, seed, configurations);
     if let Some(unknown) = RunSelection::describe_unknown(&arguments.only, &plan) {
+        if existing_record.is_none() {
+            // No empty folder remains.
+            folder.into_iter().for_each(Folder::discard);
+        }
         return Err(Failure::new(Exit::Usage, anyhow!("--only: {unknown}")));
     }
     if arguments.check {
@@ -113,22 +121,22 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let runtime = runtime
         .context("cannot start the runtime")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let result = runtime.block_on(execute_experiment(arguments, record, path, &clock, &external_files));
+    let experiment = (record, folder);
+    let result = runtime.block_on(execute_experiment(arguments, experiment, &path, &clock, &external_files));
     // The thread that waits for an answer on the terminal is not waited for.
     runtime.shutdown_background();
     result
 }
 
+/// Executes an experiment with its results in the locked `folder` at `path`. A dry run has no locked folder.
 async fn execute_experiment(
     arguments: &Arguments,
-    mut record: Record,
-    path: PathBuf,
+    (mut record, folder): (Record, Option<Folder>),
+    path: &Path,
     clock: &SharedClock,
     external_files: &ExternalFiles,
 ) -> Result<(), Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    // A dry run writes nothing, so it needs no lock.
-    let folder = if arguments.dry_run { None } else { Some(Folder::open(&path)?) };
     if let Some(folder) = &folder {
         // Results may have been truncated or deleted since the last command; such runs are measured again.
         check_finished_runs(folder, &mut record, external_files);

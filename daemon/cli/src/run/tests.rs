@@ -251,6 +251,27 @@ fn check_of_file_ignores_damaged_record() {
 }
 
 #[test]
+fn folder_is_locked_before_record_is_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (file, results) = (folder.path().join("e.toml"), folder.path().join("results"));
+    std::fs::write(&file, FILE).expect("writable");
+    let words = ["run".as_ref(), file.as_os_str(), "--result-loc".as_ref(), results.as_os_str()];
+    let run_with = |options: &[&str]| {
+        let words = words.into_iter().chain(options.iter().map(std::ffi::OsStr::new));
+        let failure = run(&CommandLine::try_parse_from(words).expect("a command line").arguments);
+        failure.expect_err("the command fails").exit
+    };
+    assert_eq!(run_with(&["--only", "99"]), Exit::Usage);
+    assert!(!results.exists(), "no empty folder remains");
+
+    let lock = Folder::open(&results).expect("is new");
+    std::fs::write(results.join(RECORD), "{").expect("writable");
+    assert_eq!(run_with(&[]), Exit::Unavailable, "the damaged record is not read");
+    drop(lock);
+    assert_eq!(run_with(&[]), Exit::Data);
+}
+
+#[test]
 fn selections_choose_runs() {
     let folder = tempfile::tempdir().expect("a folder");
     let record = record(folder.path());
