@@ -79,7 +79,13 @@ impl Server {
         let header_value =
             HeaderValue::try_from(authority.as_str()).map_err(|error| format!("{url:?}: {error}"))?;
         let path = uri.path().trim_end_matches('/').to_owned();
-        let port = authority.port_u16().unwrap_or(if is_tls { 443 } else { 80 });
+        // The library accepts any text as a port. With the default port in its place, requests and the key would go to
+        // another server.
+        let port = match authority.as_str()[authority.host().len()..].trim_start_matches(':') {
+            "" if is_tls => 443,
+            "" => 80,
+            text => text.parse().map_err(|_| format!("{url:?}: {text:?} is no port, 0 to 65535"))?,
+        };
         let connector = if is_tls { Connector::tls(host, port)? } else { Connector::plain(host, port) };
         Ok(Self { connector, authority: header_value, path, key })
     }
@@ -252,6 +258,8 @@ mod tests {
             ("https://gpu/v1?key=hidden", "api_key_env"),
             ("https://a_b../v1", "is no host name"),
             ("http://a b", "is not a URL"),
+            ("http://gpu:80800/v1", "\"80800\" is no port"),
+            ("https://[::1]:8o80/v1", "\"8o80\" is no port"),
         ] {
             let error = Server::new(url, None).err().expect(reason);
             assert!(error.contains(reason) && !error.contains("hidden"), "{error}");
