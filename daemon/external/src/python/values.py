@@ -298,6 +298,11 @@ class Decoder:
     def pixels(self, description, data):
         height, width, channels = description["shape"]
         if self.images == "pil":
+            # Without this check, a peer could make PIL allocate gigabytes with a few bytes: the size of a picture without
+            # bytes may be any numbers.
+            if channels not in (1, 3) or height * width * channels != len(data):
+                text = "a picture of %d x %d pixels and %d channels does not match its %d bytes"
+                raise UnsupportedValue(text % (width, height, channels, len(data)))
             mode = "RGB" if channels == 3 else "L"
             if not data:
                 return pil().new(mode, (width, height))

@@ -33,6 +33,8 @@ fn invalid_parts_fail_one_call() {
         shaped(&[u32::MAX, u32::MAX], Some(ElementType::U8)),
         shaped(&[5], Some(ElementType::C128)),
         Part { description: pixels.clone(), bytes: b"12"[..].into() },
+        // PIL must not allocate the pixels of a picture that has no bytes.
+        Part { description: pixels.clone(), bytes: b""[..].into() },
     ];
     pixels.shape = vec![1];
     invalid_parts.push(Part { description: pixels, bytes: b"12"[..].into() });
