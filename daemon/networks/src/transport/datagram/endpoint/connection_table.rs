@@ -86,14 +86,18 @@ impl ConnectionTable {
     /// connections without a session. One group therefore cannot keep the others out.
     pub(super) fn capacity(&self, group: AddressGroup, max: usize) -> Capacity {
         let max = max.max(1);
+        // A closed connection remains in the table until its goodbye is sent. It does not count, and it is not closed
+        // again: otherwise one closed connection would make room for all connections that are opened before then.
+        let open_entries = || self.entries.iter().filter(|(_, entry)| !entry.connection.is_closed());
         // Number of connections of each group, and how many of them have no session.
         let mut groups: HashMap<AddressGroup, (usize, usize)> = HashMap::new();
-        for entry in self.entries.values() {
+        for (_, entry) in open_entries() {
             let (total, unadmitted) = groups.entry(AddressGroup::from_address(entry.source)).or_default();
             *total += 1;
             *unadmitted += usize::from(matches!(entry.admission, Admission::Unadmitted { .. }));
         }
         let (group_total, group_unadmitted) = groups.get(&group).copied().unwrap_or_default();
+        let total: usize = groups.values().map(|(total, _)| total).sum();
         let unadmitted: usize = groups.values().map(|(_, unadmitted)| unadmitted).sum();
         // One group may have at most half of the connections, and at most a quarter without a session. Loopback is
         // exempt from the first limit, because all programs of this machine share the loopback address. At most
@@ -102,15 +106,13 @@ impl ConnectionTable {
         let replaced_group =
             if (!group.is_loopback() && group_total >= half) || group_unadmitted >= (max / 4).max(1) {
                 group
-            } else if self.entries.len() >= max || unadmitted >= half {
+            } else if total >= max || unadmitted >= half {
                 let largest = groups.iter().max_by_key(|(_, (_, unadmitted))| *unadmitted);
                 largest.map_or(group, |(group, _)| *group)
             } else {
                 return Capacity::Free;
             };
-        let oldest = self
-            .entries
-            .iter()
+        let oldest = open_entries()
             .filter(|(_, entry)| AddressGroup::from_address(entry.source) == replaced_group)
             .filter_map(|(id, entry)| match entry.admission {
                 Admission::Unadmitted { since } => Some((since, *id)),
@@ -185,6 +187,22 @@ mod tests {
             "all connections are taken"
         );
         assert_eq!(table.capacity(first_group, 1_000), Capacity::Free);
+    }
+
+    #[test]
+    fn closed_connection_makes_room_only_once() {
+        let mut table = ConnectionTable::default();
+        let group = AddressGroup::from_address(address(1, 1));
+        for n in 1..=2 {
+            table.insert(n, entry(address(1, n as u16), n, unadmitted(n as i64)));
+        }
+        for n in 1..=2 {
+            assert_eq!(table.capacity(group, 8), Capacity::FreeAfterClosing(n));
+            // The goodbyes are not sent yet, so the closed connections are still in the table.
+            table.get_mut(n).expect("is there").connection.abandon();
+            table.insert(n + 2, entry(address(1, n as u16 + 2), n + 2, unadmitted(n as i64 + 2)));
+        }
+        assert_eq!(table.capacity(group, 8), Capacity::FreeAfterClosing(3));
     }
 
     #[test]
