@@ -1,7 +1,7 @@
 //! Cache entry of one model.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 use std::time::SystemTime;
 
 use crate::model::onnx;
@@ -39,8 +39,13 @@ impl CacheEntry {
     /// Returns whether the pool is not in use. The caller must make sure that no other thread gets the pool from this
     /// entry meanwhile.
     pub(super) fn is_idle(&self) -> bool {
-        // Another thread holds the lock while it loads the model.
-        let Ok(pool) = self.pool.try_lock() else { return false };
+        let pool = match self.pool.try_lock() {
+            Ok(pool) => pool,
+            // A panic during loading leaves the entry in a valid state.
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            // Another thread holds the lock while it loads the model.
+            Err(TryLockError::WouldBlock) => return false,
+        };
         // Whoever uses the pool holds a reference to the pool, and only drops this reference at the end of the use.
         pool.as_ref().is_none_or(|pool| Arc::strong_count(pool) == 1)
     }
@@ -66,5 +71,20 @@ impl FilesStamp {
             Some((metadata.len(), metadata.modified().ok()?))
         };
         Self(files.iter().map(stamp).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
+    use super::*;
+
+    #[test]
+    fn entry_is_idle_after_panic_during_loading() {
+        let entry = CacheEntry::new(ModelConfig::echo("echo".parse().expect("a name")), None);
+        let loading = catch_unwind(AssertUnwindSafe(|| entry.pool(|| panic!("as planned")).is_ok()));
+        assert!(loading.is_err());
+        assert!(entry.is_idle(), "the entry can be removed to make room for another model");
     }
 }
