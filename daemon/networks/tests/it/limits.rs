@@ -132,6 +132,26 @@ async fn connection_without_hello_is_closed_after_timeout() {
     assert_eq!(next_message(&mut listener).await.1, ["still here"]);
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn hello_timeout_holds_for_peer_that_sends_without_pause() {
+    let mut listener = bind(ListenerLimits { hello_timeout: Duration::from_millis(100), ..limits() }).await;
+    let rejections = listener.rejections();
+    let RawPeer(stream) = RawPeer::connect(listener.address()).await;
+    let mut stream = stream.into_std().expect("a socket");
+    stream.set_nonblocking(false).expect("a socket");
+    // A thread fills the socket's buffers faster than the listener handles the messages.
+    let messages = b"\0\x01x".repeat(20_000);
+    let sending =
+        std::thread::spawn(move || while std::io::Write::write_all(&mut stream, &messages).is_ok() {});
+    within(async {
+        while rejections.count(Rejection::NoHello) == 0 {
+            listener.receive().await.expect("the port is open");
+        }
+    })
+    .await;
+    sending.join().expect("ends with the connection");
+}
+
 #[tokio::test]
 async fn unfinished_messages_share_one_budget() {
     let mut listener = bind(limits()).await;

@@ -141,6 +141,12 @@ impl Driver {
                     if !self.deliver().await {
                         return ConnectionEnd::Closed;
                     }
+                    // While a peer sends without pause, the timer is never polled.
+                    if timer.deadline() <= Instant::now()
+                        && let Some(end) = self.check_deadlines(timer.as_mut())
+                    {
+                        return end;
+                    }
                 }
                 TaskEvent::Read(ReadOutcome::End(reason)) => return ConnectionEnd::Peer(reason),
                 TaskEvent::Read(ReadOutcome::Violation((reason, text))) => {
@@ -154,10 +160,9 @@ impl Driver {
                 TaskEvent::Writable(true) => {}
                 TaskEvent::Writable(false) => return ConnectionEnd::Peer("the connection was lost".into()),
                 TaskEvent::Timer => {
-                    if let Some(end) = self.check_deadlines() {
+                    if let Some(end) = self.check_deadlines(timer.as_mut()) {
                         return end;
                     }
-                    timer.as_mut().reset(self.deadlines.next_check(Instant::now()));
                 }
             }
         }
@@ -244,9 +249,11 @@ impl Driver {
         true
     }
 
-    /// Sends a PING or ends the connection if that is due.
-    fn check_deadlines(&mut self) -> Option<ConnectionEnd> {
-        match self.deadlines.due_action(Instant::now()) {
+    /// Sends a PING or ends the connection if that is due. Sets the timer to the next check.
+    fn check_deadlines(&mut self, timer: Pin<&mut Sleep>) -> Option<ConnectionEnd> {
+        let now = Instant::now();
+        timer.reset(self.deadlines.next_check(now));
+        match self.deadlines.due_action(now) {
             DueAction::Nothing => None,
             DueAction::Ping => {
                 self.ping();
