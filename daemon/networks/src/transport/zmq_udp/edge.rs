@@ -40,8 +40,27 @@ pub(crate) async fn dial(
     _context: &DialContext<'_>,
 ) -> Result<EdgeConnection, DialFailure> {
     let resolved = tokio::net::lookup_host(address.authority()).await;
-    let resolved = resolved.map_err(|error| unreachable_failure(&error))?.next();
-    let peer = resolved.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
+    dial_any(resolved.map_err(|error| unreachable_failure(&error))?, settings).await
+}
+
+/// Opens a connection to the first of these addresses at which a cloud answers. The next address is tried only if an
+/// address is known to be unreachable.
+async fn dial_any(
+    addresses: impl IntoIterator<Item = SocketAddr>,
+    settings: &SessionSettings,
+) -> Result<EdgeConnection, DialFailure> {
+    let mut failure = DialFailure::Unreachable("the name has no address".into());
+    for peer in addresses {
+        match dial_peer(peer, settings).await {
+            // The cloud may listen at one of several addresses of its name: `localhost` is often `::1` and 127.0.0.1.
+            Err(unreachable @ DialFailure::Unreachable(_)) => failure = unreachable,
+            result => return result,
+        }
+    }
+    Err(failure)
+}
+
+async fn dial_peer(peer: SocketAddr, settings: &SessionSettings) -> Result<EdgeConnection, DialFailure> {
     // The socket is not connected to the cloud, because the cloud may send from another port (as a RADIO does) and may
     // get another address.
     let socket = UdpPort::bind(SocketAddr::new(unspecified_address(peer), 0), socket_buffer_bytes(settings));
@@ -313,5 +332,29 @@ impl EdgeReceiver for UdpEdgeReceiver {
             while self.deliveries.try_recv().is_ok() {}
             self.port.close(linger).await;
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::num::NonZeroUsize;
+
+    use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+
+    use super::*;
+    use crate::transport::zmq_udp::bind;
+
+    #[tokio::test]
+    async fn next_address_is_tried_if_port_is_closed() {
+        let settings = SessionSettings::default();
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "clock")));
+        let address: Address = "udp://127.0.0.1:0".parse().expect("an address");
+        let cloud = bind(&address, &settings, NonZeroUsize::MIN, &clock).await.expect("a free port");
+        let open = SocketAddr::from(([127, 0, 0, 1], cloud.address.port()));
+        // No program has the port of a socket that is closed again.
+        let closed = std::net::UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
+        let closed = closed.expect("a free port");
+        assert!(matches!(dial_any([closed], &settings).await, Err(DialFailure::Unreachable(_))));
+        assert!(dial_any([closed, open], &settings).await.is_ok());
     }
 }
