@@ -1,18 +1,13 @@
 //! Experiments that results belong to.
 
 use std::collections::BTreeMap;
-use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
-use crate::small_file;
 use peernet_analysis::run_selection::RunState;
 use peernet_sample::printable_line;
-use peernet_statistics::number::counted;
 use serde::Deserialize;
 
-use crate::experiment::{
-    FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, RunStatus, load_finished_results, result_dirs,
-};
+use crate::experiment::{RECORD, RUNS, RecordError, RunStatus, read_record, status_by_results};
 
 /// Number of parent folders of results that are searched for the record of their experiment. Between the results and
 /// the experiment's folder are `runs`, the run's folder if several edges send at the same time, and possibly a folder
@@ -22,19 +17,6 @@ const MAX_ANCESTORS: usize = 4;
 /// Experiments by their folders, or the error of reading their records. Runs without a readable record are compared
 /// like other results.
 pub(super) struct Experiments(BTreeMap<PathBuf, Result<Experiment, RecordError>>);
-
-/// A record of an experiment that cannot be read.
-#[derive(Debug, thiserror::Error)]
-enum RecordError {
-    #[error(transparent)]
-    Read(#[from] io::Error),
-    #[error(transparent)]
-    Parse(#[from] serde_json::Error),
-    #[error("its format is {0}, but this program reads format {FORMAT}")]
-    Format(u32),
-    #[error("it lists {} and the states of {states}; it is damaged", counted(*.runs as u64, "run"))]
-    Lengths { runs: usize, states: usize },
-}
 
 /// Part of `experiment.json` that a comparison needs.
 #[derive(Deserialize)]
@@ -144,21 +126,6 @@ impl Experiments {
 }
 
 impl Experiment {
-    /// Marks each run in progress as finished if its results show that the run was measured to its end. The results
-    /// decide, as they do for the aggregator: the program may have been killed before it recorded the end of the run.
-    fn mark_measured_runs(&mut self, experiment_dir: &Path) {
-        let Plan { configurations, runs } = &self.plan;
-        let in_progress = |(_, state): &(&Run, &mut RecordedState)| state.status == RunStatus::Running;
-        for (run, state) in runs.iter().zip(&mut self.states).filter(in_progress) {
-            let configuration = configurations.get(run.configuration);
-            let users = configuration.and_then(|configuration| configuration.users).unwrap_or(1);
-            let run_dir = experiment_dir.join(RUNS).join(&run.folder);
-            if result_dirs(&run_dir, users).all(|folder| load_finished_results(&folder).is_ok()) {
-                state.status = RunStatus::Finished;
-            }
-        }
-    }
-
     /// Returns the folders of the runs and their status.
     pub(super) fn runs(&self) -> impl Iterator<Item = (&str, RunStatus)> {
         self.plan.runs.iter().zip(&self.states).map(|(run, state)| (&*run.folder, state.status))
@@ -194,20 +161,15 @@ fn ancestor_folders(results: &Path) -> Vec<PathBuf> {
 /// # Errors
 /// When the file cannot be read or is not a record.
 fn read(experiment_dir: &Path) -> Result<Option<Experiment>, RecordError> {
-    let text = match small_file::read_regular_file(&experiment_dir.join(RECORD), MAX_RECORD_BYTES) {
-        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
-            return Ok(None);
+    let is_sound = |experiment: &Experiment| experiment.plan.runs.len() == experiment.states.len();
+    let mut experiment = read_record(experiment_dir, |experiment: &Experiment| experiment.format, is_sound)?;
+    if let Some(Experiment { plan, states, .. }) = &mut experiment {
+        for (run, state) in plan.runs.iter().zip(states) {
+            let users =
+                plan.configurations.get(run.configuration).and_then(|configuration| configuration.users);
+            let run_dir = experiment_dir.join(RUNS).join(&run.folder);
+            state.status = status_by_results(state.status, &run_dir, users.unwrap_or(1));
         }
-        result => result?,
-    };
-    let mut experiment: Experiment = serde_json::from_str(&text)?;
-    if experiment.format != FORMAT {
-        return Err(RecordError::Format(experiment.format));
     }
-    let (runs, states) = (experiment.plan.runs.len(), experiment.states.len());
-    if runs != states {
-        return Err(RecordError::Lengths { runs, states });
-    }
-    experiment.mark_measured_runs(experiment_dir);
-    Ok(Some(experiment))
+    Ok(experiment)
 }

@@ -217,7 +217,7 @@ mod tests {
             (truncated, "EOF"),
             ("\0", "expected value"),
             ("{}", "missing field `format`"),
-            (&extra_state, "it lists 4 runs and the states of 5; it is damaged"),
+            (&extra_state, "its runs, states and configurations do not fit together"),
             (&unknown_stage, "unknown variant `eaten`"),
             (&later, "its format is 2, but this program reads format 1"),
         ] {

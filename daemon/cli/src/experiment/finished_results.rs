@@ -7,6 +7,8 @@ use peernet_analysis::record::{Counts, RunRecord};
 use peernet_results::{FolderError, ResultFolder};
 use peernet_stream::EndReason;
 
+use super::RunStatus;
+
 /// The reason why the results of a finished run cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum UnusableResults {
@@ -58,4 +60,12 @@ pub(crate) fn load_finished_results(folder: &Path) -> Result<RunRecord, Unusable
         record if record.counts == Counts::default() => mismatched(Mismatch::NoIterations),
         record => Ok(record),
     }
+}
+
+/// Returns the status of a run by its recorded status and its results. A run in progress is finished if its results
+/// show that it was measured to its end. The results decide, as they do for the aggregator: the program may have been
+/// killed before it recorded the end of the run.
+pub(crate) fn status_by_results(recorded: RunStatus, run_dir: &Path, users: u32) -> RunStatus {
+    let is_measured = || result_dirs(run_dir, users).all(|folder| load_finished_results(&folder).is_ok());
+    if recorded == RunStatus::Running && is_measured() { RunStatus::Finished } else { recorded }
 }

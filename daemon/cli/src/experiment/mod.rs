@@ -3,11 +3,19 @@
 mod finished_results;
 mod unfinished_runs;
 
-pub(crate) use finished_results::{Mismatch, UnusableResults, load_finished_results, result_dirs};
+pub(crate) use finished_results::{
+    Mismatch, UnusableResults, load_finished_results, result_dirs, status_by_results,
+};
 pub(crate) use unfinished_runs::unfinished_runs_note;
 
+use std::io::{self, ErrorKind};
+use std::path::Path;
+
 use peernet_analysis::run_selection::RunState;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+
+use crate::small_file;
 
 /// Version of the format of [`RECORD`] that this program writes and reads.
 pub(crate) const FORMAT: u32 = 1;
@@ -16,7 +24,7 @@ pub(crate) const FORMAT: u32 = 1;
 pub(crate) const RECORD: &str = "experiment.json";
 /// Maximum size of a record that is read, bytes. A record with the maximum number of runs, each of a different
 /// configuration, is smaller.
-pub(crate) const MAX_RECORD_BYTES: u64 = 256 << 20;
+const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// Name of the folder in an experiment's folder that contains the folders of the runs.
 pub(crate) const RUNS: &str = "runs";
 
@@ -58,5 +66,42 @@ impl RunStatus {
     /// Returns the name for people.
     pub(super) fn name(self) -> &'static str {
         self.to_run_state(None).name()
+    }
+}
+
+/// A record of an experiment that cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum RecordError {
+    #[error(transparent)]
+    Read(#[from] io::Error),
+    #[error(transparent)]
+    Parse(#[from] serde_json::Error),
+    #[error("its format is {0}, but this program reads format {FORMAT}")]
+    Format(u32),
+    #[error("its runs, states and configurations do not fit together")]
+    Inconsistent,
+}
+
+/// Reads the record in a folder, or the part of it that the type `R` has; `None` if there is no record. `is_sound`
+/// checks the numbers that later code uses as indexes, because somebody may have edited the file.
+///
+/// # Errors
+/// When the record cannot be read, has another format or is not sound.
+pub(crate) fn read_record<R: DeserializeOwned>(
+    experiment_dir: &Path,
+    format: impl Fn(&R) -> u32,
+    is_sound: impl Fn(&R) -> bool,
+) -> Result<Option<R>, RecordError> {
+    let text = match small_file::read_regular_file(&experiment_dir.join(RECORD), MAX_RECORD_BYTES) {
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
+            return Ok(None);
+        }
+        result => result?,
+    };
+    let record: R = serde_json::from_str(&text)?;
+    match format(&record) {
+        FORMAT if is_sound(&record) => Ok(Some(record)),
+        FORMAT => Err(RecordError::Inconsistent),
+        other => Err(RecordError::Format(other)),
     }
 }

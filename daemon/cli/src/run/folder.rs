@@ -9,7 +9,6 @@ use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use crate::small_file;
 use anyhow::anyhow;
 use peernet_analysis::figure_files::figure_files;
 use peernet_external::exec::with_arguments;
@@ -17,7 +16,7 @@ use peernet_external::exec::with_arguments;
 use super::plan::{Plan, Run};
 use super::plan_differences::differences;
 use super::state::Record;
-use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, result_dirs};
+use crate::experiment::{RECORD, RUNS, read_record, result_dirs, status_by_results};
 
 /// Names of the tables over all runs.
 const TABLES: [&str; 3] = ["compare", "users", "sensors"];
@@ -82,14 +81,6 @@ impl Folder {
     /// of each user's results.
     pub(super) fn results(&self, plan: &Plan, run: &Run) -> Vec<PathBuf> {
         result_dirs(&self.run_dir(run), plan.configuration(run).users).collect()
-    }
-
-    /// Reads the record of the experiment; `None` if there is no record.
-    ///
-    /// # Errors
-    /// When it cannot be read (exit code 65).
-    pub(super) fn load(&self) -> Result<Option<Record>, Failure> {
-        load(&self.path)
     }
 
     /// Replaces the record as a whole.
@@ -177,35 +168,25 @@ fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
     entries.filter(|entry| is_draft(&entry.file_name())).map(|entry| entry.path())
 }
 
-/// Reads the record in a folder; `None` if there is no record.
+/// Reads the record in a folder; `None` if there is no record. A run in progress is finished if its results show that it
+/// was measured to its end.
 ///
 /// # Errors
 /// When it cannot be read (exit code 65).
 pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
-    let path = path.join(RECORD);
-    let unreadable = |reason: String| {
-        let text = format!("cannot read {}: {reason}; --restart starts again", path.display());
+    let record = read_record(path, |record: &Record| record.format, Record::is_sound);
+    let mut record = record.map_err(|error| {
+        let record_path = path.join(RECORD);
+        let text = format!("cannot read {}: {error}; --restart starts again", record_path.display());
         Failure::new(Exit::Data, anyhow!("{text}"))
-    };
-    let text = match small_file::read_regular_file(&path, MAX_RECORD_BYTES) {
-        Ok(text) => text,
-        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
-            return Ok(None);
+    })?;
+    if let Some(Record { plan, states, .. }) = &mut record {
+        for (run, state) in plan.runs.iter().zip(states) {
+            let users = plan.configuration(run).users;
+            state.status = status_by_results(state.status, &path.join(RUNS).join(&run.folder), users);
         }
-        Err(error) => return Err(unreadable(error.to_string())),
-    };
-    let record: Record = serde_json::from_str(&text).map_err(|error| unreadable(error.to_string()))?;
-    if record.format != FORMAT {
-        return Err(unreadable(format!(
-            "its format is {}, but this program reads format {FORMAT}",
-            record.format
-        )));
     }
-    // Somebody may have edited the file, and later code uses its numbers as indexes.
-    if !record.is_sound() {
-        return Err(unreadable("its runs, states and configurations do not fit together".to_owned()));
-    }
-    Ok(Some(record))
+    Ok(record)
 }
 
 /// Checks that the plan is unchanged since the experiment was started.

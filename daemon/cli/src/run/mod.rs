@@ -240,7 +240,7 @@ async fn execute_experiment(
 /// Removes the tables, the figures, the runs and the record of an experiment that is restarted.
 fn clear(folder: &Folder) -> Result<(), Failure> {
     folder.remove_tables_and_figures()?;
-    match folder.load() {
+    match folder::load(folder.path()) {
         Ok(Some(old)) => return folder.clear(&old),
         Ok(None) => {}
         // The runs of an unreadable record are unknown. Each run replaces its folder when it is measured.
@@ -360,7 +360,9 @@ fn result_of_runs(record: &Record, selected_runs: &[Run], interrupted: bool) -> 
     let states = || selected_runs.iter().filter_map(|run| record.states.get(run.number - 1));
     let failed = states().filter(|state| state.status == RunStatus::Failed).count();
     let finished = || states().filter(|state| state.status == RunStatus::Finished);
-    let is_unwritten = |state: &&State| state.exit == Some(i32::from(Exit::Unwritten as u8));
+    // A process without an exit code was killed after it had written its results, while it drew the figures.
+    let is_unwritten =
+        |state: &&State| state.exit.is_none_or(|code| code == i32::from(Exit::Unwritten as u8));
     let unwritten = finished().filter(is_unwritten).count();
     let incomplete = finished().filter(|state| state.exit != Some(0) && !is_unwritten(state)).count();
     let mut clauses = Vec::new();

@@ -77,7 +77,7 @@ fn only_unfinished_runs_are_repeated() {
     record.start_run(&runs[3]);
     folder.save(&record).expect("writable");
     // The program is killed here: the fourth run is still active.
-    let mut loaded = folder.load().expect("reads").expect("is there");
+    let mut loaded = folder::load(folder.path()).expect("reads").expect("is there");
     assert_eq!(loaded, record);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [2, 3, 4]);
     loaded.start_run(&runs[1]);
@@ -176,7 +176,7 @@ fn inconsistent_record_is_refused_before_removal() {
         let mut other = whole.clone();
         change(&mut other);
         folder.save(&other).expect("writable");
-        let failure = folder.load().expect_err("the record is inconsistent");
+        let failure = folder::load(folder.path()).expect_err("the record is inconsistent");
         assert!(failure.exit == Exit::Data && failure.to_string().contains("--restart"), "{failure}");
         // The runs of a refused record are unknown, so no folder of a run is removed.
         clear(&folder).expect("the tables and figures are removable");
@@ -429,6 +429,26 @@ fn run_stopped_after_its_results_is_finished() {
     assert_eq!(status(), RunStatus::Interrupted, "there are no results");
     write_results(&folder.results(&record.plan, run)[0], &record.plan.experiment_position(run, &record.id));
     assert_eq!(status(), RunStatus::Finished);
+}
+
+#[test]
+fn killed_experiment_keeps_run_with_complete_results() {
+    let temporary = tempfile::tempdir().expect("a folder");
+    let folder = Folder::open(&temporary.path().join("results")).expect("is new");
+    let mut record = record(temporary.path());
+    let run = record.plan.runs[1].clone();
+    record.start_run(&run);
+    folder.save(&record).expect("writable");
+    let load = || folder::load(folder.path()).expect("reads").expect("is there");
+    assert_eq!(numbers(&load().to_do(|_| true)), [1, 2, 3, 4], "there are no results");
+    write_results(&folder.results(&record.plan, &run)[0], &record.plan.experiment_position(&run, &record.id));
+    let loaded = load();
+    assert_eq!(numbers(&loaded.to_do(|_| true)), [1, 3, 4]);
+    assert_eq!(loaded.states[1].status, RunStatus::Finished);
+    let not_interrupted = false;
+    let failure =
+        result_of_runs(&loaded, &[run], not_interrupted).expect_err("the program may have drawn no figures");
+    assert!(failure.to_string().starts_with("not all figures are drawn for 1 run"), "{failure}");
 }
 
 #[test]
