@@ -118,9 +118,13 @@ impl RunObserver for SweepObserver<'_> {
             }
             Event::Iteration(iteration) => {
                 let sample = Sample::new(&iteration, self.plan.payload(iteration.number));
+                let now = self.clock.mono();
+                if sample.warm_up {
+                    self.progress.record_warm_up(now);
+                }
                 // A peer answers with the error if its model fails, so a failed iteration counts as an answer, too.
                 if matches!(iteration.outcome, Outcome::Ok | Outcome::Failed(_)) {
-                    self.peer_wait.record_answer(self.clock.mono());
+                    self.peer_wait.record_answer(now);
                 }
                 let (payload, is_first) =
                     (sample.payload_bytes, self.tried_sizes.insert(sample.payload_bytes));

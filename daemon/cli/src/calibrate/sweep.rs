@@ -13,6 +13,8 @@ pub(super) struct SweepDisplay {
     progress: Progress,
     limits: SweepLimits,
     started_at: MonoTime,
+    /// Start of the sweep, or end of the last iteration of its warm-up.
+    measuring_since: MonoTime,
 }
 
 /// Limits and extreme sizes of the sweep. The sweep ends at the limit that it reaches first.
@@ -30,18 +32,25 @@ impl SweepDisplay {
             (sizes.first().copied().unwrap_or_default(), sizes.last().copied().unwrap_or_default());
         let limits =
             SweepLimits { max_iterations: plan.all_iterations(), max_seconds: plan.seconds, size_range };
-        Self { progress: Progress::new(quiet, now), limits, started_at: now }
+        Self { progress: Progress::new(quiet, now), limits, started_at: now, measuring_since: now }
     }
 
     /// Records the start of the first iteration.
     pub(super) const fn begin(&mut self, now: MonoTime) {
         self.started_at = now;
+        self.measuring_since = now;
+    }
+
+    /// Records the end of an iteration of the warm-up.
+    pub(super) const fn record_warm_up(&mut self, now: MonoTime) {
+        self.measuring_since = now;
     }
 
     /// Shows the state at `now`. If there is `trouble`, it replaces the state.
     pub(super) fn show(&mut self, samples: &[Sample], now: MonoTime, trouble: Option<String>) {
         let (limits, elapsed) = (&self.limits, (now - self.started_at).seconds());
-        self.progress.show(now, trouble, || limits.describe(samples, elapsed));
+        let limit_s = limits.max_seconds - (now - self.measuring_since).seconds();
+        self.progress.show(now, trouble, || limits.describe(samples, elapsed, limit_s));
     }
 
     /// Removes the bar.
@@ -51,13 +60,13 @@ impl SweepDisplay {
 }
 
 impl SweepLimits {
-    /// Describes the state. Also returns the fraction of the sweep that is done, from 0 to 1.
-    fn describe(&self, samples: &[Sample], elapsed: f64) -> (String, f64) {
+    /// Describes the state `limit_s` seconds before the time limit. Also returns the fraction of the sweep that is done,
+    /// from 0 to 1.
+    fn describe(&self, samples: &[Sample], elapsed: f64, limit_s: f64) -> (String, f64) {
         let done_count = samples.len() as u64;
-        // The sweep ends at the limit that it reaches first, so the larger fraction counts.
-        let fraction_done =
-            (done_count as f64 / self.max_iterations as f64).max(elapsed / self.max_seconds).clamp(0.0, 1.0);
-        let remaining_s = remaining_seconds(fraction_done, elapsed).unwrap_or(self.max_seconds);
+        let fraction_done = done_count as f64 / self.max_iterations as f64;
+        let remaining_s =
+            remaining_seconds(Some(fraction_done), elapsed, Some(limit_s)).unwrap_or(self.max_seconds);
         let (smallest, largest) = self.size_range;
         let text = format!(
             "{} of {}, {} iterations/s, upload {} at {}, {} at {}, {} left",
@@ -70,7 +79,7 @@ impl SweepLimits {
             bytes(largest as f64).plain(),
             estimated_duration(remaining_s),
         );
-        (text, fraction_done)
+        (text, elapsed / (elapsed + remaining_s))
     }
 }
 

@@ -41,6 +41,8 @@ struct RunProgress {
     /// Minimum number of warm-up iterations.
     warm_up: u64,
     started_at: Option<MonoTime>,
+    /// Start of the run, or end of the last iteration of the warm-up at its start.
+    measuring_since: Option<MonoTime>,
     /// Numbers of finished iterations.
     counts: Counts,
     /// Starts of the iterations after the warm-up.
@@ -59,6 +61,7 @@ impl RunProgress {
             limit,
             warm_up,
             started_at: None,
+            measuring_since: None,
             counts: Counts::default(),
             starts: StartsSoFar::default(),
             failed_in_warm_up: 0,
@@ -67,8 +70,16 @@ impl RunProgress {
         }
     }
 
-    fn add(&mut self, row: &Row) {
+    fn start(&mut self, now: MonoTime) {
+        self.started_at.get_or_insert(now);
+        self.measuring_since.get_or_insert(now);
+    }
+
+    fn add(&mut self, row: &Row, now: MonoTime) {
         self.counts.add(row.outcome, row.warm_up);
+        if self.counts.measured() == 0 {
+            self.measuring_since = Some(now);
+        }
         // `at` is 0 if the start was not recorded.
         if !row.warm_up && row.at > 0.0 {
             self.starts.add(row.iteration, row.at);
@@ -98,11 +109,10 @@ impl RunProgress {
     /// Returns the progress to be shown in this phase.
     fn report(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> ProgressReport {
         let (done, iterations) = (self.done(), self.limit.total_iterations(self.warm_up));
-        let elapsed = self.started_at.map_or(0.0, |started_at| (now - started_at).seconds());
-        // The run ends at the limit that it reaches first.
-        let left_by_count_s = iterations.and_then(|all| remaining_seconds(done as f64 / all as f64, elapsed));
-        let left_by_time_s = self.limit.duration_s.filter(|_| self.started_at.is_some());
-        let left_by_time_s = left_by_time_s.map(|seconds| (seconds - elapsed).max(0.0));
+        let seconds_since = |start: MonoTime| (now - start).seconds();
+        let fraction_done = iterations.map(|all| done as f64 / all as f64);
+        let limit_s = self.limit.duration_s.zip(self.measuring_since);
+        let limit_s = limit_s.map(|(seconds, since)| seconds - seconds_since(since));
         ProgressReport {
             phase,
             done,
@@ -112,7 +122,7 @@ impl RunProgress {
             iterations,
             rate: self.starts.starts().actual_hz(),
             totals: self.totals.clone(),
-            left_s: left_by_count_s.into_iter().chain(left_by_time_s).reduce(f64::min),
+            left_s: remaining_seconds(fraction_done, self.started_at.map_or(0.0, seconds_since), limit_s),
             trouble,
         }
     }
@@ -174,7 +184,7 @@ impl<'a> RunRecorder<'a> {
     fn record_start(&mut self, run: RunDescription) {
         let now = self.clock.mono();
         self.peer_wait.record_answer(now);
-        self.progress.started_at.get_or_insert(now);
+        self.progress.start(now);
         self.progress_display.show_start(&run.conditions);
         if let (Some(peer), Some(name)) = (&mut self.peer, &run.placement.peer) {
             *peer = name.to_string();
@@ -198,10 +208,11 @@ impl<'a> RunRecorder<'a> {
 
     fn record_row(&mut self, row: &Row) {
         // A peer answers with the error if its model fails, so a failed iteration counts as an answer, too.
+        let now = self.clock.mono();
         if matches!(row.outcome, Outcome::Ok | Outcome::Failed) {
-            self.peer_wait.record_answer(self.clock.mono());
+            self.peer_wait.record_answer(now);
         }
-        self.progress.add(row);
+        self.progress.add(row, now);
         self.writer.write(row);
         self.recorded.rows.push(row);
     }
@@ -320,9 +331,8 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn progress_and_results_have_same_rate() {
-        let row = |iteration, seconds: f64, warm_up| Row {
+    fn row(iteration: u64, seconds: f64, warm_up: bool) -> Row {
+        Row {
             iteration,
             at: 1e9 + seconds,
             episode: 0,
@@ -333,12 +343,32 @@ mod tests {
             values: Vec::new(),
             upload: None,
             download: None,
-        };
+        }
+    }
+
+    #[test]
+    fn time_limit_counts_from_end_of_warm_up() {
+        let at = |seconds: i64| MonoTime::from_nanos(seconds * 1_000_000_000);
+        let limit = Limit { duration_s: Some(60.0), ..Limit::default() };
+        let mut progress = RunProgress::new(limit, 1);
+        let left_s = |progress: &RunProgress, now| progress.report(Phase::Measuring, None, now).left_s;
+        assert_eq!(left_s(&progress, at(0)), None, "the run has not started");
+        progress.start(at(100));
+        assert_eq!(left_s(&progress, at(101)), Some(59.0));
+        progress.add(&row(1, 0.0, true), at(110));
+        progress.add(&row(2, 10.0, false), at(120));
+        // The warm-up of a later episode is part of the measured time.
+        progress.add(&row(3, 20.0, true), at(130));
+        assert_eq!([130, 169, 171].map(|now| left_s(&progress, at(now))), [Some(40.0), Some(1.0), Some(0.0)]);
+    }
+
+    #[test]
+    fn progress_and_results_have_same_rate() {
         // Iteration 3 ends before iteration 2.
         let rows = [row(1, 0.0, true), row(3, 10.5, false), row(2, 10.0, false), row(4, 12.0, false)];
         let mut progress = RunProgress::new(Limit::default(), 1);
         let rates = rows.each_ref().map(|row| {
-            progress.add(row);
+            progress.add(row, MonoTime::from_nanos(0));
             progress.report(Phase::Measuring, None, MonoTime::from_nanos(0)).rate
         });
         let rows: Rows = rows.into_iter().collect();
