@@ -222,14 +222,6 @@ impl Limit {
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
-
-    /// Returns the number of iterations after which a run ends, including the warm-up iterations at its start; `None`
-    /// without a limit on iterations.
-    pub fn total_iterations(&self, warm_up: u64) -> Option<u64> {
-        // `iterations` counts from the end of the warm-up, `total` from the first iteration.
-        let with_warm_up = self.iterations.map(|iterations| iterations.saturating_add(warm_up));
-        with_warm_up.into_iter().chain(self.total).min().map(NonZeroU64::get)
-    }
 }
 
 /// Whether a pipeline starts with the agent.
@@ -250,6 +242,31 @@ impl PipelineConfig {
             PlacementConfig::Observe(_) => "observed".to_owned(),
             _ => self.load.describe(),
         }
+    }
+
+    /// Returns the number of iterations after which a run ends if no episode ends early, including the warm-up; `None`
+    /// without a limit on iterations.
+    pub fn total_iterations(&self) -> Option<u64> {
+        let with_warm_up =
+            self.limit.iterations.and_then(|iterations| self.iterations_until_measured(iterations));
+        with_warm_up.into_iter().chain(self.limit.total.map(NonZeroU64::get)).min()
+    }
+
+    /// Returns the number of iterations, including the warm-up, of a run up to its measured iteration `measured` (one that
+    /// is not warm-up), if no episode ends early; `None` if all iterations are warm-up.
+    pub fn iterations_until_measured(&self, measured: NonZeroU64) -> Option<u64> {
+        let WarmUp { iterations, episodes, steps } = self.warm_up;
+        let Some(episode_steps) = self.episode_steps else {
+            return Some(iterations.saturating_add(measured.get()));
+        };
+        let (episode_steps, steps) = (u64::from(episode_steps.get()), u64::from(steps));
+        let measured_steps = episode_steps.checked_sub(steps).filter(|measured_steps| *measured_steps > 0)?;
+        let start = iterations.max(episode_steps.saturating_mul(episodes.into()));
+        // The measured iterations are numbered as if the run had no warm-up at its start.
+        let left_out = start / episode_steps * measured_steps + (start % episode_steps).saturating_sub(steps);
+        let last = left_out.saturating_add(measured.get() - 1);
+        let whole_episodes = (last / measured_steps).saturating_mul(episode_steps);
+        Some(whole_episodes.saturating_add(steps + last % measured_steps + 1))
     }
 
     /// Returns the longest wait for an answer.

@@ -191,6 +191,25 @@ mod tests {
     }
 
     #[test]
+    fn number_of_iterations_follows_from_configuration() {
+        for keys in [
+            "limit = { iterations = 100 }",
+            "limit = { iterations = 3, total = 4 }",
+            "episode_steps = 10\nwarm_up = { iterations = 0, steps = 1 }\nlimit = { iterations = 100 }",
+            "episode_steps = 10\nwarm_up = { iterations = 25, episodes = 2, steps = 3 }\nlimit = { iterations = 7 }",
+            "episode_steps = 10\nwarm_up = { iterations = 21, episodes = 2, steps = 3 }\nlimit = { iterations = 7 }",
+        ] {
+            let mut progress = progress(keys);
+            while !progress.is_limit_reached(at(0)) {
+                progress.assign_position(at(0));
+            }
+            assert_eq!(pipeline(keys).total_iterations(), Some(progress.started_iterations()), "{keys}");
+        }
+        let keys = "episode_steps = 2\nwarm_up = { iterations = 0, steps = 2 }\nlimit = { iterations = 1 }";
+        assert_eq!(pipeline(keys).total_iterations(), None, "all iterations are warm-up");
+    }
+
+    #[test]
     fn planned_iterations_follow_from_limits() {
         let planned_iterations = |keys: &str| {
             let mut progress = progress(keys);

@@ -38,8 +38,8 @@ pub(super) struct RunRecorder<'a> {
 /// Progress of a run towards its limit.
 struct RunProgress {
     limit: Limit,
-    /// Minimum number of warm-up iterations.
-    warm_up: u64,
+    /// Number of iterations with the warm-up; `None` if only a time limits the run.
+    iterations: Option<u64>,
     started_at: Option<MonoTime>,
     /// Start of the run, or end of the last iteration of the warm-up at its start.
     measuring_since: Option<MonoTime>,
@@ -56,10 +56,10 @@ struct RunProgress {
 }
 
 impl RunProgress {
-    fn new(limit: Limit, warm_up: u64) -> Self {
+    fn new(limit: Limit, iterations: Option<u64>) -> Self {
         Self {
             limit,
-            warm_up,
+            iterations,
             started_at: None,
             measuring_since: None,
             counts: Counts::default(),
@@ -108,7 +108,7 @@ impl RunProgress {
 
     /// Returns the progress to be shown in this phase.
     fn report(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> ProgressReport {
-        let (done, iterations) = (self.done(), self.limit.total_iterations(self.warm_up));
+        let (done, iterations) = (self.done(), self.iterations);
         let seconds_since = |start: MonoTime| (now - start).seconds();
         let fraction_done = iterations.map(|all| done as f64 / all as f64);
         let limit_s = self.limit.duration_s.zip(self.measuring_since);
@@ -165,7 +165,7 @@ impl<'a> RunRecorder<'a> {
             clock,
             progress_display,
             peer_timeout,
-            progress: RunProgress::new(pipeline.limit, pipeline.warm_up.iterations),
+            progress: RunProgress::new(pipeline.limit, pipeline.total_iterations()),
             pipeline: pipeline.name.clone(),
             peer,
             is_refused: false,
@@ -350,7 +350,7 @@ mod tests {
     fn time_limit_counts_from_end_of_warm_up() {
         let at = |seconds: i64| MonoTime::from_nanos(seconds * 1_000_000_000);
         let limit = Limit { duration_s: Some(60.0), ..Limit::default() };
-        let mut progress = RunProgress::new(limit, 1);
+        let mut progress = RunProgress::new(limit, None);
         let left_s = |progress: &RunProgress, now| progress.report(Phase::Measuring, None, now).left_s;
         assert_eq!(left_s(&progress, at(0)), None, "the run has not started");
         progress.start(at(100));
@@ -366,7 +366,7 @@ mod tests {
     fn progress_and_results_have_same_rate() {
         // Iteration 3 ends before iteration 2.
         let rows = [row(1, 0.0, true), row(3, 10.5, false), row(2, 10.0, false), row(4, 12.0, false)];
-        let mut progress = RunProgress::new(Limit::default(), 1);
+        let mut progress = RunProgress::new(Limit::default(), None);
         let rates = rows.each_ref().map(|row| {
             progress.add(row, MonoTime::from_nanos(0));
             progress.report(Phase::Measuring, None, MonoTime::from_nanos(0)).rate

@@ -1,5 +1,7 @@
 //! Expected duration of a run, from its configuration.
 
+use std::num::NonZeroU64;
+
 use peernet_agent::config::{AgentConfig, PipelineConfig, PlacementConfig};
 use peernet_analysis::pace::Pace;
 
@@ -41,8 +43,6 @@ fn pipeline_duration(
     sharing: SharedComputation,
     pace: Option<Pace>,
 ) -> Option<f64> {
-    let limit = pipeline.limit;
-    let warm_up = pipeline.warm_up.iterations;
     let configured_period_s = pipeline.load.hz().map(f64::recip);
     // No schedule makes the sensor or the model's workers faster: starts beyond their rate are skipped and do not
     // count.
@@ -58,11 +58,11 @@ fn pipeline_duration(
         (Some(period_s), None) => Some(period_s),
         (None, pace) => pace.map(|pace| pace.iteration_s.max(shortest_period_s(pace))),
     };
-    let by_count = limit
-        .total_iterations(warm_up)
-        .zip(iteration_s)
-        .map(|(count, iteration_s)| count as f64 * iteration_s);
-    let by_time = limit.duration_s.map(|seconds| seconds + warm_up as f64 * iteration_s.unwrap_or_default());
+    let by_count =
+        pipeline.total_iterations().zip(iteration_s).map(|(count, iteration_s)| count as f64 * iteration_s);
+    let by_time = pipeline.limit.duration_s.zip(pipeline.iterations_until_measured(NonZeroU64::MIN));
+    let by_time =
+        by_time.map(|(seconds, first)| seconds + (first - 1) as f64 * iteration_s.unwrap_or_default());
     let measuring = [by_count, by_time].into_iter().flatten().reduce(f64::min)?;
     Some(measuring + pace.map_or(0.0, |pace| pace.overhead_s))
 }
@@ -88,6 +88,10 @@ mod tests {
         assert_eq!((expected_duration(&closed, pace), expected_duration(&closed, None)), (Some(12.0), None));
         let counted = pipeline("limit = { iterations = 100 }\nwarm_up = { iterations = 5 }");
         assert_eq!(expected_duration(&counted, pace), Some(12.5));
+        let episodes = pipeline(
+            "limit = { iterations = 90 }\nepisode_steps = 10\nwarm_up = { iterations = 0, steps = 1 }",
+        );
+        assert_eq!(expected_duration(&episodes, pace), Some(12.0));
         let rate = pipeline("limit = { total = 100 }\nload = { mode = 'rate', hz = 5.0 }");
         assert_eq!(
             (expected_duration(&rate, pace), expected_duration(&rate, None)),

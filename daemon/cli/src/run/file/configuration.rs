@@ -1,11 +1,11 @@
 //! Conversion of one combination of the axes' values to an agent's configuration.
 
-use std::num::NonZeroU32;
+use std::num::NonZeroU64;
 use std::path::PathBuf;
 
 use peernet_actuators::ActuatorKind;
 use peernet_agent::AgentConfig;
-use peernet_agent::config::{Limit, PlacementConfig, WarmUp};
+use peernet_agent::config::{PipelineConfig, PlacementConfig};
 use peernet_analysis::record::NetworkConfig;
 use peernet_inference::bank::ModelFolders;
 use serde::de::DeserializeOwned;
@@ -171,7 +171,7 @@ fn read(
             remote.network.get_or_insert(remote.peer.network());
         }
     }
-    if covers_run(&warm_up, &limit, experiment.episode_steps) {
+    if agent.pipelines.iter().any(has_only_warm_up) {
         return Err(ConfigurationError::AllWarmUp(describe_warm_up(&warm_up)));
     }
     let configuration = Configuration {
@@ -186,14 +186,9 @@ fn read(
 }
 
 /// Returns whether all iterations of a run are warm-up.
-fn covers_run(warm_up: &WarmUp, limit: &Limit, steps: Option<NonZeroU32>) -> bool {
-    let all_iterations = limit.total.is_some_and(|total| total.get() <= warm_up.iterations);
-    let steps = steps.map(NonZeroU32::get);
-    let all_steps = steps.is_some_and(|steps| steps <= warm_up.steps);
-    let all_episodes = steps.zip(limit.total).is_some_and(|(steps, total)| {
-        total.get() <= u64::from(warm_up.episodes).saturating_mul(steps.into())
-    });
-    all_iterations || all_steps || all_episodes
+fn has_only_warm_up(pipeline: &PipelineConfig) -> bool {
+    let first_measured = pipeline.iterations_until_measured(NonZeroU64::MIN);
+    first_measured.is_none_or(|first| pipeline.limit.total.is_some_and(|total| total.get() < first))
 }
 
 /// Returns whether a table of the pipeline could have a seed and has none.
