@@ -4,6 +4,9 @@ use std::fs::{File, read_dir};
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
+use crate::quality::Quality;
+use crate::rows::without_value_suffix;
+
 /// Histograms of the paper's original program, each as the name of its file without ending, its column and its title.
 pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("sensing-time", "sensing", "Sensing time"),
@@ -14,11 +17,11 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("download-throughput", "download-throughput", "Download throughput"),
 ];
 
-/// Endings of the names of a figure's files, including the file of its caption.
-const FILE_ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
-/// Names of figures of which there is at most one.
-const SINGLE_FIGURES: [&str; 7] =
-    ["cumulative", "series", "length", "stacked", "accuracy", "success", "paired"];
+/// Endings of the names of a figure's files. The caption's file is not `STEM.txt`, because this is the name of the
+/// table with the same stem.
+pub const FILE_ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
+/// Names of figures of which there is at most one, without the figures of [`Quality`].
+const SINGLE_FIGURES: [&str; 5] = ["cumulative", "series", "length", "stacked", "paired"];
 /// Names of figures of which there may be several. The names from the second figure on end with a number, such as
 /// `totals-2`.
 const NUMBERED_FIGURES: [&str; 4] = ["payload-latency", "payload-throughput", "totals", "users"];
@@ -50,6 +53,7 @@ fn is_figure(name: &str, columns: &[String]) -> bool {
         column.is_some_and(|column| columns.iter().any(|other| other == column))
     };
     SINGLE_FIGURES.contains(&stem)
+        || Quality::ALL.into_iter().any(|quality| quality.figure_stem() == stem)
         || HISTOGRAMS.iter().any(|(histogram, ..)| *histogram == stem)
         || is_numbered()
         || is_column()
@@ -63,7 +67,7 @@ fn columns(data: &Path) -> Vec<String> {
         BufReader::new(file.take(MAX_HEADER_BYTES)).lines().next()?.ok()
     };
     let header = header().unwrap_or_default();
-    header.split(',').map(|column| column.trim_matches('"').to_owned()).collect()
+    header.split(',').map(|name| without_value_suffix(name.trim().trim_matches('"')).to_owned()).collect()
 }
 
 #[cfg(test)]
@@ -73,12 +77,16 @@ mod tests {
     #[test]
     fn only_figure_files_are_recognised() {
         let folder = tempfile::tempdir().expect("a folder");
-        std::fs::write(folder.path().join("data.csv"), "iteration,total\n1,2\n").expect("writable");
+        std::fs::write(folder.path().join("data.csv"), "iteration, inference_val,total\n1,2,3\n")
+            .expect("writable");
         let figures = [
             "cumulative-caption.txt",
             "download-time.svg",
+            "inference-histogram.png",
+            "map-50.svg",
             "paired.svg",
             "payload-latency-3.png",
+            "return-caption.txt",
             "stacked.pdf",
             "stacked.png",
             "total-cumulative.pdf",

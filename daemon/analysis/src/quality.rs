@@ -74,6 +74,16 @@ impl Quality {
         }
     }
 
+    /// Returns the common beginning of the names of the files of its figure.
+    pub const fn figure_stem(self) -> &'static str {
+        match self {
+            Self::Top1 => "accuracy",
+            Self::Success => "success",
+            Self::Return => "return",
+            Self::Map50 | Self::MeanIou => self.name(),
+        }
+    }
+
     /// Returns the title of a column with the estimates, and their unit: shares are shown in percent.
     pub const fn title(self) -> (&'static str, &'static str) {
         match self {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use peernet_analysis::rows::{
     Column, ColumnKind, FIXED_COLUMNS, Outcome, PUBLISHED_COLUMN_COUNT, RowBuilder, Rows, column,
-    published_stages,
+    published_stages, without_value_suffix,
 };
 use peernet_clock::{DelaySource, Verdict};
 
@@ -175,13 +175,6 @@ impl ColumnParser {
     fn is_ignored(&self) -> bool {
         self.kind.is_none() && !self.is_wanted
     }
-}
-
-/// Returns the name of a column without the suffix `_val` if it is the column of a stage. The paper's original
-/// program joins the names of nested nodes by underscores (`inference_backbone`), and adds `_val` for the value of a
-/// node that has nested nodes (`inference_val`).
-fn without_value_suffix(name: &str) -> &str {
-    name.strip_suffix("_val").filter(|name| published_stages().any(|stage| stage == *name)).unwrap_or(name)
 }
 
 /// Stores the text of a cell. Returns `None` if the text is not valid in the column.

@@ -29,16 +29,6 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     })
 }
 
-/// Returns the common beginning of the names of a figure's files.
-const fn stem(quality: Quality) -> &'static str {
-    match quality {
-        Quality::Top1 => "accuracy",
-        Quality::Success => "success",
-        Quality::Return => "return",
-        Quality::Map50 | Quality::MeanIou => quality.name(),
-    }
-}
-
 /// Returns the figure with one point for each configuration that has the quality and a latency; `None` if no
 /// configuration has both. Repeats of a configuration are pooled.
 fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
@@ -100,7 +90,9 @@ fn drawing(runs: &[Loaded], quality: Quality) -> Option<Drawing> {
     }
     let figure =
         QualityAgainstLatency { quality, latency_unit: Unit::milliseconds(total.title()), points, notes };
-    Some(Drawing::new(stem(quality), AnyFigure::QualityAgainstLatency(figure)).with_left_out(left_out))
+    Some(
+        Drawing::new(quality.figure_stem(), AnyFigure::QualityAgainstLatency(figure)).with_left_out(left_out),
+    )
 }
 
 /// Returns the number of iterations in the statistics without a valid score, from the number of scored iterations.

@@ -12,6 +12,7 @@ use peernet_stream::ExperimentPosition;
 
 use super::*;
 use crate::render::file;
+use peernet_analysis::figure_files::{HISTOGRAMS, figure_files};
 use peernet_analysis::quality::{Quality, QualityEstimate};
 use peernet_analysis::record::{ModelRecord, Placement};
 use peernet_analysis::rows::{Outcome, Row};
@@ -100,8 +101,7 @@ fn run_has_six_histograms_of_original_program() {
     let folder = tempfile::tempdir().expect("a folder");
     let run = remote(60);
     let files = of_run(&run.record, &run.rows, folder.path()).expect("written");
-    let six_histograms =
-        peernet_analysis::figure_files::HISTOGRAMS.map(|(stem, ..)| written_as(stem)).concat();
+    let six_histograms = HISTOGRAMS.map(|(stem, ..)| written_as(stem)).concat();
     assert_eq!(
         file_names(&files),
         six_histograms,
@@ -120,6 +120,13 @@ fn run_has_six_histograms_of_original_program() {
     let files = of_run(&with_total.record, &with_total.rows, folder.path()).expect("written");
     // The six histograms have 24 files.
     assert_eq!(file_names(&files)[24..], [written_as("cumulative"), written_as("series")].concat());
+    assert_all_are_recognised(&files, folder.path());
+}
+
+/// Asserts that the files in a folder that are figures are exactly `files`, so that all are removed with the results.
+fn assert_all_are_recognised(files: &[PathBuf], folder: &Path) {
+    let recognised: BTreeSet<String> = figure_files(folder).into_iter().collect();
+    assert_eq!(recognised, file_names(files).into_iter().collect());
 }
 
 /// Returns a run with totals that are a little longer than `total`, in ms, and with scores of answers.

@@ -5,6 +5,7 @@ use std::sync::{Arc, LazyLock};
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
+use peernet_analysis::figure_files::FILE_ENDINGS;
 use peernet_analysis::{WriteError, write_file};
 use resvg::tiny_skia::{Pixmap, Transform};
 use svg2pdf::{ConversionOptions, PageOptions};
@@ -24,9 +25,6 @@ const HEADER_BYTES: usize = 8 + 25;
 /// Chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 pixels per metre, and the checksum. Without this
 /// chunk, programs that typeset papers place a picture at the resolution of a screen.
 const DENSITY_CHUNK: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
-/// Endings of the names of a figure's files. The caption's file is not `STEM.txt`, because this is the name of the
-/// table with the same stem.
-pub const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 
 /// Error while an SVG is turned into pixels or PDF.
 #[derive(Debug, thiserror::Error)]
@@ -137,7 +135,7 @@ impl ParsedFigure {
 /// # Errors
 /// If the figure cannot be drawn or a file cannot be written.
 pub fn write(figure: &Figure, folder: &Path, stem: &str) -> Result<[PathBuf; 4], WriteError> {
-    let files = ENDINGS.map(|ending| folder.join(format!("{stem}{ending}")));
+    let files = FILE_ENDINGS.map(|ending| folder.join(format!("{stem}{ending}")));
     let [png_file, svg_file, pdf_file, caption_file] = &files;
     let svg = file::svg(figure);
     write_file(svg_file, svg.as_bytes())?;

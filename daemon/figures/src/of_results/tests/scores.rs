@@ -73,3 +73,28 @@ fn success_of_episodes_is_drawn_against_latency() {
     let svg = file::svg(&figure.figure());
     assert!(svg.contains("Return of an episode") && svg.contains("\u{2212}60"), "{svg}");
 }
+
+#[test]
+fn figures_of_all_qualities_are_recognised() {
+    let configurations = [
+        ("s", "local", vec!["top-1", "episode-success", "episode-return"]),
+        ("s", "remote", vec!["map-50"]),
+        ("m", "local", vec!["mean-iou"]),
+    ];
+    let runs = configurations.map(|(model, placement, qualities)| {
+        let mut run = placed(model, placement, 5.0);
+        run.rows.change(|row| {
+            let value = f64::from(u8::from(row.iteration % 4 != 0));
+            row.values.push(("total".into(), 20e-3 + row.iteration as f64 / 1e5));
+            row.values.extend(qualities.iter().map(|name| ((*name).into(), value)));
+        });
+        run
+    });
+    let folder = tempfile::tempdir().expect("a folder");
+    let files = of_experiment(&runs, folder.path()).expect("written");
+    let names = file_names(&files);
+    for stem in Quality::ALL.map(Quality::figure_stem).into_iter().chain(["stacked", "totals", "paired"]) {
+        assert!(written_as(stem).iter().all(|name| names.contains(name)), "{stem}: {names:?}");
+    }
+    assert_all_are_recognised(&files, folder.path());
+}
