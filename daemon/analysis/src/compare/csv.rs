@@ -20,11 +20,10 @@ const ACTUATOR_COLUMNS: [&str; 8] = [
 ];
 
 impl Comparison {
-    /// Returns CSV for programs: seconds, with all digits.
-    pub fn csv(&self) -> String {
-        let mut header: Vec<String> = self.axes.clone();
+    /// Returns the names of the columns of the CSV after the axes.
+    pub fn csv_columns() -> Vec<String> {
         // The column of failed iterations keeps its old name, `unanswered`, for the programs that read it.
-        header.extend(["runs", "count", "unanswered", "best", "tie"].map(str::to_owned));
+        let mut header = Vec::from(["runs", "count", "unanswered", "best", "tie"].map(str::to_owned));
         header.extend(LATENCIES.iter().flat_map(|name| [format!("{name}-mean"), format!("{name}-std")]));
         header.push("edges".to_owned());
         header.extend(
@@ -42,6 +41,11 @@ impl Comparison {
                 .flat_map(|score| ["", "-lo", "-hi", "-count"].map(|end| format!("{}{end}", score.name()))),
         );
         header.push("replayed".to_owned());
+        header
+    }
+
+    /// Returns CSV for programs: seconds, with all digits.
+    pub fn csv(&self) -> String {
         let row = |(index, line): (usize, &Line)| {
             let flag = |value: bool| u8::from(value).to_string();
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
@@ -92,6 +96,7 @@ impl Comparison {
             cells
         };
         let rows: Vec<Vec<String>> = self.lines.iter().enumerate().map(row).collect();
-        csv_text(&header.iter().map(String::as_str).collect::<Vec<_>>(), &rows)
+        let columns = Self::csv_columns();
+        csv_text(&self.axes.iter().chain(&columns).map(String::as_str).collect::<Vec<_>>(), &rows)
     }
 }

@@ -16,6 +16,21 @@ pub const FAIRNESS_MEANING: &str = "Fairness is Jain's index of the edges' rates
                                     of n edges gets everything.";
 
 impl Users {
+    /// Names of the columns of the CSV after the axes.
+    pub const CSV_COLUMNS: [&'static str; 11] = [
+        "edges",
+        "rate",
+        "rate-least",
+        "rate-most",
+        "fairness",
+        "count",
+        "total-mean",
+        "total-p50",
+        "total-p95",
+        "total-p99",
+        "replayed",
+    ];
+
     /// Returns the text for a terminal.
     pub fn text(&self) -> String {
         format!("{}\n\n{}", self.table().text(), self.notes().join("\n"))
@@ -33,9 +48,7 @@ impl Users {
 
     /// Returns CSV for programs: seconds and answers per second, with all digits.
     pub fn csv(&self) -> String {
-        let mut header: Vec<&str> = self.axes.iter().map(String::as_str).collect();
-        header.extend(["edges", "rate", "rate-least", "rate-most", "fairness", "count"]);
-        header.extend(["total-mean", "total-p50", "total-p95", "total-p99", "replayed"]);
+        let header: Vec<&str> = self.axes.iter().map(String::as_str).chain(Self::CSV_COLUMNS).collect();
         let number = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
         let row = |line: &UsersLine| {
             let mut cells = csv_labels(&line.labels);

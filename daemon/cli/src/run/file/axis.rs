@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use peernet_analysis::compare::Comparison;
+use peernet_analysis::users::Users;
 use peernet_external::exec::CommandLine;
 use serde::Deserialize;
 use toml::Value;
@@ -25,8 +27,8 @@ const VARIABLE_TABLES: [&str; 10] = [
 const VARIABLE_KEYS: [&str; 7] =
     ["episodes", "episode_steps", "warm_up", "iterations", "duration_s", "users", "patience_s"];
 
-/// Columns of the tables over all runs besides the axes and the latencies. An axis cannot have one of these names.
-const RESERVED_COLUMNS: [&str; 6] = ["runs", "count", "unanswered", "best", "tie", "edges"];
+/// Columns that a comparison adds to the axes if the axes do not distinguish the runs.
+const ADDED_COLUMNS: [&str; 3] = ["run", "repeat", "repeats"];
 
 /// `[[axis]]` as in the file.
 #[derive(Clone, Debug, Deserialize)]
@@ -75,7 +77,7 @@ pub(super) enum AxisError {
     Form,
     #[error("name: {0:?} contains a control character, which would break tables")]
     NameControl(String),
-    #[error("name: compare.csv already has a column named {0}; choose another name")]
+    #[error("name: tables of results already have a column named {0}; choose another name")]
     NameColumn(String),
     #[error(
         "the label {0:?} contains a control character, which would break tables; set another label with [[axis.value]]"
@@ -116,7 +118,8 @@ impl Axis {
         if name.contains(char::is_control) {
             return Err(AxisError::NameControl(name));
         }
-        if RESERVED_COLUMNS.contains(&name.as_str()) {
+        let mut columns = Users::CSV_COLUMNS.into_iter().chain(ADDED_COLUMNS);
+        if Comparison::csv_columns().contains(&name) || columns.any(|column| column == name) {
             return Err(AxisError::NameColumn(name));
         }
         if let Some(value) = values.iter().find(|value| value.label.contains(char::is_control)) {
@@ -248,6 +251,9 @@ mod tests {
                 r#"the label "b\nc" contains a control"#,
             ),
             ("name = \"a\\u001b\"\nfield = 'pipeline.x'\nvalues = [1]", "name: "),
+            ("name = 'superseded'\nfield = 'pipeline.x'\nvalues = [1]", "a column named superseded"),
+            ("name = 'rate'\nfield = 'pipeline.x'\nvalues = [1]", "a column named rate"),
+            ("name = 'run'\nfield = 'pipeline.x'\nvalues = [1]", "a column named run"),
         ] {
             let error = read(text).expect_err(text);
             assert!(error.to_string().contains(message), "{error}");

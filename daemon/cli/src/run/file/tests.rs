@@ -127,7 +127,7 @@ fn mistake_is_reported_with_file_key_and_axis() {
         ("[[axis]]\nname = 'A'\nfeld = 'x'\n", "axis[0].feld: unknown field"),
         (
             "[[axis]]\nname = 'count'\nfield = 'pipeline.timeout_ms'\nvalues = [1]\n",
-            "compare.csv already has a column named count",
+            "tables of results already have a column named count",
         ),
     ] {
         let error = read_error(more);
