@@ -1,8 +1,8 @@
 //! Names of the files in a result folder.
 
 /// File of the rows.
-pub(crate) const DATA: &str = "data.csv";
+pub const DATA: &str = "data.csv";
 /// File of the record, with everything but the rows.
-pub(crate) const RECORD: &str = "run.json";
+pub const RECORD: &str = "run.json";
 /// Files of the summary.
 pub(crate) const SUMMARIES: [&str; 3] = ["summary.md", "summary.csv", "summary.tex"];

@@ -6,7 +6,7 @@ use crate::exit::{Exit, Failure};
 use crate::output::print_to_stderr;
 use anyhow::anyhow;
 use peernet_analysis::loaded::Loaded;
-use peernet_results::{FolderError, ResultFolder};
+use peernet_results::{DATA, FolderError, ResultFolder};
 use peernet_statistics::number::counted;
 
 use super::excluded::ExclusionReasons;
@@ -220,7 +220,7 @@ fn find(path: &Path) -> Result<Vec<PathBuf>, Failure> {
 
 /// Returns the path to open for a file of rows: its folder for `FOLDER/data.csv`, else the file itself.
 fn path_to_open(file: &Path) -> &Path {
-    match file.parent().filter(|_| file.ends_with("data.csv")) {
+    match file.parent().filter(|_| file.ends_with(DATA)) {
         // An empty path is the current folder only as the beginning of a longer path.
         Some(folder) if folder == Path::new("") => Path::new("."),
         Some(folder) => folder,

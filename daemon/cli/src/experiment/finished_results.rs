@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use peernet_analysis::loaded::RowsDamage;
 use peernet_analysis::record::{Counts, RunRecord};
-use peernet_results::{FolderError, ResultFolder};
+use peernet_results::{FolderError, RECORD, ResultFolder};
 use peernet_stream::EndReason;
 
 use super::RunStatus;
@@ -47,7 +47,7 @@ pub(crate) fn result_dirs(run_dir: &Path, users: u32) -> impl Iterator<Item = Pa
 /// # Errors
 /// When the results are missing, cannot be read, are incomplete or are those of an unfinished run.
 pub(crate) fn load_finished_results(folder: &Path) -> Result<RunRecord, UnusableResults> {
-    if !folder.join("run.json").is_file() {
+    if !folder.join(RECORD).is_file() {
         return Err(UnusableResults::Missing);
     }
     let results = ResultFolder::open(folder)?;

@@ -11,15 +11,11 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use crate::output::print_to_stderr;
 use anyhow::Context;
-use peernet_results::ResultFolder;
+use peernet_results::{DATA, RECORD, ResultFolder};
 use tempfile::TempDir;
 
 /// Prefix of the folders that contain moved results.
 const PREFIX: &str = ".replaced-";
-/// The file that marks results as complete.
-const RECORD: &str = "run.json";
-/// The file with the rows.
-const DATA: &str = "data.csv";
 /// Beginnings of the names of files with rows of runs without results.
 const ROWS_WITHOUT_RESULTS: [&str; 2] = [KILLED_ROWS, UNFINISHED_ROWS];
 /// Beginning of the name of a file with the rows of a killed run.

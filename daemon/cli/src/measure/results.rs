@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
-use peernet_results::{FolderError, Overwrite, ResultFolder, RowWriter, WrittenResults};
+use peernet_results::{DATA, FolderError, Overwrite, ResultFolder, RowWriter, WrittenResults};
 
 use super::RunRequest;
 use super::previous_results::PreviousResultsGuard;
@@ -68,7 +68,7 @@ impl Results {
     /// Removes everything that was created for the run, because nothing was measured. Earlier results are restored.
     pub(super) fn discard(self) {
         // A file that remains does no harm.
-        let _ = std::fs::remove_file(self.path().join("data.csv"));
+        let _ = std::fs::remove_file(self.path().join(DATA));
         if self.is_created {
             let _ = std::fs::remove_dir(self.path());
         }
@@ -96,7 +96,7 @@ impl Results {
             Err(error) => {
                 let rows = previous_results.as_ref().and_then(PreviousResultsGuard::keep_rows);
                 let restored_note = previous_results.map_or_else(String::new, PreviousResultsGuard::restore);
-                let rows = rows.as_deref().unwrap_or("data.csv");
+                let rows = rows.as_deref().unwrap_or(DATA);
                 let trouble = format!("{error}; {rows} has the rows that fit{restored_note}");
                 WrittenFiles { folder: self.path().to_owned(), files: Vec::new(), trouble: Some(trouble) }
             }
