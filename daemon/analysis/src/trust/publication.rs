@@ -3,13 +3,10 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
-use peernet_statistics::number::counted;
+use peernet_statistics::number::{counted, list_first};
 use peernet_stream::Grade;
 
 use super::{Publish, Report, sign};
-
-/// Maximum number of runs that a sentence names.
-const MAX_NAMED_RUNS: usize = 8;
 
 /// A run with the report of each of its edges; `None` for an edge without a report.
 struct JudgedRun<'a> {
@@ -59,24 +56,19 @@ pub fn publication_caveats<'a>(
 ) -> Vec<(Grade, String)> {
     let runs = JudgedRun::from_edges(edges);
     let sentence = |verdict: Publish, grade: Grade, meaning: &str| {
-        let affected_runs: Vec<&JudgedRun<'_>> =
-            runs.iter().filter(|run| run.verdict() == Some(verdict)).collect();
-        if affected_runs.is_empty() {
+        let affected_runs = runs.iter().filter(|run| run.verdict() == Some(verdict));
+        let names: Vec<String> =
+            affected_runs.map(|run| format!("{} ({})", run.name, run.subjects(grade).join(", "))).collect();
+        if names.is_empty() {
             return None;
         }
-        let named = affected_runs.iter().take(MAX_NAMED_RUNS);
-        let mut names: Vec<String> =
-            named.map(|run| format!("{} ({})", run.name, run.subjects(grade).join(", "))).collect();
-        if affected_runs.len() > MAX_NAMED_RUNS {
-            names.push(format!("and {} more", affected_runs.len() - MAX_NAMED_RUNS));
-        }
-        let count = match (affected_runs.len(), runs.len()) {
+        let count = match (names.len(), runs.len()) {
             (1, 1) => "The run".to_owned(),
             (count, all) => format!("{count} of {all} runs"),
         };
         let text = format!(
             "{count} {meaning}: {}; the trust report of each run has the reasons and the advice.",
-            names.join(", ")
+            list_first(&names)
         );
         Some((grade, text))
     };
@@ -165,7 +157,7 @@ mod tests {
     fn unpublishable_runs_beyond_eight_are_counted() {
         let bad = report(Publish::No, &[("end", Grade::Bad)]);
         let sentences = publication_caveats((0..20).map(|run| (format!("#{run}"), Some(&bad))));
-        assert!(sentences[0].1.contains("#7 (end), and 12 more;"), "{sentences:?}");
+        assert!(sentences[0].1.contains("#7 (end) and 12 more;"), "{sentences:?}");
     }
 
     #[test]

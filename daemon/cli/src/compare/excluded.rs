@@ -4,12 +4,10 @@ use std::path::Path;
 
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
+use peernet_statistics::number::list_first;
 
 use super::experiment::Experiments;
 use super::selected_results::is_named;
-
-/// Maximum number of results in one note.
-const MAX_NAMED: usize = 8;
 
 /// Reason for excluding each result, in the order of the results; `None` if a result is compared.
 pub(super) struct ExclusionReasons(Vec<Option<Exclusion>>);
@@ -55,11 +53,7 @@ impl ExclusionReasons {
                     Some(format!("{} ({})", folder(index), describe(self.0[index].as_ref()?)?))
                 })
                 .collect();
-            let more = descriptions.len().saturating_sub(MAX_NAMED);
-            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-            let listed =
-                descriptions.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
-            (!descriptions.is_empty()).then(|| format!("excluded, {kind}: {listed}{more}"))
+            (!descriptions.is_empty()).then(|| format!("excluded, {kind}: {}", list_first(&descriptions)))
         };
         let unfinished = note("unfinished runs", &|exclusion| match exclusion {
             Exclusion::Unfinished(_)

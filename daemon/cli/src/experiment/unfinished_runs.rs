@@ -1,9 +1,8 @@
 //! Note on runs of an experiment that its tables and figures exclude because they are not finished.
 
-use super::RunStatus;
+use peernet_statistics::number::list_first;
 
-/// Maximum number of runs in the note.
-const MAX_NAMED: usize = 8;
+use super::RunStatus;
 
 /// Returns the note on the runs that tables and figures of an experiment lack: their folders and states. `None` if
 /// all are done. The note completes a sentence: `Shown without the runs of experiment e that are not done: 002
@@ -12,17 +11,14 @@ pub(crate) fn unfinished_runs_note<'a>(
     experiment: &str,
     runs: impl IntoIterator<Item = (&'a str, RunStatus)>,
 ) -> Option<String> {
-    let mut unfinished: Vec<String> = runs
+    let unfinished: Vec<String> = runs
         .into_iter()
         .filter(|(_, status)| !status.is_done())
         .map(|(folder, status)| format!("{folder} ({})", status.name()))
         .collect();
-    let more = unfinished.len().saturating_sub(MAX_NAMED);
-    unfinished.truncate(MAX_NAMED);
-    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    let unfinished = unfinished.join(", ");
-    (!unfinished.is_empty())
-        .then(|| format!("without the runs of experiment {experiment} that are not done: {unfinished}{more}"))
+    (!unfinished.is_empty()).then(|| {
+        format!("without the runs of experiment {experiment} that are not done: {}", list_first(&unfinished))
+    })
 }
 
 #[cfg(test)]

@@ -34,6 +34,9 @@ pub const SPACE: &str = "\u{202f}";
 /// Text for an uncertainty of exactly zero.
 pub const EXACT: &str = "exact";
 
+/// Maximum number of texts in a list.
+const MAX_LISTED: usize = 8;
+
 const MINUS: &str = "\u{2212}";
 
 /// Magnitude from which numbers are written with their power of ten.
@@ -99,6 +102,15 @@ pub fn counted(value: u64, noun: &str) -> String {
 /// Formats a count with its noun, whose plural does not end with `s` alone: `1 latency`, `2,000 latencies`.
 pub fn counted_with_plural(value: u64, singular: &str, plural: &str) -> String {
     format!("{} {}", count(value), if value == 1 { singular } else { plural })
+}
+
+/// Lists the first texts and the number of the others: `001, 002 and 12 more`.
+pub fn list_first(texts: &[String]) -> String {
+    let listed = texts[..texts.len().min(MAX_LISTED)].join(", ");
+    match texts.len().saturating_sub(MAX_LISTED) {
+        0 => listed,
+        others => format!("{listed} and {} more", count(others as u64)),
+    }
 }
 
 /// Returns the number of decimals with which `value` has `digits` significant digits.

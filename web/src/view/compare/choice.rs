@@ -1,15 +1,12 @@
 //! Choice of the runs that are drawn if there are too many runs to draw all of them.
 
-use peernet_statistics::number::count;
+use peernet_statistics::number::list_first;
 use peernet_store::RunSummary;
 
 use super::{Comparison, Configuration};
 
 /// Maximum number of runs that are drawn next to each other.
 const MAX_DRAWN_RUNS: usize = 24;
-
-/// Maximum number of runs that a sentence names.
-const MAX_NAMED_RUNS: usize = 8;
 
 /// A run with its configuration and its data to draw.
 pub(super) type ChosenRun<'a, T> = (&'a Configuration, &'a RunSummary, T);
@@ -41,13 +38,8 @@ pub(super) fn choose_runs<'a, T>(
 
 /// Returns a sentence about the runs that cannot be drawn because none of their iterations succeeded; `None` if there are no such runs.
 pub(super) fn unsuccessful_runs_sentence(comparison: &Comparison) -> Option<String> {
-    let runs: Vec<&RunSummary> = comparison.runs().filter(|run| run.counts.ok == 0).collect();
-    let numbers: Vec<String> =
-        runs.iter().take(MAX_NAMED_RUNS).map(|run| format!("#{}", run.number)).collect();
-    let more = match runs.len().saturating_sub(MAX_NAMED_RUNS) {
-        0 => String::new(),
-        more => format!(" and {} more", count(more as u64)),
-    };
-    (!runs.is_empty())
-        .then(|| format!("No successful iteration after the warm-up: {}{more}.", numbers.join(", ")))
+    let runs = comparison.runs().filter(|run| run.counts.ok == 0);
+    let numbers: Vec<String> = runs.map(|run| format!("#{}", run.number)).collect();
+    (!numbers.is_empty())
+        .then(|| format!("No successful iteration after the warm-up: {}.", list_first(&numbers)))
 }
