@@ -2,6 +2,7 @@
 
 use peernet_clock::Span;
 use peernet_logger::{Name, Recorder, Unit, stage};
+use peernet_statistics::histogram::OrderedValues;
 
 use super::answer::StreamedAnswer;
 
@@ -46,13 +47,13 @@ pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
             inference.record_timer(name, started_at, at);
         }
     }
-    let mut intervals = answer.chunk_intervals();
-    intervals.sort_unstable();
-    if let Some(longest) = intervals.last().copied() {
-        let sum: f64 = intervals.iter().map(|interval| interval.seconds()).sum();
-        inference.record_value(INTER_TOKEN_LATENCY, sum / intervals.len() as f64, Unit::SECONDS);
-        inference.record_value(INTER_TOKEN_LATENCY_P50, median(&intervals), Unit::SECONDS);
-        inference.record_value(INTER_TOKEN_LATENCY_MAX, longest.seconds(), Unit::SECONDS);
+    let mut intervals: Vec<f64> = answer.chunk_intervals().into_iter().map(Span::seconds).collect();
+    intervals.sort_unstable_by(f64::total_cmp);
+    if let (Some(median), Some(longest)) = (intervals.interpolated_quantile(0.5), intervals.last()) {
+        let mean = intervals.iter().sum::<f64>() / intervals.len() as f64;
+        inference.record_value(INTER_TOKEN_LATENCY, mean, Unit::SECONDS);
+        inference.record_value(INTER_TOKEN_LATENCY_P50, median, Unit::SECONDS);
+        inference.record_value(INTER_TOKEN_LATENCY_MAX, *longest, Unit::SECONDS);
     }
     inference.record_value(OUTPUT_CHUNKS, answer.chunk_count() as f64, Unit::NONE);
     let usage = answer.usage.unwrap_or_default();
@@ -88,10 +89,4 @@ pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
             inference.record_value(name, if reason == expected { 1.0 } else { 0.0 }, Unit::NONE);
         }
     }
-}
-
-/// Returns the median of sorted times, seconds; 0 if there are no times.
-fn median(sorted: &[Span]) -> f64 {
-    let at = |index: usize| sorted.get(index).map_or(0.0, |time| time.seconds());
-    f64::midpoint(at(sorted.len().saturating_sub(1) / 2), at(sorted.len() / 2))
 }
