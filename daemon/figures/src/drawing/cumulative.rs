@@ -1,8 +1,8 @@
 //! Figure of cumulative distributions: each quantity has a curve, which shows the share of iterations up to each value.
 
-use peernet_statistics::number::fixed;
+use peernet_statistics::number::count;
 
-use super::histogram::shown_range_of;
+use super::histogram::{beyond_remark, shown_range_of};
 use crate::look::{Mark, Style};
 use crate::plot::{Axis, Figure, Item, Key, Path, Plot, Swatch, Unit};
 use crate::scale::{Scale, ZERO_THRESHOLD, is_wide};
@@ -48,11 +48,14 @@ pub struct CumulativeCurve {
 }
 
 impl CumulativeCurve {
-    /// Returns the name of the curve and the number of its values above `max`, as text; `None` if no value is above
-    /// `max`.
-    fn count_beyond(&self, max: f64) -> Option<(&str, String)> {
-        let count = self.values.values().iter().filter(|value| **value > max).count();
-        (count > 0).then(|| (self.name.as_str(), fixed(count as f64, 0)))
+    /// Returns the number of values below and the number of values above the ends of an axis. The axis has `per_si` times
+    /// the values.
+    fn count_beyond(&self, (from, to): (f64, f64), per_si: f64) -> (u64, u64) {
+        let shown = || self.values.values().iter().map(|value| value * per_si);
+        (
+            shown().filter(|value| *value < from).count() as u64,
+            shown().filter(|value| *value > to).count() as u64,
+        )
     }
 }
 
@@ -91,22 +94,21 @@ impl Cumulative {
             for (index, (curve, _)) in self.shown_curves().enumerate() {
                 plot.items.extend(self.curve_items(&plot, index, curve));
             }
-            let (_, end) = scale.ends();
-            let counts_beyond: Vec<(&str, String)> = self
+            let (per_si, (from, to)) = (self.unit.per_si, scale.ends());
+            let counts: Vec<(&str, (u64, u64))> = self
                 .shown_curves()
-                .filter_map(|(curve, _)| curve.count_beyond(end / self.unit.per_si))
+                .map(|(curve, _)| (curve.name.as_str(), curve.count_beyond((from, to), per_si)))
+                .filter(|(_, beyond)| *beyond != (0, 0))
                 .collect();
-            if let [(_, count)] = counts_beyond.as_slice()
+            if let [(_, beyond)] = counts.as_slice()
                 && self.curves.len() == 1
             {
-                // The end needs no more decimals than three significant digits, so the spread is 0.
-                let end_text = self.unit.format_value(end / self.unit.per_si, 0.0);
-                plot.remark = Some(format!("{count} beyond {end_text} →"));
+                plot.remark = beyond_remark(*beyond, (from / per_si, to / per_si), &self.unit);
             }
-            if !counts_beyond.is_empty() {
-                let counts: Vec<String> =
-                    counts_beyond.iter().map(|(name, count)| format!("{count} of {name}")).collect();
-                notes.push(format!("beyond the axis: {}", counts.join(", ")));
+            if !counts.is_empty() {
+                let texts =
+                    counts.iter().map(|(name, (below, above))| format!("{} of {name}", count(below + above)));
+                notes.push(format!("beyond the axis: {}", texts.collect::<Vec<_>>().join(", ")));
             }
             plots.push(plot);
         }

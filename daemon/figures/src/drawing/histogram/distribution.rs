@@ -70,7 +70,7 @@ impl Distribution {
         let (quantile_items, label_rows) = self.quantile_items(&plot);
         plot.items.extend(quantile_items);
         plot.lines_above = label_rows;
-        plot.remark = self.remark();
+        plot.remark = beyond_remark(self.beyond, self.value_range(), &self.unit);
         plot
     }
 
@@ -178,16 +178,17 @@ impl Distribution {
         let rows = label_ends.iter().map(|(row, _)| row + 1).max().unwrap_or_default();
         (items, rows)
     }
+}
 
-    /// Returns the numbers of values outside of the bins: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`. `None` if all
-    /// values are in bins.
-    fn remark(&self) -> Option<String> {
-        let ((below, above), (from, to)) = (self.beyond, self.value_range());
-        let below =
-            (below > 0).then(|| format!("← {} below {}", count(below), self.unit.format_value(from, 0.0)));
-        let above =
-            (above > 0).then(|| format!("{} beyond {} →", count(above), self.unit.format_value(to, 0.0)));
-        let counts: Vec<String> = below.into_iter().chain(above).collect();
-        (!counts.is_empty()).then(|| counts.join(" · "))
-    }
+/// Returns the numbers of values below and above the ends of an axis: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`. `None`
+/// if all values are on the axis. The ends are in SI units.
+pub(in crate::drawing) fn beyond_remark(
+    (below, above): (u64, u64),
+    (from, to): (f64, f64),
+    unit: &Unit,
+) -> Option<String> {
+    let below = (below > 0).then(|| format!("← {} below {}", count(below), unit.format_value(from, 0.0)));
+    let above = (above > 0).then(|| format!("{} beyond {} →", count(above), unit.format_value(to, 0.0)));
+    let counts: Vec<String> = below.into_iter().chain(above).collect();
+    (!counts.is_empty()).then(|| counts.join(" · "))
 }

@@ -7,6 +7,7 @@ pub use bins::Bins;
 pub use distribution::{CountNoun, Distribution, View};
 
 pub(super) use bins::shown_range_of;
+pub(super) use distribution::beyond_remark;
 
 use peernet_statistics::number::count;
 

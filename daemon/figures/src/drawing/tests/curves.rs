@@ -61,6 +61,18 @@ fn values_beyond_axis_are_counted_per_curve() {
 }
 
 #[test]
+fn values_below_axis_are_counted_per_curve() {
+    let with_early_value =
+        |early_value: f64| millis((0..400).map(|i| 100.0 + f64::from(i % 50)).chain([early_value, 9e4]));
+    // All values but two lie between 100 and 149 ms, so the axis begins at 100 ms.
+    let single = cumulative(vec![with_early_value(0.1)]).svg();
+    assert!(has_text(&single, "← 1 below 100 ms · 1 beyond 149 ms →"), "{:?}", texts(&single));
+    let two = cumulative(vec![with_early_value(0.1), with_early_value(120.0)]);
+    let note = "beyond the axis: 2 of configuration 0, 1 of configuration 1";
+    assert!(two.caption_text().contains(note), "{}", two.caption_text());
+}
+
+#[test]
 fn curves_far_apart_have_logarithmic_axis() {
     let far_apart = cumulative(vec![millis([1.0, 1.1, 1.2]), millis([900.0, 910.0])]);
     assert!(has_text(&far_apart.svg(), "Total, ms (log scale)"), "{:?}", texts(&far_apart.svg()));
