@@ -6,6 +6,7 @@ use super::missing_data::MissingData;
 use super::replayed::title_with_marked_name;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Line, TimeSeries, Unit};
+use peernet_analysis::outcomes::failed_in_warm_up;
 use peernet_analysis::record::{Counts, RunRecord};
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 use peernet_analysis::total_column::TotalColumn;
@@ -53,6 +54,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         warm_up: warm_up_periods(rows.iter().map(|row| (time(row), row.warm_up()))),
         episode_starts: rows.iter().zip(rows.iter().skip(1)).filter_map(episode_start).collect(),
         failure_times,
+        failed_in_warm_up: failed_in_warm_up(rows),
     };
     Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
 }

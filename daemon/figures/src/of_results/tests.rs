@@ -467,6 +467,22 @@ fn series_has_totals_stages_warm_up_and_failed_iterations() {
 }
 
 #[test]
+fn series_counts_failures_of_warm_up_separately() {
+    let mut run = remote(60);
+    run.rows.change(|row| {
+        row.values.push(("total".into(), 20e-3));
+        // The iterations 1 to 5 are warm-up, and the iteration 7 is lost.
+        if row.iteration <= 2 {
+            row.outcome = Outcome::Failed;
+        }
+    });
+    let drawings = series::drawings(&run.record, &run.rows).expect("there is a total");
+    let AnyFigure::TimeSeries(time_series) = &drawings[0].figure else { panic!("a time series") };
+    let svg = file::svg(&time_series.figure());
+    assert!(svg.contains("failed (1, and 2 in the warm-up)"), "{svg}");
+}
+
+#[test]
 fn experiment_has_figures_for_which_it_has_data() {
     let folder = tempfile::tempdir().expect("a folder");
     let runs = [placed("s", "local", 20.0), placed("s", "remote", 4.0)];

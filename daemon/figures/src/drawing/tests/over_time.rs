@@ -14,6 +14,7 @@ fn time_series(total: Vec<(f64, f64)>) -> TimeSeries {
         warm_up: vec![(0.0, 5.0)],
         episode_starts: vec![40.0, 70.0],
         failure_times: vec![20.0, 55.0, 55.001],
+        failed_in_warm_up: 0,
         notes: vec!["n = 9".to_owned()],
     }
 }

@@ -2,7 +2,7 @@
 
 mod bins;
 
-use peernet_statistics::number::fixed;
+use peernet_statistics::number::count;
 
 use super::histogram::shown_range_of;
 use crate::look::{INK, Mark, Style, stage};
@@ -49,8 +49,10 @@ pub struct TimeSeries {
     pub warm_up: Vec<(f64, f64)>,
     /// Start times of all episodes except the first.
     pub episode_starts: Vec<f64>,
-    /// Times of failed iterations.
+    /// Times of failed iterations, also of those in the warm-up.
     pub failure_times: Vec<f64>,
+    /// Number of failed iterations in the warm-up.
+    pub failed_in_warm_up: u64,
     /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
@@ -112,7 +114,12 @@ impl TimeSeries {
             keys.push(Key::new(Swatch::Area(Style::shade()), "warm-up"));
         }
         if !self.failure_times.is_empty() {
-            let text = format!("failed ({})", fixed(self.failure_times.len() as f64, 0));
+            let failed = (self.failure_times.len() as u64).saturating_sub(self.failed_in_warm_up);
+            let in_warm_up = match self.failed_in_warm_up {
+                0 => String::new(),
+                failed => format!(", and {} in the warm-up", count(failed)),
+            };
+            let text = format!("failed ({}{in_warm_up})", count(failed));
             keys.push(Key::new(Swatch::Mark(Mark::Cross, Style::failed_iteration()), text));
         }
         if self.has_borders() {
@@ -236,8 +243,8 @@ impl TimeSeries {
     fn remark(&self, end: f64) -> Option<String> {
         let max_shown = end / self.unit.per_si;
         let beyond = self.total.values.iter().filter(|(_, value)| *value > max_shown).count();
-        let count = fixed(beyond as f64, 0);
-        (beyond > 0).then(|| format!("{count} beyond {}", self.unit.format_value(max_shown, 0.0)))
+        (beyond > 0)
+            .then(|| format!("{} beyond {}", count(beyond as u64), self.unit.format_value(max_shown, 0.0)))
     }
 }
 
