@@ -3,7 +3,7 @@
 use peernet_analysis::compare::LatencyBar;
 use peernet_analysis::stage_split::part_order;
 use peernet_logger::Name;
-use peernet_statistics::number::fixed;
+use peernet_statistics::number::mean_std;
 
 use super::stack::Orientation;
 use super::stage_bar::{BarPlace, StageBar, StagePart};
@@ -81,14 +81,9 @@ impl Bar {
         (negative_sum.min(self.total), positive_sum.max(self.total + self.std.unwrap_or_default()))
     }
 
-    /// Returns the total with its standard deviation: `22.4 ± 2.1`.
-    fn total_text(&self, unit: &Unit) -> String {
-        let decimals = peernet_statistics::number::decimals(self.total * unit.per_si, 3).min(3);
-        let total = fixed(self.total * unit.per_si, decimals);
-        match self.std {
-            Some(std) => format!("{total} ± {}", fixed(std * unit.per_si, decimals)),
-            None => total,
-        }
+    /// Returns the total with its standard deviation in ms: `22.4 ± 2.1`.
+    fn total_text(&self) -> String {
+        mean_std(self.total, self.std)
     }
 }
 
@@ -141,7 +136,7 @@ impl Stacked {
         let fits = |text: &str, size: f64| width(text, size) <= room;
         self.bars.len() <= MAX_UPRIGHT_BARS
             && self.bars.iter().all(|bar| {
-                bar.label.split(", ").all(|line| fits(line, TEXT)) && fits(&bar.total_text(&self.unit), SMALL)
+                bar.label.split(", ").all(|line| fits(line, TEXT)) && fits(&bar.total_text(), SMALL)
             })
     }
 
@@ -185,7 +180,7 @@ impl Stacked {
             plot.items.extend(items);
             let label = Label::new(
                 Orientation::Vertical.at(values.at(end), middle(index)),
-                bar.total_text(&self.unit),
+                bar.total_text(),
                 TextStyle::MARK,
             );
             plot.items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, -0.35)));
@@ -215,9 +210,7 @@ impl Stacked {
             );
             plot.items.extend(items);
             let at = Orientation::Horizontal.at(values.at(end), middle(index));
-            plot.items.push(Item::Text(
-                Label::new(at, bar.total_text(&self.unit), TextStyle::MARK).shifted(0.4, 0.36),
-            ));
+            plot.items.push(Item::Text(Label::new(at, bar.total_text(), TextStyle::MARK).shifted(0.4, 0.36)));
         }
         plot
     }
@@ -229,7 +222,7 @@ impl Stacked {
         let available_width = WIDTH - NAME_DISTANCE - names_width.min(MAX_NAME_WIDTH);
         // Maximum width of the plot at which a bar and the text of its total fit into the available width.
         let max_plot_width = |bar: &Bar| {
-            let total_width = width(&bar.total_text(&self.unit), SMALL) + TOTAL_DISTANCE;
+            let total_width = width(&bar.total_text(), SMALL) + TOTAL_DISTANCE;
             // The minimum avoids a division by zero for a bar without length.
             (available_width - total_width) / values.at(bar.range().1 * self.unit.per_si).max(0.1)
         };

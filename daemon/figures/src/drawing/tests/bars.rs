@@ -131,7 +131,7 @@ fn parts_are_consecutive_and_proportional() {
     let width = |areas: &Elements| areas.numbers("width")[0];
     assert!((width(&upload) / width(&sensing) - 4.0).abs() < 0.1, "{svg}");
     assert!((sensing.numbers("x")[0] + width(&sensing) - upload.numbers("x")[0]).abs() < 0.2);
-    for text in ["100 ± 5", "30.0", "sensing", "upload", "inference", "Latency, ms", "b"] {
+    for text in ["100.0 ± 5.0", "30.0", "sensing", "upload", "inference", "Latency, ms", "b"] {
         assert!(has_text(&svg, text), "{text} in {:?}", texts(&svg));
     }
     assert!(figure.caption_text().contains("configurations: network"), "{}", figure.caption_text());
