@@ -2,7 +2,7 @@
 
 use peernet_clock::SharedClock;
 use peernet_logger::Recorder;
-use peernet_sample::Sample;
+use peernet_sample::Classification;
 use serde::{Deserialize, Serialize};
 
 use crate::{Action, Actuator, ActuatorError, ActuatorKind, Feedback};
@@ -25,27 +25,15 @@ impl ActuatorKind for LogActuatorConfig {
 /// Actuator that logs one line per answer: label and score of a classification, and the size of any other answer.
 struct LogActuator;
 
-/// Keys of a classifier's answer that are logged.
-#[derive(Debug, PartialEq, Deserialize)]
-struct Classification {
-    label: String,
-    score: f64,
-}
-
 impl Actuator for LogActuator {
     fn act(&mut self, action: Action<'_>, _recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
         let Action { answer, source, .. } = action;
-        match classification(answer) {
+        match answer.classification() {
             Some(Classification { label, score }) => tracing::info!(source, label, score, "answer"),
             None => tracing::info!(source, bytes = answer.payload_bytes(), "answer"),
         }
         Ok(Feedback::default())
     }
-}
-
-/// Reads an answer as a classification; returns `None` for other answers, which may be JSON as well.
-fn classification(answer: &Sample) -> Option<Classification> {
-    serde_json::from_slice(answer.json()?).ok()
 }
 
 #[cfg(test)]
@@ -55,7 +43,7 @@ mod tests {
 
     use peernet_clock::{ClockIdentity, ManualClock, WallTime};
     use peernet_logger::HostId;
-    use peernet_sample::{Description, MediaType};
+    use peernet_sample::{Description, MediaType, Sample};
 
     use super::*;
 

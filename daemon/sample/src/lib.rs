@@ -17,6 +17,7 @@ pub use objects_label::{LabelledObject, ObjectsLabel};
 pub use printable::{escaped_line, printable_line, printable_lines};
 
 use bytes::Bytes;
+use serde::Deserialize;
 
 /// Sample of a sensor, or answer of a model, with its payload.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,6 +39,15 @@ pub struct Part {
     pub bytes: Bytes,
 }
 
+/// Class and score of a classifier's answer.
+#[derive(Debug, Deserialize)]
+pub struct Classification {
+    /// Best class.
+    pub label: String,
+    /// Score of the best class.
+    pub score: f64,
+}
+
 impl Sample {
     /// Creates a sample of one part, without source and label.
     pub fn from_part(description: Description, bytes: Bytes) -> Self {
@@ -48,6 +58,11 @@ impl Sample {
     pub fn json(&self) -> Option<&[u8]> {
         let part = self.parts.first().filter(|part| part.description.media == MediaType::Json)?;
         Some(&part.bytes)
+    }
+
+    /// Returns an answer as a classification; `None` for other answers, which may be JSON as well.
+    pub fn classification(&self) -> Option<Classification> {
+        serde_json::from_slice(self.json()?).ok()
     }
 
     /// Returns the number of payload bytes of all parts.

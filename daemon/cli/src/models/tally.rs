@@ -4,20 +4,12 @@ use peernet_analysis::accuracy::ScoredAnswer;
 use peernet_analysis::accuracy::detection::{DetectionScores, PictureObjects};
 use peernet_analysis::accuracy::segmentation::SegmentedPixels;
 use peernet_logger::Tree;
-use peernet_sample::{Description, Sample};
+use peernet_sample::{Classification, Description, Sample};
 use peernet_sensors::{SensorError, read_mask};
 use peernet_statistics::number::{count, counted, fixed, share};
-use serde::Deserialize;
 
 /// Longest answer that is shown, bytes.
 const MAX_SHOWN_BYTES: usize = 2_000;
-
-/// Parts of a classifier's answer that the check shows.
-#[derive(Deserialize)]
-struct Classification {
-    label: String,
-    score: f64,
-}
 
 /// Comparison of all answers so far with their labels.
 #[derive(Default)]
@@ -97,13 +89,11 @@ impl Tally {
 /// Returns an answer as text: class and score of a classification, other JSON as it is, and a description of other
 /// parts.
 pub(super) fn describe(answer: &Sample) -> String {
-    if let Some(json) = answer.json() {
-        if let Ok(Classification { label, score }) = serde_json::from_slice(json) {
-            return format!("{label} ({})", fixed(score, 3));
-        }
-        if json.len() <= MAX_SHOWN_BYTES {
-            return String::from_utf8_lossy(json).into_owned();
-        }
+    if let Some(Classification { label, score }) = answer.classification() {
+        return format!("{label} ({})", fixed(score, 3));
+    }
+    if let Some(json) = answer.json().filter(|json| json.len() <= MAX_SHOWN_BYTES) {
+        return String::from_utf8_lossy(json).into_owned();
     }
     let part = |Description { media, shape, element }: &Description| {
         let shape = shape.iter().map(u32::to_string).collect::<Vec<_>>().join(" × ");
