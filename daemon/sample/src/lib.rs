@@ -13,7 +13,7 @@ mod printable;
 pub use description::{Description, ElementType, MediaType, PixelFormat};
 pub use label::{list_examples, normalized_label};
 pub use mask_label::MaskLabel;
-pub use objects_label::{LabelledObject, ObjectsLabel};
+pub use objects_label::{LabelledObject, ObjectsLabel, iou};
 pub use printable::{escaped_line, printable_line, printable_lines};
 
 use bytes::Bytes;

@@ -50,6 +50,15 @@ impl LabelledObject {
     }
 }
 
+/// Returns the area of the intersection of two boxes divided by the area of their union, from 0 to 1; 0 if both boxes
+/// are empty. Each box has its left, top, right and bottom edge.
+pub fn iou(a: [f64; 4], b: [f64; 4]) -> f64 {
+    let area = |[left, top, right, bottom]: [f64; 4]| (right - left).max(0.0) * (bottom - top).max(0.0);
+    let common = area([a[0].max(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].min(b[3])]);
+    let union = area(a) + area(b) - common;
+    if union > 0.0 { common / union } else { 0.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -7,7 +7,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use peernet_sample::{ObjectsLabel, normalized_label};
+use peernet_sample::{ObjectsLabel, iou, normalized_label};
 use serde::Deserialize;
 
 /// Names of the scores of an iteration with labelled boxes: the mean average precision of its picture, and the mean overlap of the found
@@ -169,14 +169,6 @@ fn area_under_curve(are_right: &[bool], labelled: usize) -> f64 {
         area += largest;
     }
     area / labelled as f64
-}
-
-/// Returns the ratio of intersection to union of two boxes, from 0 to 1.
-fn iou(a: [f64; 4], b: [f64; 4]) -> f64 {
-    let area = |[left, top, right, bottom]: [f64; 4]| (right - left).max(0.0) * (bottom - top).max(0.0);
-    let common = area([a[0].max(b[0]), a[1].max(b[1]), a[2].min(b[2]), a[3].min(b[3])]);
-    let union = area(a) + area(b) - common;
-    if union > 0.0 { common / union } else { 0.0 }
 }
 
 #[cfg(test)]

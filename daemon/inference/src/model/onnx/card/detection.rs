@@ -30,7 +30,7 @@ pub(in crate::model::onnx) struct Detection {
     pub(in crate::model::onnx) score_threshold: f32,
     /// If two boxes of one class have a higher ratio of intersection to union, the box with the lower score is dropped.
     /// `None`: all boxes are kept.
-    pub(in crate::model::onnx) iou_threshold: Option<f32>,
+    pub(in crate::model::onnx) iou_threshold: Option<f64>,
     /// Maximum number of objects in an answer. Objects with the highest scores are reported.
     pub(in crate::model::onnx) max_detections: usize,
 }
@@ -180,7 +180,7 @@ impl TryFrom<DetectionTable> for Detection {
             box_format: table.box_format.unwrap_or(default_format),
             box_unit: table.box_unit.unwrap_or(default_unit),
             score_threshold: table.score_threshold as f32,
-            iou_threshold: table.iou_threshold.or(default_iou).map(|iou| iou as f32),
+            iou_threshold: table.iou_threshold.or(default_iou),
             max_detections: table.max_detections,
             labels: table.labels.clone(),
             outputs: table.into_outputs()?,

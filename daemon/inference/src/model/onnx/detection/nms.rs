@@ -1,5 +1,7 @@
 //! Boxes, their overlap, and the suppression of boxes that show the same object.
 
+use peernet_sample::iou;
+
 /// Rectangle along the axes, in pixels of the model's input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::model::onnx) struct Rectangle {
@@ -18,28 +20,17 @@ pub(in crate::model::onnx) struct Candidate {
 }
 
 impl Rectangle {
-    fn area(self) -> f32 {
-        (self.right - self.left).max(0.0) * (self.bottom - self.top).max(0.0)
-    }
-
-    /// Returns the area of the intersection divided by the area of the union; 0 if both rectangles are empty.
-    pub(super) fn overlap(self, other: Self) -> f32 {
-        let intersection = Self {
-            left: self.left.max(other.left),
-            top: self.top.max(other.top),
-            right: self.right.min(other.right),
-            bottom: self.bottom.min(other.bottom),
-        };
-        let common = intersection.area();
-        let union = self.area() + other.area() - common;
-        if union > 0.0 { common / union } else { 0.0 }
+    /// Returns the [`iou`] of two rectangles.
+    pub(super) fn overlap(self, other: Self) -> f64 {
+        let edges = |Self { left, top, right, bottom }: Self| [left, top, right, bottom].map(f64::from);
+        iou(edges(self), edges(other))
     }
 }
 
 /// Sorts candidates by score and keeps the best ones, at most `max_kept`. A candidate is dropped if its overlap with a
 /// kept candidate of the same class is above `iou_threshold` (greedy non-maximum suppression, as torchvision's
 /// `batched_nms`).
-pub(super) fn keep_best(candidates: &mut Vec<Candidate>, iou_threshold: Option<f32>, max_kept: usize) {
+pub(super) fn keep_best(candidates: &mut Vec<Candidate>, iou_threshold: Option<f64>, max_kept: usize) {
     // The sort is stable: candidates with equal scores stay in the order of the model.
     candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
     if let Some(threshold) = iou_threshold {
