@@ -124,11 +124,12 @@ fn visit(tree: &Tree, index: usize, both_ways: Option<f64>) -> Option<Visit> {
     });
     let delay_value = |transit: &Transit| Some(transit.delay.as_ref()?.value?.seconds());
     let both_delays = download.and_then(|(_, back)| Some(delay_value(request)? + delay_value(back)?));
-    // The measured sum and the sum of the delays are valid even if a wall clock was stepped during the iteration.
-    // `transport()` subtracts stamps of the edge's wall clock and is then wrong, so it is used only if both sums are
-    // unknown.
-    let network =
-        answer.and(both_ways.or(both_delays).or_else(|| tree.stages().transport().map(Span::seconds)));
+    // The measured sum and the sum of the delays are valid even if a wall clock was stepped during the iteration. The
+    // difference of the stamps may be that of wall clocks, so it is used only if both sums are unknown.
+    let network = answer.and_then(|(start, received_at)| {
+        let by_stamps = received_at - sent_at - start.seconds();
+        both_ways.or(both_delays).or_else(|| Some(by_stamps).filter(|sum| *sum >= 0.0))
+    });
 
     let delay = request.delay.as_ref();
     let (arrival, shift) = match (delay.and_then(|delay| delay.value), delay.and_then(|delay| delay.bounds)) {

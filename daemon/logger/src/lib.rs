@@ -7,7 +7,6 @@
 //! - [`Tree`]: the nodes of one iteration on all hosts that took part; [`limits`]: the maximum size of a tree.
 //! - [`Recorder`]: builds a tree while an iteration runs. Its guards close the nodes that they opened. Programs can add
 //!   custom instruments ([`Meter`]).
-//! - [`Stages`]: durations and sums of the stages of a finished tree.
 //! - [`wire`], `text`, [`csv`]: the binary form, the text for people, and the row of a table.
 
 pub mod csv;
@@ -18,7 +17,6 @@ mod measure;
 mod meter;
 mod name;
 mod recorder;
-mod stages;
 mod text;
 mod tree;
 mod tree_error;
@@ -30,7 +28,6 @@ pub use measure::{Measure, Rate, RawStamps, Transit};
 pub use meter::Meter;
 pub use name::{Name, Unit, stage};
 pub use recorder::{MeterGuard, Recorder, TimerGuard, TokenGuard};
-pub use stages::Stages;
 pub use text::Text;
 pub use tree::{Anchor, HostIndex, Node, NodeId, Tree, TreeDelta};
 pub use tree_error::TreeError;
