@@ -1,5 +1,7 @@
 //! Tests of closed loops on one host: numbers, warm-up, limits, episodes, the tree.
 
+use peernet_analysis::rows::FIXED_COLUMNS;
+use peernet_external::exec::{ReplyAssembler, Role};
 use peernet_stream::{EndReason, Outcome, PipelineState, PlacementKind};
 
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, assert_contiguous, value};
@@ -171,4 +173,13 @@ async fn pipeline_that_only_senses_runs_until_total() {
     assert_eq!(agent.pipeline().placement, *placement);
     assert_eq!(received_events.run_ends()[0].reason, EndReason::Finished);
     agent.stop().await.expect("stops well");
+}
+
+#[test]
+fn program_cannot_report_columns_of_results() {
+    for (name, _) in FIXED_COLUMNS {
+        let line = format!("value {name} 1");
+        let refusal = ReplyAssembler::new(Role::Model).push_line(line.as_bytes()).expect_err(name);
+        assert!(refusal.to_string().contains("a reserved name"), "{refusal}");
+    }
 }

@@ -2,9 +2,9 @@
 
 use super::{FramingError, REWARD_FORM, SUCCESS_FORM};
 
-/// Names of nodes that PEERNet itself records, which programs must not use.
+/// Names of nodes that PEERNet itself records, and of the columns that every `data.csv` has. Programs must not use them.
 // Statistics group nodes by name: the figures of a program would be mixed with PEERNet's own.
-const RESERVED_NAMES: [&str; 51] = [
+const RESERVED_NAMES: [&str; 69] = [
     "iteration",
     "sensing",
     "capture",
@@ -31,6 +31,20 @@ const RESERVED_NAMES: [&str; 51] = [
     "download-logger-bytes",
     "upload-throughput",
     "download-throughput",
+    "upload-throughput-lo",
+    "upload-throughput-hi",
+    "download-throughput-lo",
+    "download-throughput-hi",
+    "upload-raw",
+    "upload-lo",
+    "upload-hi",
+    "upload-verdict",
+    "upload-source",
+    "download-raw",
+    "download-lo",
+    "download-hi",
+    "download-verdict",
+    "download-source",
     "skipped-nodes",
     "skipped-starts",
     "lateness",
@@ -43,8 +57,12 @@ const RESERVED_NAMES: [&str; 51] = [
     "first-part",
     "first-part-download",
     "batch-size",
-    "outcome",
+    "at",
+    "episode",
+    "step",
     "warm-up",
+    "outcome",
+    "reason",
     "map-50",
     "mean-iou",
     "top-1",
