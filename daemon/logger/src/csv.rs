@@ -9,6 +9,10 @@
 //! Later iterations may have nodes that earlier iterations do not have. A first pass over the trees therefore collects
 //! the columns, and a second pass writes the rows, so that memory does not grow with the number of rows.
 
+mod reading_rules;
+
+pub use reading_rules::{PUBLISHED_WARM_UP_ROWS, column_name, ends_with_line, is_warm_up};
+
 use std::collections::{HashMap, HashSet};
 use std::io;
 

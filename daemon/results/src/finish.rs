@@ -10,10 +10,10 @@ use peernet_analysis::WriteError;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{FIXED_COLUMNS, RowRef, Rows};
 use peernet_analysis::summary::Summary;
+use peernet_logger::csv::ends_with_line;
 
 use super::cells::Header;
 use super::file_names::{DATA, RECORD, SUMMARIES};
-use super::parse::ends_with_line;
 use super::summary::{csv, latex, markdown};
 
 /// Location of the written results.

@@ -1,7 +1,6 @@
 //! Parser of `data.csv`.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 use peernet_analysis::rows::{
@@ -9,6 +8,7 @@ use peernet_analysis::rows::{
     published_stages, without_value_suffix,
 };
 use peernet_clock::{DelaySource, Verdict};
+use peernet_logger::csv::{column_name, ends_with_line, is_warm_up};
 
 /// Defect of a file of rows.
 #[derive(Debug, thiserror::Error)]
@@ -59,7 +59,7 @@ impl RowParser {
         let mut reader = csv::Reader::from_reader(file);
         let kind = |name: &str| FIXED_COLUMNS.iter().find(|(fixed, _)| *fixed == name).map(|(_, kind)| *kind);
         let column_parser = |name: &str| {
-            let name = without_value_suffix(name.trim());
+            let name = column_name(name);
             ColumnParser {
                 name: column(name),
                 kind: kind(name),
@@ -116,12 +116,12 @@ impl RowParser {
                     .ok_or_else(|| invalid_cell("an outcome, verdict or source"))?;
                 continue;
             }
+            if column_parser.name == "warm-up" {
+                row.warm_up = is_warm_up(cell).ok_or_else(|| invalid_cell("a number"))?;
+                continue;
+            }
             let number = match cell.parse::<f64>() {
                 Ok(number) => number,
-                // The CSV export of earlier dashboards writes truth values.
-                Err(_) if column_parser.name.as_ref() == "warm-up" && ["true", "false"].contains(&cell) => {
-                    f64::from(u8::from(cell == "true"))
-                }
                 // A text in a column that a person added is ignored.
                 Err(_) if column_parser.kind.is_none() => continue,
                 Err(_) => return Err(invalid_cell("a number")),
@@ -130,7 +130,6 @@ impl RowParser {
                 stages[stage] = Some(number);
             }
             match column_parser.name.as_ref() {
-                "warm-up" => row.warm_up = number != 0.0,
                 // 0 means that the start was not recorded.
                 "at" if number == 0.0 => {}
                 _ if column_parser.is_wanted && column_parser.is_meaningful(number) => {
@@ -192,15 +191,4 @@ fn store_text(
         _ => row.reason = Some(text.to_owned()),
     }
     Some(())
-}
-
-/// Returns whether the file ends with a complete line. Afterwards the file is read from its beginning.
-pub(crate) fn ends_with_line(file: &mut File) -> std::io::Result<bool> {
-    let mut last_byte = [0];
-    if file.metadata()?.len() > 0 {
-        file.seek(SeekFrom::End(-1))?;
-        file.read_exact(&mut last_byte)?;
-        file.rewind()?;
-    }
-    Ok(last_byte == *b"\n")
 }

@@ -8,14 +8,11 @@ use peernet_analysis::deadline::Misses;
 use peernet_analysis::loaded::{Loaded, NO_RECORD};
 use peernet_analysis::record::{Clocks, Counts, RunRecord};
 use peernet_analysis::rows::Rows;
+use peernet_logger::csv::PUBLISHED_WARM_UP_ROWS;
 
 use super::FolderError;
 use super::file_names::{DATA, RECORD};
 use super::parse::RowParser;
-
-/// Number of rows at the beginning of a run that the figures of the paper leave out. These rows are the warm-up if a file
-/// has neither a record nor warm-up flags.
-const PUBLISHED_WARM_UP_ROWS: usize = 5;
 
 /// Reads results, with the columns that `wanted` accepts.
 pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {

@@ -105,7 +105,7 @@ fn recorded_latencies_are_replayed_from_file() {
 #[test]
 fn latency_is_replayed_from_several_columns() {
     let folder = tempfile::tempdir().expect("a folder");
-    let text = "preprocessing,inference,postprocessing\n0.25,0.125,0.001\n0.125,0.125,0.001\n";
+    let text = "preprocessing,inference,postprocessing,warm-up\n0.25,0.125,0.001,0\n0.125,0.125,0.001,0\n";
     fs::write(folder.path().join("data.csv"), text).expect("written");
     let table = |more: &str| {
         format!(

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use csv::StringRecord;
+use peernet_logger::csv::{PUBLISHED_WARM_UP_ROWS, is_warm_up};
 use peernet_logger::stage;
 
 use super::columns::Columns;
@@ -32,12 +33,13 @@ pub(super) struct RecordedLatencies {
 
 /// Reads the latencies in a `data.csv`. A latency is the sum of the cells that a row has in `columns`; if one of these
 /// cells is empty, the row has no latency. Only iterations that are in the statistics count: they have an answer and
-/// are not warm-up. If the file has no columns for outcome and warm-up, all iterations count; the program that was
-/// published with the paper writes such files.
+/// are not warm-up. The program that was published with the paper writes files without columns for outcome and warm-up.
+/// Of such a file, all iterations count except the first [`PUBLISHED_WARM_UP_ROWS`].
 ///
 /// # Errors
 /// If the file is not a regular file or cannot be read; if a column is missing or occurs twice; if a row is too long;
-/// if one of its cells in `columns` is neither empty nor a latency; or if no row has a latency.
+/// if one of its cells in `columns` is neither empty nor a latency; if a cell that marks the warm-up is no truth value;
+/// or if no row has a latency.
 pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedLatencies, LoadError> {
     let file_error = |reason: String| LoadError::File { file: file.to_owned(), reason };
     let mut rows = LatencyRows::open(file).map_err(file_error)?;
@@ -54,11 +56,16 @@ pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedL
         (position_of("outcome").map_err(file_error)?, position_of("warm-up").map_err(file_error)?);
     let mut omitted = omitted_stages(columns, position_of).map_err(file_error)?;
     let mut latencies = Vec::new();
-    while let Some((line, record)) = rows.next_row().map_err(file_error)? {
+    for index in 0.. {
+        let Some((line, record)) = rows.next_row().map_err(file_error)? else { break };
         let cell = |position: Option<usize>| position.and_then(|position| record.get(position));
-        let is_in_statistics = cell(outcome_position).is_none_or(|outcome| outcome == "ok")
-            && cell(warm_up_position).is_none_or(|warm_up| warm_up == "0");
-        if !is_in_statistics {
+        let is_warm_up = match cell(warm_up_position) {
+            Some(cell) => is_warm_up(cell).ok_or_else(|| {
+                file_error(format!("line {line}, column warm-up: {cell:?} is not a number"))
+            })?,
+            None => index < PUBLISHED_WARM_UP_ROWS,
+        };
+        if is_warm_up || cell(outcome_position).is_some_and(|outcome| !["", "ok"].contains(&outcome.trim())) {
             continue;
         }
         let sum = sum_of_cells(&record, &value_positions)
@@ -76,9 +83,13 @@ pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedL
         }
     }
     if latencies.is_empty() {
+        let warm_up =
+            format!("the warm-up (without the column warm-up: the first {PUBLISHED_WARM_UP_ROWS} rows)");
         let reason = match columns.names() {
-            [column] => format!("its column {column} has no number in a row with an answer"),
-            _ => format!("no row with an answer has a number in each of the columns {columns}"),
+            [column] => format!("its column {column} has no number in a row with an answer after {warm_up}"),
+            _ => format!(
+                "its columns {columns} do not all have a number in any row with an answer after {warm_up}"
+            ),
         };
         return Err(file_error(reason));
     }
@@ -142,7 +153,7 @@ fn sum_of_cells(record: &StringRecord, positions: &[usize]) -> Result<Option<f64
 
 /// Returns the latency in a cell, seconds; `None` if the cell is empty.
 fn latency_in_cell(record: &StringRecord, position: usize) -> Result<Option<f64>, String> {
-    let cell = record.get(position).unwrap_or_default();
+    let cell = record.get(position).unwrap_or_default().trim();
     if cell.is_empty() {
         return Ok(None);
     }
@@ -186,24 +197,46 @@ mod tests {
     }
 
     #[test]
-    fn published_file_is_read_without_unfinished_line() {
-        assert_eq!(read("iteration,inference\n1,0.5\n2,0.25\n3,0.7", "inference"), Ok(vec![0.5, 0.25]));
-        assert_eq!(read("iteration,inference\n1,0.5\n2", "inference"), Ok(vec![0.5]));
+    fn unfinished_line_is_left_out() {
+        let text = "iteration,inference,warm-up,outcome\n1,0.5,0,ok\n2,0.25,0,ok\n";
+        for unfinished_line in ["3,0.7,0,ok", "3,0.7", "3"] {
+            assert_eq!(read(&format!("{text}{unfinished_line}"), "inference"), Ok(vec![0.5, 0.25]));
+        }
+    }
+
+    #[test]
+    fn same_rows_count_as_in_results() {
+        // A file of the paper's program: the first five rows are the warm-up, and its last line may lack the line feed.
+        let published =
+            "iteration, inference_val ,inference_head\n1,9,9\n2,9,9\n3,9,9\n4,9,9\n5,9,9\n6,0.5,9\n7,0.25,9";
+        assert_eq!(read(published, "inference"), Ok(vec![0.5, 0.25]));
+        let export_of_dashboard =
+            "iteration,warm-up,outcome,total\n1,true,ok,9\n2,false,ok,0.5\n3,false,lost,\n";
+        assert_eq!(read(export_of_dashboard, "total"), Ok(vec![0.5]));
+        let error = read(&export_of_dashboard.replace("true", "maybe"), "total").expect_err("no truth value");
+        assert!(error.contains("line 2, column warm-up: \"maybe\" is not a number"), "{error}");
     }
 
     #[test]
     fn file_without_latencies_is_refused_with_reason() {
         for (text, reason) in [
             ("iteration,total\n1,0.5\n", "it has no column inference; it has iteration, total"),
-            ("iteration,inference\n1,\n", "its column inference has no number"),
+            (
+                "inference,warm-up\n,0\n0.1,1\n",
+                "its column inference has no number in a row with an answer after the warm-up",
+            ),
+            (
+                "iteration,inference\n1,0.1\n",
+                "after the warm-up (without the column warm-up: the first 5 rows)",
+            ),
             ("inference,a,inference\n0.1,0,0.2\n", "it has several columns inference"),
             ("inference,outcome,outcome\n0.1,ok,ok\n", "it has several columns outcome"),
-            ("iteration,inference\n1,nan\n", "line 2: nan is not a latency in seconds"),
-            ("iteration,inference\n1,0.1\n2,inf\n", "line 3: inf is not a latency in seconds"),
-            ("iteration,inference\n1,1e300\n", "line 2: 1e300 is not a latency in seconds"),
-            ("iteration,inference\n1,-0.1\n", "line 2: -0.1 is not a latency in seconds"),
-            ("iteration,inference\n1,0.1\n2,1000000\n", "line 3: 1000000 is not a latency"),
-            ("iteration,inference\n1,fast\n", "line 2: \"fast\" is not a number"),
+            ("inference,warm-up\nnan,0\n", "line 2: nan is not a latency in seconds"),
+            ("inference,warm-up\n0.1,0\ninf,0\n", "line 3: inf is not a latency in seconds"),
+            ("inference,warm-up\n1e300,0\n", "line 2: 1e300 is not a latency in seconds"),
+            ("inference,warm-up\n-0.1,0\n", "line 2: -0.1 is not a latency in seconds"),
+            ("inference,warm-up\n0.1,0\n1000000,0\n", "line 3: 1000000 is not a latency"),
+            ("inference,warm-up\nfast,0\n", "line 2: \"fast\" is not a number"),
             ("iteration,inference\n1,0.1,3\n", "line 2 has 3 cells instead of 2"),
             ("", "it has no column inference"),
         ] {
@@ -222,9 +255,10 @@ mod tests {
         let whole = recorded(text, &["preprocessing", "inference", "postprocessing"]).expect("three columns");
         assert_eq!(whole, RecordedLatencies { latencies: vec![0.875, 1.75], omitted_stages: Vec::new() });
         let empty = recorded("preprocessing,inference\n,0.5\n0.5,\n", &["preprocessing", "inference"]);
-        let reason = "no row with an answer has a number in each of the columns preprocessing + inference";
+        let reason = "its columns preprocessing + inference do not all have a number in any row";
         assert!(empty.expect_err("no sum").contains(reason));
-        let too_long = recorded("inference,postprocessing\n50000,50000\n", &["inference", "postprocessing"]);
+        let too_long =
+            recorded("inference,postprocessing,warm-up\n50000,50000,0\n", &["inference", "postprocessing"]);
         assert!(too_long.expect_err("too long").contains("line 2: the sum of the columns, 100000"));
     }
 
@@ -239,14 +273,17 @@ mod tests {
             let error = read(&text, "inference").expect_err("too long");
             assert!(error.contains(reason), "{error}");
         }
-        assert_eq!(read(&format!("inference,a\n0.1,{}\n", "x".repeat(60_000)), "inference"), Ok(vec![0.1]));
+        assert_eq!(
+            read(&format!("inference,warm-up,a\n0.1,0,{}\n", "x".repeat(60_000)), "inference"),
+            Ok(vec![0.1])
+        );
     }
 
     #[test]
     fn omitted_stage_below_one_percent_is_not_reported() {
         let text = |preprocessing: f64, postprocessing: f64| {
             format!(
-                "preprocessing,inference,postprocessing,total\n{preprocessing},1.0,{postprocessing},3.0\n"
+                "preprocessing,inference,postprocessing,total,warm-up\n{preprocessing},1.0,{postprocessing},3.0,0\n"
             )
         };
         let omitted = |text: &str, columns: &[&str]| {
@@ -256,6 +293,6 @@ mod tests {
         assert_eq!(omitted(&text(0.01, 0.009), &["inference"]), [named("preprocessing", 0.01)]);
         assert_eq!(omitted(&text(0.5, 0.5), &["preprocessing", "inference"]), [named("postprocessing", 0.5)]);
         assert_eq!(omitted(&text(0.5, 0.5), &["total"]), [], "a total contains all stages");
-        assert_eq!(omitted("inference\n0.0\n", &["inference"]), []);
+        assert_eq!(omitted("inference,warm-up\n0.0,0\n", &["inference"]), []);
     }
 }

@@ -1,10 +1,11 @@
 //! Rows of a `data.csv`, read one after the other in a bounded amount of memory.
 
 use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, Read};
 use std::path::Path;
 
 use csv::StringRecord;
+use peernet_logger::csv::{column_name, ends_with_line};
 
 /// Maximum length of the header and of a row, bytes. A row that PEERNet writes has a few thousand bytes.
 const MAX_ROW_BYTES: usize = 64 << 10;
@@ -29,8 +30,8 @@ pub(super) struct LatencyRows {
     /// Next row; `None` at the end.
     // One row is read ahead, because only the end of the file shows which row is the last one.
     next: Option<StringRecord>,
-    /// Whether the last line ends with a line feed.
-    is_last_line_complete: bool,
+    /// Whether the last line is unfinished.
+    is_truncated: bool,
 }
 
 impl LatencyRows {
@@ -40,13 +41,17 @@ impl LatencyRows {
     /// Returns the reason if the file is not regular or cannot be read.
     pub(super) fn open(file: &Path) -> Result<Self, String> {
         let mut opened = open_regular_file(file).map_err(|error| error.to_string())?;
-        let is_last_line_complete = ends_with_line_feed(&mut opened).map_err(|error| error.to_string())?;
+        let ends_with_line = ends_with_line(&mut opened).map_err(|error| error.to_string())?;
         let bounded = BoundedReader { file: opened, remaining: MAX_ROW_BYTES };
         // `flexible` switches off the reader's check of the number of cells, because an unfinished last row may have
         // too few. `next_row` skips such a row and checks all others.
         let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(bounded);
-        let header = reader.headers().map_err(|error| format!("its header: {error}"))?.clone();
-        let mut rows = Self { reader, header, next: None, is_last_line_complete };
+        let header = reader.headers().map_err(|error| format!("its header: {error}"))?;
+        let header: StringRecord = header.iter().map(column_name).collect();
+        // Only PEERNet writes the column `outcome`. Other programs may leave out the line feed after a complete last
+        // line.
+        let is_truncated = !ends_with_line && header.iter().any(|name| name == "outcome");
+        let mut rows = Self { reader, header, next: None, is_truncated };
         rows.next = rows.read()?;
         Ok(rows)
     }
@@ -63,8 +68,8 @@ impl LatencyRows {
     pub(super) fn next_row(&mut self) -> Result<Option<(u64, StringRecord)>, String> {
         let Some(row) = self.next.take() else { return Ok(None) };
         let following = self.read();
-        // A last line without a line feed is unfinished: the program that writes it still runs, or was killed.
-        if matches!(following, Ok(None)) && !self.is_last_line_complete {
+        // The program that writes an unfinished line still runs, or was killed.
+        if matches!(following, Ok(None)) && self.is_truncated {
             return Ok(None);
         }
         let line = row.position().map_or(0, csv::Position::line);
@@ -111,19 +116,6 @@ impl Read for BoundedReader {
         self.remaining = self.remaining.saturating_sub(count);
         Ok(count)
     }
-}
-
-/// Returns whether the last line of a file is complete; an empty file has no incomplete line. Moves the position in the
-/// file to the beginning.
-fn ends_with_line_feed(file: &mut File) -> io::Result<bool> {
-    if file.seek(SeekFrom::End(0))? == 0 {
-        return Ok(true);
-    }
-    let mut last = [0];
-    file.seek(SeekFrom::End(-1))?;
-    file.read_exact(&mut last)?;
-    file.rewind()?;
-    Ok(last == *b"\n")
 }
 
 #[cfg(test)]
