@@ -4,8 +4,9 @@ use std::fs::{File, read_dir};
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
+use peernet_logger::csv::column_name;
+
 use crate::quality::Quality;
-use crate::rows::without_value_suffix;
 
 /// Histograms of the paper's original program, each as the name of its file without ending, its column and its title.
 pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
@@ -67,7 +68,7 @@ fn columns(data: &Path) -> Vec<String> {
         BufReader::new(file.take(MAX_HEADER_BYTES)).lines().next()?.ok()
     };
     let header = header().unwrap_or_default();
-    header.split(',').map(|name| without_value_suffix(name.trim().trim_matches('"')).to_owned()).collect()
+    header.split(',').map(|name| column_name(name.trim().trim_matches('"')).to_owned()).collect()
 }
 
 #[cfg(test)]

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use peernet_analysis::rows::{
     Column, ColumnKind, FIXED_COLUMNS, Outcome, PUBLISHED_COLUMN_COUNT, RowBuilder, Rows, column,
-    published_stages, without_value_suffix,
+    published_stages,
 };
 use peernet_clock::{DelaySource, Verdict};
-use peernet_logger::csv::{column_name, ends_with_line, is_warm_up};
+use peernet_logger::csv::{self as data_csv, column_name, ends_with_line};
 
 /// Defect of a file of rows.
 #[derive(Debug, thiserror::Error)]
@@ -117,7 +117,7 @@ impl RowParser {
                 continue;
             }
             if column_parser.name == "warm-up" {
-                row.warm_up = is_warm_up(cell).ok_or_else(|| invalid_cell("a number"))?;
+                row.warm_up = data_csv::is_warm_up(cell).ok_or_else(|| invalid_cell("a number"))?;
                 continue;
             }
             let number = match cell.parse::<f64>() {

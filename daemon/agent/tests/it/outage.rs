@@ -1,11 +1,12 @@
 //! Tests of clouds that are absent, go away and come back.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use peernet_stream::{EndReason, IncidentKind, Iteration, Outcome, PipelineState};
 use peernet_test_ports::free_port;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, JoinSet};
+use tokio::time::Instant;
 
 use crate::harness::{Aggregator, ReceivedEvents, TestAgent, assert_contiguous, value};
 

@@ -89,13 +89,6 @@ pub fn published_stages() -> impl Iterator<Item = &'static str> {
     published_columns().filter(|name| stage::ORDER.iter().any(|stage| stage == name))
 }
 
-/// Returns the name of a column without the suffix `_val` if it is the column of a stage. The paper's original
-/// program joins the names of nested nodes by underscores (`inference_backbone`), and adds `_val` for the value of a
-/// node that has nested nodes (`inference_val`).
-pub fn without_value_suffix(name: &str) -> &str {
-    name.strip_suffix("_val").filter(|name| published_stages().any(|stage| stage == *name)).unwrap_or(name)
-}
-
 /// Returns the index of a column in [`FIXED_COLUMNS`]; `None` for a further column of a run.
 fn fixed_index(name: &str) -> Option<usize> {
     FIXED_COLUMNS.iter().position(|(fixed, _)| *fixed == name)

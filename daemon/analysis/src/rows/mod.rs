@@ -18,7 +18,7 @@ mod units;
 
 pub use columns::{
     ColumnKind, FIXED_COLUMNS, LATENESS, PUBLISHED_COLUMN_COUNT, SKIPPED_STARTS, column, published_columns,
-    published_stages, without_value_suffix,
+    published_stages,
 };
 pub(crate) use row::judged_delay;
 pub use row::{Column, Outcome, Row};
