@@ -12,7 +12,7 @@ use peernet_probes::ProbeResult;
 use peernet_stream::{ClockSample, EstimateBasis, HostClock, NetworkName};
 
 use super::announced_clock::AnnouncedClock;
-use super::link_second::LinkSecond;
+use super::link_second::{LinkSecond, count_probe};
 use super::network_sessions::NetworkSessions;
 use super::relation_period::RelationPeriod;
 use super::reports::{ClockReports, ExcessSkew, LostProof, Restart, SuspectedJump};
@@ -201,28 +201,21 @@ impl LinkClockState {
         let mut changes = self.advance_second(now);
         let all_authenticated = self.current_second.authenticated.unwrap_or(true);
         self.current_second.authenticated = Some(all_authenticated && authenticated);
-        let probes = &mut self.current_second.probes;
+        count_probe(&mut self.current_second.probes, result);
         match result {
-            ProbeResult::Sent => probes.sent = probes.sent.saturating_add(1),
-            ProbeResult::Lost => probes.lost = probes.lost.saturating_add(1),
             ProbeResult::Answered(observation) => {
-                probes.answered = probes.answered.saturating_add(1);
                 if self.learn(observation, now, &mut changes) {
                     self.current_second.add_round_trip(observation.exchange.round_trip());
                 }
             }
             ProbeResult::ClockInterrupted(epoch) => {
-                probes.answered = probes.answered.saturating_add(1);
                 // This host's clock was stepped between the stamps of the probe, so the relation learns only the step.
                 self.update_relation((*epoch, None), |relation| relation.restart_after_edge_step(*epoch));
             }
-            // The probe was counted as answered before.
             ProbeResult::Refined(observation) => {
                 self.learn(observation, now, &mut changes);
             }
-            ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
-            // The probe was counted as lost before.
-            ProbeResult::Late => {}
+            ProbeResult::Sent | ProbeResult::Lost | ProbeResult::Late | ProbeResult::Refused(_) => {}
         }
         changes
     }

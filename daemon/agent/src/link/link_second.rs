@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use peernet_analysis::delays::VerdictCounts;
 use peernet_clock::{Direction, Exchange, Interval, OneWayDelay, Span, Verdict, WallTime};
+use peernet_probes::ProbeResult;
 use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTrip};
 
 use super::downsampled::DownsampledValues;
@@ -132,6 +133,19 @@ impl LinkSecond {
             Direction::Down => by_direction.down.summary(),
         }
     }
+}
+
+/// Adds the result of a probe to the counts.
+pub(super) fn count_probe(counts: &mut ProbeCounts, result: &ProbeResult) {
+    let count = match result {
+        ProbeResult::Sent => &mut counts.sent,
+        ProbeResult::Answered(_) | ProbeResult::ClockInterrupted(_) => &mut counts.answered,
+        ProbeResult::Lost => &mut counts.lost,
+        ProbeResult::Refused(_) => &mut counts.refused,
+        // The probe was counted before, as answered or as lost.
+        ProbeResult::Refined(_) | ProbeResult::Late => return,
+    };
+    *count = count.saturating_add(1);
 }
 
 impl Delays {

@@ -17,6 +17,7 @@ use peernet_stream::{ProbeCounts, Probing, ReflectorLive, RoundTrip};
 use tokio::sync::mpsc;
 
 use super::answer_monitor::AnswerMonitor;
+use super::link_second::count_probe;
 use super::probe_pace::ProbePace;
 use super::probe_target::{ProbeTarget, RESULT_CAPACITY};
 use super::shared::{SharedLinkState, lock};
@@ -106,27 +107,18 @@ impl ReflectorAnswers {
     }
 
     fn record(&mut self, result: &ProbeResult) {
-        let probes = &mut self.probes;
+        count_probe(&mut self.probes, result);
         match result {
-            ProbeResult::Sent => probes.sent = probes.sent.saturating_add(1),
-            ProbeResult::Lost => probes.lost = probes.lost.saturating_add(1),
-            ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
-            // The probe was counted as lost before.
-            ProbeResult::Late => {}
-            ProbeResult::ClockInterrupted(epoch) => {
-                probes.answered = probes.answered.saturating_add(1);
-                self.relation.restart_after_edge_step(*epoch);
-            }
+            ProbeResult::ClockInterrupted(epoch) => self.relation.restart_after_edge_step(*epoch),
             ProbeResult::Answered(observation) => {
-                probes.answered = probes.answered.saturating_add(1);
                 self.learn(observation);
                 if self.round_trips.len() >= MAX_ROUND_TRIPS {
                     self.round_trips.pop_front();
                 }
                 self.round_trips.push_back(observation.exchange.round_trip());
             }
-            // The probe was counted as answered before; this exchange has a better stamp.
             ProbeResult::Refined(observation) => self.learn(observation),
+            ProbeResult::Sent | ProbeResult::Lost | ProbeResult::Late | ProbeResult::Refused(_) => {}
         }
     }
 
