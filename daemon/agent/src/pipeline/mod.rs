@@ -29,6 +29,7 @@ mod iteration;
 mod load;
 mod local_requester;
 mod observe;
+mod peer_problem;
 mod pipeline_loop;
 mod placement;
 mod preparation;

@@ -19,6 +19,7 @@ use tokio_util::sync::CancellationToken;
 use super::context::PipelineContext;
 use super::drive::drive;
 use super::observe::{self, SourceError};
+use super::peer_problem::PeerProblem;
 use super::pipeline_loop::{LoopEnd, LoopError};
 use super::placement::{OpenFailure, Placement};
 use super::resources::{AssembleError, PipelineResources};
@@ -75,36 +76,6 @@ pub(super) struct Runner {
     pub(super) stop: CancellationToken,
     /// Longest time for completing the iterations in flight when the agent stops.
     pub(super) drain_timeout: Duration,
-}
-
-/// Reason why a pipeline has no connection to its peer.
-#[derive(Debug, PartialEq, Eq)]
-enum ConnectProblem {
-    Unreachable,
-    Refused(String),
-}
-
-impl ConnectProblem {
-    const fn kind(&self) -> IncidentKind {
-        match self {
-            Self::Unreachable => IncidentKind::Disconnected,
-            Self::Refused(_) => IncidentKind::Refused,
-        }
-    }
-
-    /// Returns a text that says how often the agent retries.
-    fn retry_text(&self) -> String {
-        let (shortest, longest) =
-            (ReconnectBackoff::MIN_PAUSE.as_secs_f64(), ReconnectBackoff::MAX_PAUSE.as_secs());
-        match self {
-            Self::Unreachable => {
-                format!("retrying every {shortest} to {longest} s; the pipeline continues automatically")
-            }
-            Self::Refused(_) => {
-                format!("retrying every {} s", ReconnectBackoff::PAUSE_AFTER_REFUSAL.as_secs())
-            }
-        }
-    }
 }
 
 impl Runner {
@@ -264,9 +235,8 @@ impl Runner {
         mut pause: Duration,
         reconnect_backoff: &mut ReconnectBackoff,
     ) -> Result<Option<Placement>, PipelineError> {
-        // A problem is reported when it first occurs and not at every attempt. If a run is in progress, the loss of its
-        // peer has already been reported.
-        let mut reported_problem = run.map(|_| ConnectProblem::Unreachable);
+        // If a run is in progress, the loss of its peer has already been reported.
+        let mut reported_problem = run.map(|_| PeerProblem::Unreachable(String::new()));
         loop {
             let opening = async {
                 tokio::time::sleep(pause).await;
@@ -274,7 +244,7 @@ impl Runner {
             };
             let Some(opening_result) = self.stop.run_until_cancelled(opening).await else { return Ok(None) };
             resources.skip_missed_starts(self.context.host.clock.mono());
-            let (problem, error, next_pause) = match opening_result {
+            let problem = match opening_result {
                 Ok(placement) => {
                     let ends_reported_problem = run.is_none() && reported_problem.is_some();
                     self.report_connected(&placement, run, ends_reported_problem);
@@ -284,22 +254,18 @@ impl Runner {
                 Err(OpenFailure::Model(error)) => return Err(error.into()),
                 Err(OpenFailure::Panicked) => return Err(PipelineError::ModelPanicked),
                 Err(OpenFailure::ModelServerUnreachable(error)) => {
-                    (ConnectProblem::Unreachable, error.to_string(), reconnect_backoff.next_pause())
+                    PeerProblem::Unreachable(error.to_string())
                 }
-                Err(OpenFailure::Unreachable(error)) => {
-                    (ConnectProblem::Unreachable, error.to_string(), reconnect_backoff.next_pause())
-                }
-                Err(OpenFailure::Refused(error)) => {
-                    let error = error.to_string();
-                    (ConnectProblem::Refused(error.clone()), error, reconnect_backoff.refusal_pause())
-                }
+                Err(OpenFailure::Unreachable(error)) => PeerProblem::Unreachable(error.to_string()),
+                Err(OpenFailure::Refused(error)) => PeerProblem::Refused(error.to_string()),
             };
-            if reported_problem.as_ref() != Some(&problem) {
-                self.report(problem.kind(), run, format!("{error} ({})", problem.retry_text()));
+            self.live_state.set_state(PipelineState::Waiting(problem.text().to_owned()));
+            pause = problem.pause(reconnect_backoff);
+            if !problem.is_covered_by(reported_problem.as_ref()) {
+                let text = format!("{}; the pipeline continues automatically", problem.describe());
+                self.report(problem.kind(), run, text);
                 reported_problem = Some(problem);
             }
-            self.live_state.set_state(PipelineState::Waiting(error));
-            pause = next_pause;
         }
     }
 

@@ -17,6 +17,7 @@ use crate::incidents::IncidentSubject;
 use crate::link::TransitStamps;
 use crate::observed::{STAMPS_MODEL, StampAnswer, StampRequest};
 use crate::pipeline::context::PipelineContext;
+use crate::pipeline::peer_problem::PeerProblem;
 use crate::pipeline::placement::{OpenFailure, Placement};
 use crate::pipeline::runner::Runner;
 use crate::reconnect_backoff::ReconnectBackoff;
@@ -45,46 +46,6 @@ pub(super) struct PeerConnection {
     clock: SharedClock,
     own_host: HostId,
     answer_timeout: Duration,
-}
-
-/// Reason why there is no connection to the peer.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct PeerProblem {
-    /// `true` if the peer refused, or if a request or an answer is invalid. An early retry would fail again, so the
-    /// pause before the retry is longer.
-    is_refusal: bool,
-    text: String,
-}
-
-impl PeerProblem {
-    pub(super) const fn kind(&self) -> IncidentKind {
-        if self.is_refusal { IncidentKind::Refused } else { IncidentKind::Disconnected }
-    }
-
-    /// Returns a text with the problem and the interval of the retries.
-    pub(super) fn describe(&self) -> String {
-        let (shortest, longest) =
-            (ReconnectBackoff::MIN_PAUSE.as_secs_f64(), ReconnectBackoff::MAX_PAUSE.as_secs());
-        let interval = match self.is_refusal {
-            true => format!("every {} s", ReconnectBackoff::PAUSE_AFTER_REFUSAL.as_secs()),
-            false => format!("every {shortest} to {longest} s"),
-        };
-        format!("{} (retrying {interval})", self.text)
-    }
-
-    pub(super) const fn is_refusal(&self) -> bool {
-        self.is_refusal
-    }
-
-    /// Returns a text that says what is wrong and what to do.
-    pub(super) fn text(&self) -> &str {
-        &self.text
-    }
-
-    /// Returns the pause before the next attempt.
-    pub(super) fn pause(&self, reconnect_backoff: &mut ReconnectBackoff) -> Duration {
-        if self.is_refusal { reconnect_backoff.refusal_pause() } else { reconnect_backoff.next_pause() }
-    }
 }
 
 impl PeerConnector {
@@ -119,9 +80,9 @@ impl PeerConnector {
                 Ok(connection) => return Some(connection),
                 Err(problem) => problem,
             };
-            runner.live_state.set_state(PipelineState::Waiting(problem.text.clone()));
+            runner.live_state.set_state(PipelineState::Waiting(problem.text().to_owned()));
             let pause = problem.pause(&mut reconnect_backoff);
-            if reported_problem.as_ref() != Some(&problem) {
+            if !problem.is_covered_by(reported_problem.as_ref()) {
                 let text = format!("{}; the run starts when the peer answers", problem.describe());
                 let unknown_peer = None;
                 self.report(problem.kind(), unknown_peer, text);
@@ -138,7 +99,7 @@ impl PeerConnector {
         let placement = placement.map_err(|failure| self.problem_from_failure(failure))?;
         let Some((host, name)) = placement.peer().map(|(host, name)| (host, name.clone())) else {
             let text = format!("{} did not send its host id and name", self.remote.peer);
-            return Err(PeerProblem { is_refusal: false, text });
+            return Err(PeerProblem::Unreachable(text));
         };
         let connection = PeerConnection {
             placement,
@@ -170,14 +131,11 @@ impl PeerConnector {
 
     fn problem_from_failure(&self, failure: OpenFailure) -> PeerProblem {
         match failure {
-            OpenFailure::Unreachable(error) => PeerProblem { is_refusal: false, text: error.to_string() },
-            OpenFailure::Refused(error) => {
-                PeerProblem { is_refusal: true, text: with_advice(error.to_string()) }
-            }
+            OpenFailure::Unreachable(error) => PeerProblem::Unreachable(error.to_string()),
+            OpenFailure::Refused(error) => PeerProblem::Refused(with_advice(error.to_string())),
             // These failures cannot occur here, because a remote placement loads no model on this host.
             OpenFailure::Model(_) | OpenFailure::ModelServerUnreachable(_) | OpenFailure::Panicked => {
-                let text = format!("cannot open a session with {}", self.remote.peer);
-                PeerProblem { is_refusal: false, text }
+                PeerProblem::Unreachable(format!("cannot open a session with {}", self.remote.peer))
             }
         }
     }
@@ -217,11 +175,11 @@ impl PeerConnection {
     /// # Errors
     /// When the peer does not answer, refuses, or sends an answer that cannot be read.
     pub(super) async fn query(&self, keys: Vec<i64>) -> Result<StampAnswer, PeerProblem> {
-        let failure = |reason: String| PeerProblem {
-            is_refusal: false,
-            text: format!("cannot query the observed stamps of {} at {}: {reason}", self.name, self.address),
+        let describe = |reason: String| {
+            format!("cannot query the observed stamps of {} at {}: {reason}", self.name, self.address)
         };
-        let refusal = |reason: String| PeerProblem { is_refusal: true, ..failure(reason) };
+        let failure = |reason: String| PeerProblem::Unreachable(describe(reason));
+        let refusal = |reason: String| PeerProblem::Refused(describe(reason));
         let request = StampRequest::new(self.peer_pipeline.clone(), self.pair_by, keys);
         let sample = request.to_sample().map_err(|error| refusal(error.to_string()))?;
         // The recorder is required but belongs to no iteration, so its tree is dropped. The request has two uses: its

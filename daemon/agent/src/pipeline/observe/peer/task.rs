@@ -17,6 +17,7 @@ use crate::host::Host;
 use crate::link::TransitStamps;
 use crate::observed::MAX_KEYS;
 use crate::pipeline::observe::record;
+use crate::pipeline::peer_problem::PeerProblem;
 use crate::reconnect_backoff::ReconnectBackoff;
 
 /// The task of one pipeline. It ends when the observer closes its channel.
@@ -132,7 +133,8 @@ impl PeerTask {
         reconnect_backoff: &mut ReconnectBackoff,
     ) -> Option<PeerConnection> {
         let connector = Arc::clone(&self.connector);
-        let mut reported_problem = None;
+        // The loss of the connection has been reported already.
+        let mut reported_problem = Some(PeerProblem::Unreachable(String::new()));
         loop {
             self.wait_for(tokio::time::sleep(pause)).await?;
             let problem = match self.wait_for(connector.open()).await? {
@@ -140,8 +142,7 @@ impl PeerTask {
                 Err(problem) => problem,
             };
             pause = problem.pause(reconnect_backoff);
-            // The loss of the connection has been reported already; only a refusal is new information.
-            if problem.is_refusal() && reported_problem.as_ref() != Some(&problem) {
+            if !problem.is_covered_by(reported_problem.as_ref()) {
                 let unknown_peer = None;
                 connector.report(problem.kind(), unknown_peer, problem.describe());
                 reported_problem = Some(problem);
