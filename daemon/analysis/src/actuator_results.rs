@@ -19,9 +19,14 @@ pub const EPISODE_RETURN: &str = "episode-return";
 /// iteration has no answer, or is warm-up as one of the first steps of its episode. Episodes that begin in the warm-up at the start of the run
 /// have no such values.
 pub const EPISODE_VALUES: [&str; 2] = [EPISODE_SUCCESS, EPISODE_RETURN];
+/// Name of the node that is 1 if the actuator reported that the episode is a success so far, and 0 if it reported that
+/// it is not.
+pub const SUCCESS: &str = "success";
+/// Name of the node that is 1 for the last action of an episode, and absent for all other actions.
+pub const EPISODE_ENDED: &str = "episode-ended";
 /// Names of the nodes in which the actuator describes each action. The means of these nodes over all actions say little;
 /// the nodes in [`EPISODE_VALUES`] have the results of whole episodes.
-pub const ACTION_REPORTS: [&str; 2] = ["success", "episode-ended"];
+pub const ACTION_REPORTS: [&str; 2] = [SUCCESS, EPISODE_ENDED];
 
 /// Text that joins two numbers of episodes: "12 and 13".
 pub const EPISODES_SEPARATOR: &str = " and ";

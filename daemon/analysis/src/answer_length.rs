@@ -1,5 +1,6 @@
 //! Length of answers: the quantity that measures the length, whether the length varies, and how latency grows with the length.
 
+use peernet_logger::stage;
 use peernet_statistics::number::{Estimate, SPACE, count, duration};
 
 use crate::fit::{Fit, Point, theil_sen};
@@ -8,8 +9,6 @@ use crate::fit::{Fit, Point, theil_sen};
 pub const LATENCY: &str = "inference";
 /// Column of the size of an answer in bytes: its length if no tokens are counted.
 const ANSWER_BYTES: &str = "download-bytes";
-/// Node with the number of chunks of a language model's answer. It is recorded even if the server counts no tokens.
-const ANSWER_CHUNKS: &str = "output-chunks";
 /// Advice if a language model's server does not report the numbers of tokens, which are its `usage`.
 pub const NO_USAGE: &str = "the server sent no `usage`; use --x output-chunks";
 /// Suffix of the names of quantities that count tokens.
@@ -49,7 +48,7 @@ pub fn answer_tokens<'a>(names: impl Iterator<Item = &'a str>) -> Option<&'a str
 /// Returns whether these quantities are those of a language model whose server reports no numbers of tokens: chunks of
 /// answers are counted, and tokens of answers are not. In this case, [`NO_USAGE`] is shown.
 pub fn lacks_usage<'a>(names: impl Iterator<Item = &'a str> + Clone) -> bool {
-    let counts_chunks = |name: &str| node_of_column(name) == ANSWER_CHUNKS;
+    let counts_chunks = |name: &str| stage::OUTPUT_CHUNKS == *node_of_column(name);
     names.clone().any(counts_chunks) && answer_tokens(names).is_none()
 }
 

@@ -1,5 +1,6 @@
 //! Study of a sensor alone: its rate, its jitter, and its dropped samples.
 
+use peernet_logger::stage;
 use peernet_statistics::number::{NONE, count, counted, milliseconds, percent, rate};
 use peernet_statistics::{MIN_VALUES_FOR_P95, Moments};
 
@@ -7,9 +8,6 @@ use crate::order::SortedValues;
 use crate::outcomes::Counts;
 use crate::rows::{Outcome, RowRef, Rows};
 use crate::table::Table;
-
-/// Suffix of the columns in which sensors report their dropped samples.
-const DROPPED_SAMPLES_SUFFIX: &str = "dropped-samples";
 
 /// Rate, periods and jitter of a sensor, from the samples of a run. Times are in seconds.
 ///
@@ -184,7 +182,7 @@ fn sample_time(row: RowRef<'_>) -> Option<SampleTime> {
 
 /// Returns the number of dropped samples that the sensor reported; `None` if no column reports any.
 fn dropped_samples(rows: &Rows) -> Option<u64> {
-    let columns = rows.names().iter().filter(|column| column.ends_with(DROPPED_SAMPLES_SUFFIX));
+    let columns = rows.names().iter().filter(|column| column.ends_with(&*stage::DROPPED_SAMPLES));
     let measured = || rows.iter().filter(|row| !row.warm_up());
     let dropped_counts = columns.flat_map(|column| measured().filter_map(move |row| row.value(column)));
     dropped_counts.reduce(|sum, value| sum + value).map(|sum| sum.max(0.0).round() as u64)

@@ -7,9 +7,11 @@
 //! - [`Tree`]: the nodes of one iteration on all hosts that took part; [`limits`]: the maximum size of a tree.
 //! - [`Recorder`]: builds a tree while an iteration runs. Its guards close the nodes that they opened. Programs can add
 //!   custom instruments ([`Meter`]).
+//! - [`fact`]: names of facts about a run.
 //! - [`wire`], `text`, [`csv`]: the binary form, the text for people, and the row of a table.
 
 pub mod csv;
+pub mod fact;
 mod host;
 mod iteration_values;
 pub mod limits;

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use peernet_actuators::{Action, Actuator, ActuatorConfig, ActuatorError, ActuatorKind, Feedback};
+use peernet_analysis::actuator_results::{EPISODE_ENDED, SUCCESS, SUPERSEDED};
 use peernet_clock::SharedClock;
 use peernet_logger::{Name, Recorder, RunId, Unit, stage};
 use peernet_sample::Sample;
@@ -11,16 +12,8 @@ use tokio::task::{JoinError, spawn_blocking};
 
 use super::progress::Position;
 
-/// Name of the value that is 1 if the answer of an iteration was superseded: the actuator did not act on it, because it
-/// had acted on the answer to a newer sample, or because the episode had ended. Absent otherwise.
-const SUPERSEDED: Name = Name::from_static("superseded");
 /// Name of the reward that the actuator reported for an action.
 const REWARD: Name = Name::from_static("reward");
-/// Name of the value that is 1 if the actuator reported that the episode is a success so far, and 0 if it reported that
-/// it is not.
-const SUCCESS: Name = Name::from_static("success");
-/// Name of a value that is 1 for the last action of an episode, and absent for all other actions.
-const EPISODE_ENDED: Name = Name::from_static("episode-ended");
 
 /// Reason why an actuator did not act on an answer, or was not reset.
 #[derive(Debug, thiserror::Error)]
@@ -106,7 +99,7 @@ impl ActuatorExecutor {
         // The guard is owned, because it moves into the thread below.
         let mut ordered_actuator = Arc::clone(&self.ordered_actuator).lock_owned().await;
         if !ordered_actuator.accepts(&answered) {
-            log.record_value(SUPERSEDED, 1.0, Unit::NONE);
+            log.record_value(Name::from_static(SUPERSEDED), 1.0, Unit::NONE);
             return (log, Ok(Feedback::default()));
         }
         if !self.blocks {
@@ -170,9 +163,9 @@ fn record_feedback(log: &mut Recorder, feedback: &Feedback) {
         log.record_value(REWARD, reward, Unit::NONE);
     }
     if let Some(success) = feedback.success {
-        log.record_value(SUCCESS, if success { 1.0 } else { 0.0 }, Unit::NONE);
+        log.record_value(Name::from_static(SUCCESS), if success { 1.0 } else { 0.0 }, Unit::NONE);
     }
     if feedback.episode_ended {
-        log.record_value(EPISODE_ENDED, 1.0, Unit::NONE);
+        log.record_value(Name::from_static(EPISODE_ENDED), 1.0, Unit::NONE);
     }
 }

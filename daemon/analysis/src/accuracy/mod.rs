@@ -8,7 +8,7 @@ mod unknown_labels;
 
 pub use mean_score::MeanScore;
 pub use scored_answer::ScoredAnswer;
-pub use unknown_labels::{UNKNOWN_LABEL, UnknownLabels};
+pub use unknown_labels::UnknownLabels;
 
 use std::collections::BTreeMap;
 use std::fmt;

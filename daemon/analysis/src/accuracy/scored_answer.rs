@@ -2,11 +2,10 @@
 
 use std::path::Path;
 
-use peernet_logger::Tree;
+use peernet_logger::{Tree, stage};
 use peernet_sample::{MaskLabel, ObjectsLabel, Part, Sample, normalized_label};
 use serde::Deserialize;
 
-use super::UNKNOWN_LABEL;
 use super::detection::PictureObjects;
 use super::segmentation::{ClassMap, SegmentedPixels};
 
@@ -63,7 +62,7 @@ impl ScoredAnswer {
         measurements: &Tree,
         read_mask: impl FnOnce(&Path) -> Result<Part, E>,
     ) -> Result<Option<Self>, E> {
-        if measurements.find(&[UNKNOWN_LABEL]).is_some() {
+        if measurements.find(&[&stage::UNKNOWN_LABEL]).is_some() {
             return Ok(Some(Self::UnknownLabel));
         }
         if let Some(label) = MaskLabel::parse(label) {

@@ -1,16 +1,9 @@
 //! Samples whose label is not a class of the model. No answer to such a sample can be right, so the answers count as neither right nor wrong.
 
+use peernet_logger::{fact, stage};
 use peernet_statistics::number::{count, counted};
 
 use crate::rows::Rows;
-
-/// Name of the column that is 1 for a sample whose label is not a class of the model.
-pub const UNKNOWN_LABEL: &str = "unknown-label";
-/// Name of the fact of a run that says how many pictures have a label, with examples of the labels:
-/// `30 of 30: dented, good`.
-const LABELS_FACT: &str = "Labels";
-/// Name of the fact of a run that gives the number of classes and examples of them: `4: good, scratched, …`.
-const CLASSES_FACT: &str = "Classes";
 
 /// Number of iterations whose label is not a class of the model, with examples of the labels and of the model's
 /// classes.
@@ -30,7 +23,7 @@ impl UnknownLabels {
             let (_, examples) = text.split_once(": ")?;
             Some(format!("{heading} {examples}"))
         };
-        let examples = [example(LABELS_FACT, "labels:"), example(CLASSES_FACT, "classes:")];
+        let examples = [example(fact::LABELS, "labels:"), example(fact::CLASSES, "classes:")];
         let examples: Vec<String> = examples.into_iter().flatten().collect();
         let examples =
             if examples.is_empty() { String::new() } else { format!(" ({})", examples.join("; ")) };
@@ -39,7 +32,8 @@ impl UnknownLabels {
 
     /// Returns the unknown labels in these rows, without warm-up and failed iterations. `None` if there are none.
     pub fn from_rows(rows: &Rows, facts: &[(String, String)]) -> Option<Self> {
-        let count = rows.values_in_statistics(UNKNOWN_LABEL).filter(|value| *value == 1.0).count() as u64;
+        let count =
+            rows.values_in_statistics(&stage::UNKNOWN_LABEL).filter(|value| *value == 1.0).count() as u64;
         Self::new(count, facts)
     }
 

@@ -41,9 +41,10 @@ pub use order::{compare_label, compare_positions};
 pub use pairwise::PairwiseDifference;
 pub use ranking::{ConfigurationTotal, Ranking, find_unranked, model_computes};
 
+use peernet_logger::stage;
 use peernet_statistics::{Moments, Summary};
 
-use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
+use crate::accuracy::{ACCURACIES, Accuracy, UnknownLabels};
 use crate::actuator_results::{ActuatorResults, EPISODE_VALUES, SUPERSEDED};
 use crate::concurrent_edges::concurrent_groups;
 use crate::deadline::{DEADLINE_MISSED, Misses};
@@ -314,11 +315,12 @@ fn accepted_values(rows: &Rows, column: &str) -> Vec<f64> {
 pub fn needs_column(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let columns = STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
-    let columns = columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, FIRST_TOKEN]);
+    let columns = columns.chain(&[SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, FIRST_TOKEN]);
     // `at` is the start of an iteration. The last start stands for the end of a run whose end is not recorded. The
     // starts of the first and the last iteration, and the last episode, show how much of an interrupted run is missing.
     let columns = columns.chain(&[DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN, "at", "iteration", "episode"]);
     columns.chain(&EPISODE_VALUES).chain(&SCORES.map(Quality::name)).any(|name| *name == column)
+        || stage::UNKNOWN_LABEL == *column
 }
 
 #[cfg(test)]

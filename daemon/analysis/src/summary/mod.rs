@@ -6,9 +6,10 @@ pub use scale::Scale;
 
 use std::collections::BTreeMap;
 
+use peernet_logger::stage;
 use peernet_statistics::{self as statistics, Moments};
 
-use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
+use crate::accuracy::{ACCURACIES, Accuracy, UnknownLabels};
 use crate::actuator_results::{ACTION_REPORTS, ActuatorResults, EPISODE_SUCCESS, EPISODE_VALUES, SUPERSEDED};
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::delays::median_bounds;
@@ -145,8 +146,9 @@ impl Summary {
 /// Returns whether the values with this name are reported as a count or a share. Tables of quantities leave them out,
 /// because quantiles of such values have little meaning.
 pub fn is_reported_as_count(name: &str) -> bool {
-    let names = [UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, EPISODE_SUCCESS];
+    let names = [SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, EPISODE_SUCCESS];
     names.iter().chain(&ACTION_REPORTS).chain(&ACCURACIES).any(|count| *count == name)
+        || stage::UNKNOWN_LABEL == *name
 }
 
 /// Returns whether a column contains the lower or the upper bounds of the throughputs in another column.

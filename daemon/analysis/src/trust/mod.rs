@@ -30,7 +30,7 @@ pub(crate) use load::start_time;
 pub use load::{Load, StartTimes, Starts, StartsSoFar};
 pub use missing_count::MissingCount;
 pub use publication::{publication_caveats, publication_summary};
-pub use replayed::{DRAWN_LATENCY, OVERRUN, ReplayedLatencies};
+pub use replayed::ReplayedLatencies;
 pub(crate) use replayed::{DRAWN_LATENCY_COLUMN, OVERRUN_COLUMN};
 pub use restarts::Restarts;
 pub use time_series::{Beginning, Outliers, TimeSeries};

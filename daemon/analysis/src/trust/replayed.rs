@@ -2,25 +2,19 @@
 
 use std::collections::BTreeSet;
 
+use peernet_logger::fact;
 use peernet_statistics::Moments;
 use peernet_statistics::number::milliseconds;
 
 use crate::order::mean;
 use crate::rows::Rows;
 
-/// Name of the fact by which a model says that its latencies are drawn from a distribution.
-const REPLAYED_FACT: &str = "Replayed";
 /// Text before the seed. The description of a distribution ends with the seed.
 const SEED: &str = ", seed ";
 
-/// Name of the node with the latency that was drawn for an iteration, seconds.
-pub const DRAWN_LATENCY: &str = "drawn-latency";
-/// Name of the node with the overrun: the time by which `inference` took longer than the latency that was drawn for the
-/// iteration, seconds.
-pub const OVERRUN: &str = "overrun";
-/// Column of [`DRAWN_LATENCY`] in `data.csv`.
+/// Column of the drawn latency in `data.csv`.
 pub(crate) const DRAWN_LATENCY_COLUMN: &str = "inference_drawn-latency";
-/// Column of [`OVERRUN`] in `data.csv`.
+/// Column of the overrun in `data.csv`.
 pub(crate) const OVERRUN_COLUMN: &str = "inference_overrun";
 
 /// The mean overrun is reported if it is above this share of the mean drawn latency.
@@ -41,7 +35,7 @@ impl ReplayedLatencies {
     /// Returns the replayed latencies with the distribution from the facts of a run, without the means. `None` if the
     /// latencies are measured.
     pub fn from_facts(facts: &[(String, String)]) -> Option<Self> {
-        let (_, text) = facts.iter().find(|(name, _)| name == REPLAYED_FACT)?;
+        let (_, text) = facts.iter().find(|(name, _)| name == fact::REPLAYED)?;
         Some(Self { distribution: text.clone(), drawn: None, overrun: None })
     }
 

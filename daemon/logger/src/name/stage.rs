@@ -143,6 +143,14 @@ pub const TOP_1: Name = Name::from_static("top-1");
 pub const TOP_5: Name = Name::from_static("top-5");
 /// 1 for a sample whose label is not a class of the model.
 pub const UNKNOWN_LABEL: Name = Name::from_static("unknown-label");
+/// Number of samples that were lost since the previous sample, in the transport or because the pipeline was busy.
+pub const DROPPED_SAMPLES: Name = Name::from_static("dropped-samples");
+/// Number of chunks of a language model's answer. It is recorded even if the server counts no tokens.
+pub const OUTPUT_CHUNKS: Name = Name::from_static("output-chunks");
+/// Node below `inference`: the replayed latency that was drawn for the iteration, seconds.
+pub const DRAWN_LATENCY: Name = Name::from_static("drawn-latency");
+/// Node below `inference`: the time by which `inference` took longer than the drawn latency, seconds.
+pub const OVERRUN: Name = Name::from_static("overrun");
 
 /// Number of stages that add up to `stages-total`.
 pub const COUNT: usize = 12;

@@ -10,7 +10,7 @@ use peernet_external::exec::{
 use peernet_logger::{Name, Recorder, Unit, stage};
 use peernet_sample::Sample;
 
-use super::{DROPPED_SAMPLES, SensorConfig, SensorKind};
+use super::{SensorConfig, SensorKind};
 use crate::{Sensor, SensorError};
 
 /// Sensor that requests each sample from a program.
@@ -80,7 +80,7 @@ impl ExecSensor {
             // zero is recorded.
             let next = self.last_sequence.and_then(|last| last.checked_add(1));
             let dropped = next.and_then(|next| sequence.checked_sub(next)).unwrap_or(0);
-            recorder.record_value(DROPPED_SAMPLES, dropped as f64, Unit::NONE);
+            recorder.record_value(stage::DROPPED_SAMPLES, dropped as f64, Unit::NONE);
             self.last_sequence = Some(sequence);
         }
     }

@@ -13,13 +13,9 @@ use enum_dispatch::enum_dispatch;
 use peernet_clock::SharedClock;
 use peernet_external::exec::FingerprintKey;
 use peernet_external::hide_values;
-use peernet_logger::Name;
 use serde::{Deserialize, Serialize};
 
 use crate::{Sensor, SensorError};
-
-/// Number of samples that were lost since the previous sample, in the transport or because the pipeline was busy.
-const DROPPED_SAMPLES: Name = Name::from_static("dropped-samples");
 
 /// Kind of sensor, implemented by its configuration.
 #[enum_dispatch]

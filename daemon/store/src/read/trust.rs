@@ -1,13 +1,13 @@
 //! Reads the stored values from which the trust findings of a run are computed.
 
-use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
+use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UnknownLabels};
 use peernet_analysis::outcomes::Counts;
 use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::standstill::{RunExtent, standstill};
 use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::trust::{
-    DRAWN_LATENCY, DelayQuality, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts,
-    StartTimes, Starts, TimeSeries, TrustInput, names_of_distributions,
+    DelayQuality, EndedEarly, Limits, Load, MissingEvents, Progress, Restarts, StartTimes, Starts,
+    TimeSeries, TrustInput, names_of_distributions,
 };
 use peernet_logger::stage;
 use peernet_statistics::TwoModes;
@@ -161,8 +161,8 @@ fn collect_input(
         split: StageSplit::new(sent_counts, |name| {
             statistics_of(name).map(|statistics| (statistics.count, statistics.mean))
         }),
-        drawn: statistics_of(DRAWN_LATENCY).map(|statistics| statistics.mean),
-        overrun: statistics_of(OVERRUN).map(|statistics| statistics.mean),
+        drawn: statistics_of(&stage::DRAWN_LATENCY).map(|statistics| statistics.mean),
+        overrun: statistics_of(&stage::OVERRUN).map(|statistics| statistics.mean),
         superseded: run.summary.actuator.superseded,
         restarts: Restarts::NODES
             .into_iter()
@@ -199,7 +199,7 @@ fn collect_input(
                 Some((name.to_owned(), Accuracy::from_mean(scores.mean, scores.count, counts.ok)?))
             })
             .collect(),
-        unknown_labels: statistics_of(UNKNOWN_LABEL)
+        unknown_labels: statistics_of(&stage::UNKNOWN_LABEL)
             .and_then(|statistics| UnknownLabels::new(statistics.count, &run.facts)),
         ..TrustInput::default()
     };

@@ -1,6 +1,5 @@
 //! Pages and `data.csv` count one value of a stage in each iteration, even if several nodes have the stage's name.
 
-use peernet_analysis::accuracy::UNKNOWN_LABEL;
 use peernet_analysis::rows::Rows;
 use peernet_clock::Span;
 use peernet_logger::{IterationValues, Measure, NodeId, RunId, Unit, stage};
@@ -55,7 +54,7 @@ fn assert_equal_to_columns(statistics: &[StageStatistics], rows: &Rows) {
             stage.statistics
         );
     }
-    for name in ["inference", "send-queue", "batch-wait", "capture", UNKNOWN_LABEL] {
+    for name in ["inference", "send-queue", "batch-wait", "capture", "unknown-label"] {
         assert!(found.iter().any(|found| found.stage == *name), "{name}");
     }
     // Nodes of the inner model do not count. A name has statistics exactly if it has values in its column.

@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::Span;
-use peernet_logger::{Name, Recorder, Slug, Unit, stage};
+use peernet_logger::{Name, Recorder, Slug, Unit, fact, stage};
 use peernet_sample::{Description, Sample};
 use peernet_statistics::SplitMix64;
 use serde::{Deserialize, Serialize};
@@ -29,20 +29,11 @@ use latency::{LatencyDistribution, check_ms, describe_stages};
 use latency_rows::open_regular_file;
 use run_folder::data_file;
 
-/// Name of the fact that marks the latencies of a run as replayed. The text of the fact describes the distribution.
-// peernet-analysis finds the fact by this name.
-const REPLAYED_FACT: &str = "Replayed";
-
 /// Largest ratio of the standard deviation to the mean. Nearly all values of a wider log-normal distribution are 0.
 const MAX_RELATIVE_STD: f64 = 100.0;
 
-/// Node below `inference`: the latency that was drawn for the iteration, seconds.
-const DRAWN_LATENCY: Name = Name::from_static("drawn-latency");
 /// Node below `inference`: the time that the inner model took. The stages of the inner model are below this node.
 const INNER_MODEL: Name = Name::from_static("inner-model");
-/// Node below `inference`: the time by which `inference` took longer than the drawn latency, seconds. Either the inner
-/// model was slower, or the wait on this host ended late.
-const OVERRUN: Name = Name::from_static("overrun");
 
 /// Keys of a model of `kind = "distribution"`. Exactly one of `data`, `histogram` and `mean_ms` must be set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -246,9 +237,12 @@ impl Model for Distribution {
         let distribution = self.source.distribution.describe();
         let mut facts = vec![
             ("Model".to_owned(), "replayed latencies".to_owned()),
-            (REPLAYED_FACT.to_owned(), format!("inference is drawn from {distribution}, seed {}", self.seed)),
+            (
+                fact::REPLAYED.to_owned(),
+                format!("inference is drawn from {distribution}, seed {}", self.seed),
+            ),
         ];
-        facts.extend(self.data_hash.iter().map(|hash| (format!("{REPLAYED_FACT} SHA-256"), hash.clone())));
+        facts.extend(self.data_hash.iter().map(|hash| (format!("{} SHA-256", fact::REPLAYED), hash.clone())));
         // The inner model computes the answers, so this model also has the classes and the hash of the inner model.
         facts.extend(self.inner.iter().flat_map(|inner| inner.facts()).map(|(name, text)| match &*name {
             "Model" => ("Inner model".to_owned(), text),
@@ -292,7 +286,7 @@ impl Worker for DistributionWorker {
         let drawn_latency = self.source.next_latency();
         let started_at = recorder.clock().mono();
         let mut inference = recorder.time(stage::INFERENCE);
-        inference.record_value(DRAWN_LATENCY, drawn_latency.seconds(), Unit::SECONDS);
+        inference.record_value(stage::DRAWN_LATENCY, drawn_latency.seconds(), Unit::SECONDS);
         let answer = match &mut self.inner {
             None => Sample::from_part(Description::bytes(), Bytes::new()),
             // The inner model's stages are below a node of their own, so that they do not count as stages of the
@@ -307,7 +301,7 @@ impl Worker for DistributionWorker {
             .map_err(|_| InferenceError::Cancelled { model: self.name.clone() })?;
         // The overrun is measured after the wait, because on a busy host the wait may also end late.
         let overrun = (inference.clock().mono() - started_at - drawn_latency).max(Span::ZERO);
-        inference.record_value(OVERRUN, overrun.seconds(), Unit::SECONDS);
+        inference.record_value(stage::OVERRUN, overrun.seconds(), Unit::SECONDS);
         drop(inference);
         if recorder.tree().find(&[&stage::INFERENCE, &INNER_MODEL, &stage::UNKNOWN_LABEL]).is_some() {
             // The edge looks for this node directly below the root.

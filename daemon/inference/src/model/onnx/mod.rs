@@ -42,7 +42,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use peernet_clock::SharedClock;
-use peernet_logger::Slug;
+use peernet_logger::{Slug, fact};
 use peernet_sample::{MaskLabel, ObjectsLabel, list_examples, normalized_label};
 use tokio_util::sync::CancellationToken;
 
@@ -66,9 +66,6 @@ pub const MODEL_HASH: &str = "Model SHA-256";
 
 /// Name of the fact with the SHA-256 of the model's card, in hexadecimal.
 const CARD_HASH: &str = "Card SHA-256";
-
-/// Name of the fact with the number of classes and some of their names.
-const CLASSES: &str = "Classes";
 
 /// Checks the name of a device.
 ///
@@ -203,7 +200,7 @@ impl Model for Onnx {
             Some((CARD_HASH, self.card_hash.clone())),
             Some(("Task", card.description.clone())),
             Some(("Input", card.summary().input)),
-            card.task.labels().map(|labels| (CLASSES, describe_classes(labels))),
+            card.task.labels().map(|labels| (fact::CLASSES, describe_classes(labels))),
             Some(("Device", device.to_string())),
             Some(("Threads per worker", format!("{intra_threads} within operators, {inter_threads} across"))),
             Some(("ONNX Runtime", self.runtime.describe())),

@@ -20,8 +20,6 @@ const INTER_TOKEN_LATENCY_MAX: Name = Name::from_static("inter-token-latency-max
 const TIME_PER_OUTPUT_TOKEN: Name = Name::from_static("time-per-output-token");
 /// Tokens of reasoning and answer, divided by the time from the start of the request to the last chunk.
 const OUTPUT_TOKEN_RATE: Name = Name::from_static("output-token-rate");
-/// Number of chunks.
-const OUTPUT_CHUNKS: Name = Name::from_static("output-chunks");
 /// Tokens of reasoning and answer, as the server counted them.
 const OUTPUT_TOKENS: Name = Name::from_static("output-tokens");
 /// Tokens of the reasoning, as the server counted them.
@@ -55,7 +53,7 @@ pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
         inference.record_value(INTER_TOKEN_LATENCY_P50, median, Unit::SECONDS);
         inference.record_value(INTER_TOKEN_LATENCY_MAX, *longest, Unit::SECONDS);
     }
-    inference.record_value(OUTPUT_CHUNKS, answer.chunk_count() as f64, Unit::NONE);
+    inference.record_value(stage::OUTPUT_CHUNKS, answer.chunk_count() as f64, Unit::NONE);
     let usage = answer.usage.unwrap_or_default();
     if let (Some(tokens), Some(last_chunk_at)) = (usage.completion_tokens, answer.last_chunk_at()) {
         if let Some(time) = answer.decode_time().filter(|_| tokens > 1) {

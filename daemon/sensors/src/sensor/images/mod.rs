@@ -13,7 +13,7 @@ use bytes::Bytes;
 use peernet_clock::SharedClock;
 use peernet_external::describe_with_hash;
 use peernet_imaging::{Header, ImageError, probe};
-use peernet_logger::Recorder;
+use peernet_logger::{Recorder, fact};
 use peernet_sample::{Description, MaskLabel, MediaType, ObjectsLabel, Sample, list_examples};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
@@ -223,7 +223,7 @@ impl Sensor for ImagesSensor {
         let mut facts = vec![
             ("Sensor".to_owned(), images),
             ("Data set".to_owned(), data_set::describe_files(files)),
-            ("Labels".to_owned(), self.describe_labels()),
+            (fact::LABELS.to_owned(), self.describe_labels()),
         ];
         let masks = self.pictures.iter().filter_map(|picture| picture.label.as_ref()?.mask());
         let masks: Vec<_> = masks.map(|mask| (self.name_in_data_set(mask), mask)).collect();

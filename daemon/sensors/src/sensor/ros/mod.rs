@@ -7,7 +7,7 @@ use std::num::{NonZeroU32, NonZeroU64};
 use std::time::Duration;
 
 use peernet_clock::{OneWayDelay, SharedClock, Stamp, WallTime};
-use peernet_logger::{Measure, Name, Recorder, Unit};
+use peernet_logger::{Measure, Name, Recorder, Unit, stage};
 use peernet_ros::ros2::{QosProfile, Reliability};
 use peernet_ros::topics::{
     MessageType, ReaderOptions, RosVersion, TopicAccess, TopicError, TopicMessage, TopicReader, check_topic,
@@ -17,7 +17,7 @@ use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
 
 use self::payload::Payload;
-use super::{DROPPED_SAMPLES, SensorKind};
+use super::SensorKind;
 use crate::{Sensor, SensorError};
 
 /// Transit from `header.stamp` of a message to the arrival of the message at this host, with both stamps. There is no
@@ -166,7 +166,7 @@ impl Sensor for RosSensor {
     fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let message = self.read()?;
         // The value is recorded before decoding, so that an undecodable message does not lose it.
-        recorder.record_value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
+        recorder.record_value(stage::DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
         let payload = Payload::decode(&message).map_err(|error| SensorError::Message {
             topic: self.config.topic.clone(),
             type_name: message.type_name.to_string(),

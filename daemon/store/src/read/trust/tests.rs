@@ -152,7 +152,7 @@ fn drawn_latencies_and_overrun_are_collected() {
 fn labels_outside_models_classes_are_reported() {
     let mut run = detail("", "finished");
     run.facts.push(("Classes".to_owned(), "4: good, dented".to_owned()));
-    let report = report(&run, vec![node(UNKNOWN_LABEL, 12, 1.0)]);
+    let report = report(&run, vec![node("unknown-label", 12, 1.0)]);
     let finding = report.findings.iter().find(|finding| finding.about == "accuracy").expect("a finding");
     assert!(
         finding.text.starts_with("Not scored: 12 of") && finding.text.contains("good, dented"),
@@ -284,7 +284,7 @@ fn rows_of_files_and_roll_ups_give_same_trust_input() {
     };
     let names = ["sensing", "upload", "inference", "download", "total", "unattributed", LATENESS, "restart"];
     let stages = names.into_iter().filter_map(|name| of_values(name, &mut rows.values_in_statistics(name)));
-    let overrun = of_values(OVERRUN, &mut rows.values_in_statistics("inference_overrun"));
+    let overrun = of_values("overrun", &mut rows.values_in_statistics("inference_overrun"));
     type ReadDelay = fn(&RowRef<'_>) -> Option<OneWayDelay>;
     let directions: [(Name, ReadDelay); 2] =
         [(stage::UPLOAD, |row| row.upload()), (stage::DOWNLOAD, |row| row.download())];
