@@ -124,6 +124,11 @@ impl Span {
         self.0 as f64 / 1e9
     }
 
+    /// Returns the drift of a clock within this time at a rate of `ppm` parts per million, rounded up.
+    pub fn drift(self, ppm: f64) -> Self {
+        Self((self.0 as f64 * ppm * 1e-6).ceil() as i64)
+    }
+
     /// Converts to the standard library's unsigned duration; negative spans become zero.
     pub fn to_duration(self) -> Duration {
         Duration::from_nanos(u64::try_from(self.0).unwrap_or(0))

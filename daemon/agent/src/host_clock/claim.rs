@@ -31,8 +31,7 @@ pub(super) struct Claim {
 impl Claim {
     /// Returns the interval at a later time.
     pub(super) fn error_at(&self, now: MonoTime) -> Interval {
-        let age = now - self.at;
-        let growth = Span::from_nanos((age.nanos().max(0) as f64 * self.growth_ppm * 1e-6).ceil() as i64);
+        let growth = (now - self.at).max(Span::ZERO).drift(self.growth_ppm);
         Interval { lo: self.error.lo - growth, hi: self.error.hi + growth }
     }
 }

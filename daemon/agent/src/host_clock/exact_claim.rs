@@ -10,7 +10,7 @@ const BOUND: Span = Span::from_micros(1);
 // The claim is also used for messages that were stamped before the claim was made.
 pub(super) fn exact_claim(faults: &ClockFaults, true_time: WallTime, reach: Span) -> ClockClaim {
     let current_error = faults.wall_error_at(true_time);
-    let drift = Span::from_nanos((reach.nanos() as f64 * faults.drift_ppm.abs() * 1e-6).ceil() as i64);
+    let drift = reach.drift(faults.drift_ppm.abs());
     let error = Interval { lo: current_error - drift - BOUND, hi: current_error + drift + BOUND };
     ClockClaim { source: DelaySource::Kernel, error }
 }

@@ -74,8 +74,7 @@ impl AnnouncedClock {
             return Some(claim);
         }
         let wall_ahead = self.announcement.raw.as_ref()?.wall_ahead;
-        let age = (now - self.announced_at).max(Span::ZERO) + MAX_TRANSIT;
-        let drift = Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
+        let drift = ((now - self.announced_at).max(Span::ZERO) + MAX_TRANSIT).drift(max_drift_ppm);
         let Interval { lo, hi } = claim.error;
         Some(ClockClaim {
             error: Interval { lo: lo - wall_ahead.hi - drift, hi: hi - wall_ahead.lo + drift },

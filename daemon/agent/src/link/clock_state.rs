@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use peernet_clock::{
-    Direction, ExchangeObservation, JudgedExchange, LearnResult, Offset, OneWayDelay, RawTime, RelatedClocks,
-    Relation, Span, Stamp, Verdict, ViolatedLimit, WallTime,
+    DelaySource, Direction, ExchangeObservation, JudgedExchange, LearnResult, Offset, OneWayDelay,
+    ProvenSkew, RawTime, RelatedClocks, Relation, Span, Stamp, ViolatedLimit, WallTime,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_networks::PeerClock;
@@ -143,10 +143,7 @@ impl LinkClockState {
         now: Stamp,
     ) -> ([OneWayDelay; 2], ClockStateChanges) {
         let changes = self.advance_second(now);
-        let delays = message_delays.map(|message_delay| OneWayDelay {
-            verdict: Verdict::Stepped,
-            ..OneWayDelay::unsynchronised(message_delay.raw)
-        });
+        let delays = message_delays.map(|message| OneWayDelay::stepped(message.raw, DelaySource::None));
         for (direction, (delay, message_delay)) in
             Direction::ALL.iter().zip(delays.iter().zip(message_delays))
         {
@@ -420,11 +417,7 @@ impl LinkClockState {
                 .clocks
                 .are_free_running()
                 .then_some(settings.max_drift_change_ppm_per_s),
-            // `max_ppm` can be below `min_ppm` if the skew changed.
-            proven_skew_ppm: self
-                .relation
-                .proven_skew()
-                .map(|skew| (skew.min_ppm.min(skew.max_ppm), skew.max_ppm.max(skew.min_ppm))),
+            proven_skew_ppm: self.relation.proven_skew().map(ProvenSkew::ordered_ppm),
             // The age is stored only if an exchange from before the window bounds the offset.
             oldest_exchange_age: self.relation.window_span(at.raw).filter(|span| *span > settings.window),
             claims_trusted: settings.trust_time_daemons,

@@ -86,8 +86,7 @@ fn unreported_text(unreported: u32) -> String {
 /// Returns the text of a proven skew beyond the limit.
 pub(super) fn excess_text(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
     let ExcessSkew { proven, limit_ppm } = excess;
-    // `max_ppm` can be below `min_ppm` if the skew changed.
-    let (min, max) = (proven.min_ppm.min(proven.max_ppm), proven.max_ppm.max(proven.min_ppm));
+    let (min, max) = proven.ordered_ppm();
     format!(
         "the exchanges prove that the clock of {cloud} gains {min:.1} to {max:.1} ppm on that of {edge}, more than [clock] \
          max_drift_ppm = {limit_ppm} allows: delays have no value; raise max_drift_ppm on {edge}"

@@ -69,17 +69,18 @@ impl LinkSecond {
     /// Adds an accepted exchange. Which of two bounds is better at the end of the second also depends on their ages,
     /// because a bound widens with its age.
     pub(super) fn add_exchange(&mut self, exchange: &Exchange, max_drift_ppm: f64) {
-        let drift = |time: Span| Span::from_nanos((time.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
         // By the time of the newer exchange, the older bound has widened by the drift. If `exchange` is older than
         // `best`, the drift is negative: this narrows the bound of `best` instead of widening the bound of `exchange`,
         // with the same result.
-        let improves_upper =
-            |best: &Exchange| exchange.upper() < best.upper() + drift(exchange.sent - best.sent);
+        let improves_upper = |best: &Exchange| {
+            exchange.upper() < best.upper() + (exchange.sent - best.sent).drift(max_drift_ppm)
+        };
         if self.upper.as_ref().is_none_or(improves_upper) {
             self.upper = Some(*exchange);
         }
-        let improves_lower =
-            |best: &Exchange| exchange.lower() > best.lower() - drift(exchange.returned - best.returned);
+        let improves_lower = |best: &Exchange| {
+            exchange.lower() > best.lower() - (exchange.returned - best.returned).drift(max_drift_ppm)
+        };
         if self.lower.as_ref().is_none_or(improves_lower) {
             self.lower = Some(*exchange);
         }

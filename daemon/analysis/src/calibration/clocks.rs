@@ -71,7 +71,7 @@ fn is_contradicted(before: &ClockSample, after: &ClockSample) -> bool {
     let offsets = before.offset.as_ref().zip(after.offset.as_ref()).filter(|_| is_new_relation);
     let Some((offset_before, offset_after)) = offsets else { return false };
     let ppm = before.max_drift_ppm.max(after.max_drift_ppm);
-    let max_drift = Span::from_seconds_f64((after.at - before.at).abs().seconds() * ppm * 1e-6);
+    let max_drift = (after.at - before.at).abs().drift(ppm);
     offset_before.bounds.hi + max_drift < offset_after.bounds.lo
         || offset_after.bounds.hi + max_drift < offset_before.bounds.lo
 }

@@ -26,6 +26,13 @@ pub struct ProvenSkew {
     pub max_ppm: f64,
 }
 
+impl ProvenSkew {
+    /// Returns the smaller and the larger of the two values.
+    pub fn ordered_ppm(self) -> (f64, f64) {
+        (self.min_ppm.min(self.max_ppm), self.max_ppm.max(self.min_ppm))
+    }
+}
+
 /// Points of the last half hour from which bounds of the skew follow. The bounds hold for any delays.
 #[derive(Clone, Debug)]
 pub(super) struct SkewBounds {

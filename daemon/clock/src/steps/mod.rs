@@ -27,8 +27,3 @@ pub struct Readings {
 /// Largest change of the difference between two clocks that never counts as a step.
 // Smaller changes may come from the time that reading takes.
 const MIN_STEP: Span = Span::from_micros(20);
-
-/// Returns `ppm` parts per million of a span.
-fn parts_per_million(ppm: f64, span: Span) -> Span {
-    Span::from_nanos((span.nanos() as f64 * ppm * 1e-6).round() as i64)
-}

@@ -2,7 +2,7 @@
 
 use std::ops::Sub;
 
-use super::{MIN_STEP, parts_per_million};
+use super::MIN_STEP;
 use crate::{MonoTime, Span};
 
 /// A value that was read between two reads of a clock. The value is another clock's time in nanoseconds, or the times
@@ -72,9 +72,7 @@ impl StepWatch {
         // Each reading is uncertain by half of its gap.
         let uncertainty = Span::from_nanos((now.gap() + last.gap()).nanos() / 2);
         if change.abs()
-            > MIN_STEP
-                + uncertainty
-                + parts_per_million(Self::MAX_RATE_DIFFERENCE_PPM, now.after - last.before)
+            > MIN_STEP + uncertainty + (now.after - last.before).drift(Self::MAX_RATE_DIFFERENCE_PPM)
         {
             self.epoch += 1;
             self.last_step = Some(change);

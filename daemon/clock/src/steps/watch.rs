@@ -1,6 +1,6 @@
 //! Detection of all disturbances of a host's clocks, from about ten readings of the clocks per second.
 
-use super::{MIN_STEP, Readings, parts_per_million};
+use super::{MIN_STEP, Readings};
 use crate::Span;
 
 /// A disturbance between two readings.
@@ -70,7 +70,7 @@ impl ClockWatch {
         // The wall clock continues while the machine sleeps. It is set from a coarser clock when the machine wakes up,
         // so a sleep may come with a step.
         let step = (now.wall - last.wall) - elapsed;
-        if step.abs() > MIN_STEP + parts_per_million(Self::MAX_RATE_DIFFERENCE_PPM, elapsed) {
+        if step.abs() > MIN_STEP + elapsed.drift(Self::MAX_RATE_DIFFERENCE_PPM) {
             disturbances.push(Disturbance::Step(step));
         }
         if disturbances.is_empty() {

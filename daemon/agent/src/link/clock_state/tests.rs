@@ -1,6 +1,6 @@
 //! Tests of seconds, relation periods and restarts. The relation itself is tested in the crate `clock`.
 
-use peernet_clock::{ClockClaim, DelaySource, Exchange, Interval, RelationSettings};
+use peernet_clock::{ClockClaim, Exchange, Interval, RelationSettings, Verdict};
 use peernet_networks::RawClock;
 
 use super::*;
