@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 use peernet_actuators::ActuatorKind;
 use peernet_clock::SharedClock;
+use peernet_external::process::MAX_TIMEOUT_MS;
 use peernet_inference::bank::ModelFolders;
 use peernet_inference::{Bank, LoadError, check_library};
 use peernet_logger::Slug;
@@ -41,8 +42,6 @@ const MAX_IO_THREADS: u64 = 64;
 const MAX_STOP_TIMEOUT_MS: u64 = 60_000;
 /// Largest `max_in_flight` of a pipeline.
 const MAX_IN_FLIGHT: u64 = 4096;
-/// Largest `timeout_ms` of a pipeline: a day.
-const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
 /// Largest `limit.duration_s`, and longest interval between two starts of iterations: a year.
 const MAX_RUN_S: f64 = 365.0 * 86_400.0;
 

@@ -3,7 +3,7 @@
 use peernet_logger::stage;
 use peernet_statistics::number::{Estimate, SPACE, count, duration};
 
-use crate::fit::{Fit, Point, theil_sen};
+use crate::fit::{Fit, MAX_RELATIVE_WIDTH, Point, theil_sen};
 
 /// Column of the time that the model takes for an answer, seconds.
 pub const LATENCY: &str = "inference";
@@ -90,8 +90,6 @@ const MIN_ITERATIONS: usize = 60;
 /// Maximum number of iterations that a line is computed from. It limits the time: [`theil_sen`]
 /// sorts the points again for each step of several bisections.
 const MAX_ITERATIONS: usize = 1_000;
-/// If the interval of a slope is wider than this share of the slope, the slope is not reported as one number.
-const MAX_RELATIVE_WIDTH: f64 = 0.5;
 
 /// Reason why no line of latency over length is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

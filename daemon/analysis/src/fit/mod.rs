@@ -72,8 +72,9 @@ impl Fit {
     }
 }
 
-/// Maximum width of the interval of a rate, as a share of the rate. A rate with a wider interval is not shown.
-const MAX_RELATIVE_WIDTH: f64 = 0.5;
+/// Maximum width of the interval of a slope or a rate, as a share of this value. A value with a wider interval is not
+/// shown as one number.
+pub(crate) const MAX_RELATIVE_WIDTH: f64 = 0.5;
 
 /// Rate that follows from a slope in seconds per byte, bits per second.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -25,5 +25,5 @@ pub use restart_backoff::RestartBackoff;
 pub use running::Process;
 pub use stderr_log::StderrLog;
 
-/// Longest timeout for a process, milliseconds: one day.
+/// Longest timeout that a configuration may set, milliseconds: one day.
 pub const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;

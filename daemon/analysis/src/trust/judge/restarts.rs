@@ -4,12 +4,10 @@
 use peernet_statistics::number;
 use peernet_stream::Grade;
 
+use super::time_series::MAX_INFLUENCE;
 use super::{finding, iterations, ms, percent, with_advice};
 use crate::trust::{Finding, Restarts, TrustInput};
 
-/// The finding about restarts is doubtful if they took at least this share of the time of all iterations. The limit for
-/// the contribution of outliers to the mean is the same, because a long restart is an outlier.
-const MAX_INFLUENCE: f64 = 0.05;
 /// Maximum number of iterations whose numbers a finding lists.
 const MAX_LISTED: usize = 5;
 

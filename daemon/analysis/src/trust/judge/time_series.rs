@@ -20,8 +20,9 @@ const MAX_CHANCE: f64 = 0.05;
 /// The finding about the warm-up can be doubtful only if the first iterations take longer than the rest by more than
 /// this share.
 const MAX_COLD_EXCESS: f64 = 0.1;
-/// The finding about outliers is doubtful if they contribute at least this share of the mean.
-const MAX_INFLUENCE: f64 = 0.05;
+/// The finding about outliers is doubtful if they contribute at least this share of the mean, and the finding about
+/// restarts if they took at least this share of the time: a long restart is an outlier.
+pub(super) const MAX_INFLUENCE: f64 = 0.05;
 /// The finding about unattributed time is bad if at least this share of the total lies outside of all stages.
 const BAD_UNATTRIBUTED_SHARE: f64 = 0.25;
 /// Minimum number of iterations that can be judged over time.

@@ -5,6 +5,7 @@ use std::sync::{Arc, Once};
 use std::time::Duration;
 
 use peernet_clock::SharedClock;
+use peernet_external::process::MAX_TIMEOUT_MS;
 use serde::{Deserialize, Serialize};
 
 use super::Openai;
@@ -12,9 +13,6 @@ use super::server::{ApiKey, Server};
 use super::time_limits::TimeLimits;
 use crate::model::{CommonSettings, Keys, LoadContext, ModelKind};
 use crate::{LoadError, Model};
-
-/// Longest time limit, milliseconds: one day.
-const MAX_TIMEOUT_MS: usize = 24 * 3600 * 1000;
 
 /// Fields of a request that must not be in `parameters`. This program sets these fields, except `n`: without `n`, the
 /// server sends one choice, as this program expects.
@@ -73,7 +71,7 @@ impl ModelKind for OpenaiConfig {
 
     fn limits(&self) -> Vec<(&'static str, usize, usize)> {
         let limit = |key, value: NonZeroU64| {
-            (key, usize::try_from(value.get()).unwrap_or(usize::MAX), MAX_TIMEOUT_MS)
+            (key, usize::try_from(value.get()).unwrap_or(usize::MAX), MAX_TIMEOUT_MS as usize)
         };
         vec![
             limit("first_token_timeout_ms", self.first_token_timeout_ms),
