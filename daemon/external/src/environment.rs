@@ -43,6 +43,8 @@ pub const SEED_VARIABLE: &str = "PEERNET_SEED";
 pub const REPEAT_VARIABLE: &str = "PEERNET_REPEAT";
 /// Variable of custom code in an experiment: the number of the user, from 1.
 pub const USER_VARIABLE: &str = "PEERNET_USER";
+/// Variable of a model: the device for which it is configured.
+pub const DEVICE_VARIABLE: &str = "PEERNET_DEVICE";
 /// Longest recorded value, characters.
 const MAX_VALUE_CHARS: usize = 1000;
 /// Text that replaces a configured value.

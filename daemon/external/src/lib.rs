@@ -13,4 +13,6 @@ mod environment;
 mod text;
 
 pub use digest::{describe_with_hash, sha256};
-pub use environment::{REPEAT_VARIABLE, SEED_VARIABLE, USER_VARIABLE, environment, hide_values};
+pub use environment::{
+    DEVICE_VARIABLE, REPEAT_VARIABLE, SEED_VARIABLE, USER_VARIABLE, environment, hide_values,
+};

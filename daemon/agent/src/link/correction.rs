@@ -27,7 +27,7 @@ fn value_of(tree: &Tree, name: &Name) -> Option<f64> {
 }
 
 /// Returns the rate of bits over a delay, with the bounds that follow from the delay's bounds.
-fn rate(bits: f64, delay: &OneWayDelay) -> Rate {
+pub(super) fn rate(bits: f64, delay: &OneWayDelay) -> Rate {
     // A delay of zero, which a coarse clock can show, gives no rate; a lower bound of zero gives an infinite upper
     // bound of the rate.
     let rate_over = |seconds: f64| if seconds > 0.0 { bits / seconds } else { f64::INFINITY };

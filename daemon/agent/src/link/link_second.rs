@@ -7,6 +7,7 @@ use peernet_clock::{Direction, Exchange, Interval, OneWayDelay, Span, Verdict, W
 use peernet_probes::ProbeResult;
 use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTrip};
 
+use super::correction::rate;
 use super::downsampled::DownsampledValues;
 
 /// Events on a link within one second of the edge's wall clock, or within a part of that second.
@@ -153,9 +154,8 @@ impl Delays {
     fn add(&mut self, delay: &OneWayDelay, bits: Option<f64>) {
         self.verdicts.add(delay.verdict, 1);
         if let (Some(value), Some(bounds)) = (delay.value, delay.bounds) {
-            // An estimate of zero or less has no rate.
-            let rate = bits.filter(|_| value > Span::ZERO).map(|bits| bits / value.seconds());
-            self.points.push(DelayPoint { value, bounds, bits_per_second: rate });
+            let bits_per_second = bits.and_then(|bits| rate(bits, delay).value);
+            self.points.push(DelayPoint { value, bounds, bits_per_second });
         }
     }
 

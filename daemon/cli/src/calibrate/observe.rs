@@ -5,7 +5,6 @@ use std::collections::BTreeSet;
 use peernet_agent::RunningAgent;
 use peernet_analysis::calibration::Sample;
 use peernet_clock::{MonoTime, SharedClock, Span};
-use peernet_networks::OpenError;
 use peernet_statistics::number::bytes;
 use peernet_stream::{ClockSample, Event, FaultyHost, HostClock, IncidentKind, Outcome};
 
@@ -160,9 +159,6 @@ impl RunObserver for SweepObserver<'_> {
         let activity = PipelineActivity::current(running);
         let wait_reason = activity.wait_reason();
         if let (Some(kind), Some(reason)) = (self.first_attempt_failure, wait_reason) {
-            // The hint is left out: it names a key of a pipeline's configuration, which a calibration does not have,
-            // and the model `calibration` needs no loading.
-            let reason = reason.strip_suffix(OpenError::LOADING_HINT).unwrap_or(reason);
             let advice = match kind {
                 IncidentKind::Refused => {
                     "; calibration needs the model `calibration`, which a peer serves if its configuration has [serve] calibration = true"

@@ -2,6 +2,7 @@
 
 use peernet_agent::RunningAgent;
 use peernet_clock::{MonoTime, Span};
+use peernet_networks::OpenError;
 use peernet_stream::PipelineState;
 
 /// Time without an answer of the peer, or without a sample of the sensor, after which a message is shown.
@@ -37,12 +38,11 @@ impl PipelineActivity {
         }
     }
 
-    /// Returns the reason for which the peer is away; `None` if it is not away or the reason is unknown.
+    /// Returns the reason for which the peer is away; `None` if it is not away or the reason is unknown. The hint about a
+    /// model that loads is left out: it names a key of a configuration file, which a foreground command does not have.
     pub(crate) fn wait_reason(&self) -> Option<&str> {
-        match self {
-            Self::Away(reason) => reason.as_deref(),
-            Self::Preparing(_) | Self::Sensing(_) | Self::Running => None,
-        }
+        let Self::Away(Some(reason)) = self else { return None };
+        Some(reason.strip_suffix(OpenError::LOADING_HINT).unwrap_or(reason))
     }
 
     /// Describes a sensor that is slow at `now`; `None` if the sensor is not slow.

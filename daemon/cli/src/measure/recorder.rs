@@ -10,7 +10,6 @@ use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::trust::StartsSoFar;
 use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
 use peernet_logger::Slug;
-use peernet_networks::OpenError;
 use peernet_results::RowWriter;
 use peernet_statistics::{Summary, remaining_seconds};
 use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
@@ -287,9 +286,6 @@ impl RunObserver for RunRecorder<'_> {
         if let (true, Some(reason)) = (self.is_refused, reason) {
             return Some(AgentEnd::Failed(reason.to_owned()));
         }
-        // The library's advice at the end of the reason refers to a configuration file, which a foreground run does
-        // not have.
-        let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING_HINT).unwrap_or(reason));
         let write_error =
             self.writer.write_error().map(|error| format!("{error}; the rows are kept in memory"));
         let now = self.clock.mono();

@@ -7,12 +7,11 @@ use std::path::{Path, PathBuf};
 use peernet_clock::{SharedClock, Span};
 
 use super::{PythonConfig, PythonError, SOURCE};
+use crate::DEVICE_VARIABLE;
 use crate::process::{Launch, Process, ProcessError, StderrLog, find_program};
 
 /// Environment variable that names the interpreter if the configuration names none.
 const PYTHON_VARIABLE: &str = "PEERNET_PYTHON";
-/// Environment variable that contains the device for which the model is configured.
-const DEVICE_VARIABLE: &str = "PEERNET_DEVICE";
 /// Python code that reads the source of PEERNet's worker program from standard input, and runs it. The first argument
 /// is the length of the source. No byte beyond the source is read, because messages follow.
 const BOOTSTRAP: &str = "import os, sys\n\

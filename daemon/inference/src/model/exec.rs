@@ -5,6 +5,7 @@ use std::num::NonZeroU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::SharedClock;
+use peernet_external::DEVICE_VARIABLE;
 pub use peernet_external::exec::ExecConfig;
 use peernet_external::exec::{
     CommandLine, FingerprintKey, Program, ProgramCallError, ReplyOutcome, Request, Role,
@@ -14,9 +15,6 @@ use peernet_sample::Sample;
 
 use super::{CommonSettings, Keys, LoadContext, ModelConfig, ModelKind, ModelTable};
 use crate::{Cancelled, InferenceError, LoadError, Model, PartialAnswerError, Requester, Worker};
-
-/// Environment variable that contains the device.
-const DEVICE_VARIABLE: &str = "PEERNET_DEVICE";
 
 impl ModelConfig {
     /// Returns the configuration of a program, given as a line for the shell.
