@@ -10,6 +10,7 @@ pub mod python;
 
 mod digest;
 mod environment;
+mod role;
 mod text;
 
 pub use digest::{describe_with_hash, sha256};

@@ -39,6 +39,8 @@ pub use reply::{AssemblyStep, Reply, ReplyAssembler, ReplyNotes, ReplyOutcome};
 pub use request::Request;
 pub use timeline::TimedStage;
 
+pub use crate::role::Role;
+
 /// Version of the framing.
 pub const VERSION: u32 = 1;
 
@@ -51,43 +53,3 @@ pub const MAX_LINES: usize = 256;
 pub const MAX_PARTS: usize = 16;
 /// Largest size of one sample or answer, bytes (1 GiB).
 pub const MAX_SAMPLE_BYTES: u64 = 1 << 30;
-
-/// Role of a program in a pipeline.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
-    /// Produces samples.
-    Sensor,
-    /// Answers samples.
-    Model,
-    /// Acts on answers.
-    Actuator,
-}
-
-impl Role {
-    /// Returns the role's name, as in the program's environment and in messages.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Sensor => "sensor",
-            Self::Model => "model",
-            Self::Actuator => "actuator",
-        }
-    }
-
-    /// Returns the role's name with its article, for messages.
-    pub(crate) const fn with_article(self) -> &'static str {
-        match self {
-            Self::Sensor => "a sensor",
-            Self::Model => "a model",
-            Self::Actuator => "an actuator",
-        }
-    }
-
-    /// Returns the role's name as it begins the names of a run's facts, such as `Sensor arguments`.
-    const fn fact_prefix(self) -> &'static str {
-        match self {
-            Self::Sensor => "Sensor",
-            Self::Model => "Model",
-            Self::Actuator => "Actuator",
-        }
-    }
-}

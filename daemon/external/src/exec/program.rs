@@ -9,10 +9,7 @@ use super::{
     AssemblyStep, ExecConfig, MAX_LINE_BYTES, ProgramCallError, Reply, ReplyAssembler, ReplyNotes,
     ReplyOutcome, Request, Role, VERSION,
 };
-use crate::process::{Launch, Process, ProcessError, RestartBackoff, StderrLog};
-
-/// Time for a program to end after its standard input is closed.
-const STOP_TIMEOUT: Span = Span::from_millis(1000);
+use crate::process::{Launch, Process, ProcessError, RestartBackoff, STOP_TIMEOUT, StderrLog};
 
 /// External program in one role. All calls block.
 #[derive(Debug)]
@@ -24,8 +21,6 @@ pub struct Program {
     /// `None` after a failure, until the program is restarted.
     process: Option<Process>,
     restart_backoff: RestartBackoff,
-    /// Text of the last failure, returned to callers while the program is not restarted.
-    last_failure: String,
     /// `true` after a sensor has reported that it has no more samples. The sensor is not asked again.
     is_finished: bool,
 }
@@ -78,7 +73,6 @@ impl Program {
             clock: SharedClock::clone(clock),
             process: Some(process),
             restart_backoff: RestartBackoff::default(),
-            last_failure: String::new(),
             is_finished: false,
         })
     }
@@ -170,11 +164,10 @@ impl Program {
     }
 
     fn restart(&mut self) -> Result<Process, ProgramCallError> {
-        if let Some(remaining_delay) = self.restart_backoff.remaining_delay(self.clock.mono()) {
-            return Err(ProgramCallError::RestartDelayed {
-                remaining_delay: remaining_delay.to_duration(),
-                last_failure: self.last_failure.clone(),
-            });
+        if let Some((remaining_delay, last_failure)) = self.restart_backoff.remaining_delay(self.clock.mono())
+        {
+            let (remaining_delay, last_failure) = (remaining_delay.to_duration(), last_failure.to_owned());
+            return Err(ProgramCallError::RestartDelayed { remaining_delay, last_failure });
         }
         tracing::info!(name = self.launch.name, "restarting the program");
         Process::start(&self.launch, &self.clock)
@@ -183,8 +176,7 @@ impl Program {
 
     /// Records a failure, so that the next restart is delayed. Returns the error.
     fn record_failure(&mut self, error: ProgramCallError) -> ProgramCallError {
-        self.restart_backoff.record_failure(self.clock.mono());
-        self.last_failure = error.to_string();
+        self.restart_backoff.record_failure(self.clock.mono(), &error);
         error
     }
 }

@@ -25,5 +25,9 @@ pub use restart_backoff::RestartBackoff;
 pub use running::Process;
 pub use stderr_log::StderrLog;
 
+use peernet_clock::Span;
+
+/// Time for a process to end after it is no longer needed.
+pub(crate) const STOP_TIMEOUT: Span = Span::from_millis(1000);
 /// Longest timeout that a configuration may set, milliseconds: one day.
 pub const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;

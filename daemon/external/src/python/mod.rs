@@ -24,8 +24,10 @@ pub use call_result::{CallResult, CallTimes, Step};
 pub use config::{Images, PythonConfig};
 pub use error::PythonError;
 pub use frame::{FrameError, PICKLE, TREE};
-pub use object::{PythonObject, Role};
+pub use object::PythonObject;
 pub use object_description::ObjectDescription;
+
+pub use crate::role::Role;
 
 /// Source code of the worker program, which the Python process runs.
 const SOURCE: &str = concat!(

@@ -1,34 +1,17 @@
 //! A custom object and the process in which it runs.
 
-use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_sample::Part;
-use serde::Serialize;
 
 use super::frame::{self, FrameError, Reply, Request};
 use super::interpreter;
 use super::worker::{ReplyWithBytes, Worker, WorkerError};
-use super::{CallResult, CallTimes, ObjectDescription, PythonConfig, PythonError, Step};
-use crate::process::{Launch, ProcessError, RestartBackoff};
-
-/// Time that a process has to end after it is no longer needed.
-const STOP_TIMEOUT: Span = Span::from_millis(1000);
+use super::{CallResult, CallTimes, ObjectDescription, PythonConfig, PythonError, Role};
+use crate::process::{Launch, ProcessError, RestartBackoff, STOP_TIMEOUT};
 
 /// Time from the start of a process to the first log line that says that the object is not created yet. Each further
 /// line follows after twice the time of the previous line.
 const FIRST_REPORT_AFTER: Span = Span::from_millis(30_000);
-
-/// Role of an object in a pipeline.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Role {
-    /// Sensor; the object has `sample()`, and may have `reset()` and `advance(seconds)`.
-    Sensor,
-    /// Model; the object has `infer(x)`, and may have `preprocess(x)` and `postprocess(y)`.
-    Model,
-    /// Actuator; the object has `act(answer)`, and may have `reset()`.
-    Actuator,
-}
 
 /// Python object in a separate process, which is restarted when it dies. Dropping it ends the process.
 #[derive(Debug)]
@@ -41,8 +24,6 @@ pub struct PythonObject {
     /// `None` after a failure, until a call starts a new process.
     worker: Option<Worker>,
     restart_backoff: RestartBackoff,
-    /// Text of the last failure, returned to callers while the process is not restarted.
-    last_failure: String,
 }
 
 impl PythonObject {
@@ -77,7 +58,6 @@ impl PythonObject {
             description: ObjectDescription::default(),
             worker: None,
             restart_backoff: RestartBackoff::default(),
-            last_failure: String::new(),
         };
         object.worker = Some(object.start_worker()?);
         Ok(object)
@@ -150,55 +130,37 @@ impl PythonObject {
         let answer = self.take_or_start_worker().and_then(|mut worker| {
             let started_at = self.clock.mono();
             let deadline = started_at + milliseconds(self.config.timeout_ms.get());
-            match request(&mut worker, deadline) {
-                // A process is used again only after an answer: after a failure, bytes in the pipe would be mistaken
-                // for the answer to the next call.
-                Ok(answer) => {
-                    self.worker = Some(worker);
-                    self.restart_backoff.record_success();
-                    Ok((started_at, answer))
+            let (reply, bytes) = match request(&mut worker, deadline) {
+                Ok(answer) => answer,
+                Err(failure) => return Err(self.call_error(failure, worker)),
+            };
+            let (result, steps) = match reply {
+                Reply::Value { parts, steps } => (Ok(Some(frame::join_parts(parts, bytes))), steps),
+                Reply::EndOfSamples { steps } => (Ok(None), steps),
+                Reply::Raised { text, steps } => (Err(PythonError::Raised(text)), steps),
+                Reply::UnsupportedValue { text, steps } => (Err(PythonError::Value(text)), steps),
+                Reply::Ready(_) | Reply::PartialAnswer { .. } => {
+                    return Err(self.invalid_message(FrameError::UnexpectedReply));
                 }
-                Err(failure) => Err(self.call_error(failure, worker)),
-            }
+            };
+            // A process is used again only after an answer: after a failure, bytes in the pipe would be mistaken for the
+            // answer to the next call.
+            self.worker = Some(worker);
+            self.restart_backoff.record_success();
+            Ok((started_at, result, steps))
         });
         let ended_at = self.clock.mono();
         match answer {
-            Ok((started_at, (reply, bytes))) => {
-                let mut call_result = self.call_result(reply, bytes, started_at, ended_at);
-                call_result.times.restart_began_at = restart_began_at;
-                call_result
+            Ok((started_at, result, steps)) => {
+                let times = CallTimes::new(started_at, ended_at, &steps);
+                CallResult { result, times: CallTimes { restart_began_at, ..times } }
             }
             Err(error) => {
                 // A call during the delay is no further failure and must not extend the delay.
                 if !matches!(error, PythonError::RestartDelayed { .. }) {
-                    self.restart_backoff.record_failure(ended_at);
-                    self.last_failure = error.to_string();
+                    self.restart_backoff.record_failure(ended_at, &error);
                 }
                 CallResult { result: Err(error), times: CallTimes::new(called_at, ended_at, &[]) }
-            }
-        }
-    }
-
-    /// Converts a reply to the result of a call.
-    fn call_result(
-        &mut self,
-        reply: Reply,
-        bytes: Vec<Bytes>,
-        started_at: MonoTime,
-        ended_at: MonoTime,
-    ) -> CallResult {
-        let make_result = |result, steps: &[(Step, i64, i64)]| CallResult {
-            result,
-            times: CallTimes::new(started_at, ended_at, steps),
-        };
-        match reply {
-            Reply::Value { parts, steps } => make_result(Ok(Some(frame::join_parts(parts, bytes))), &steps),
-            Reply::EndOfSamples { steps } => make_result(Ok(None), &steps),
-            Reply::Raised { text, steps } => make_result(Err(PythonError::Raised(text)), &steps),
-            Reply::UnsupportedValue { text, steps } => make_result(Err(PythonError::Value(text)), &steps),
-            Reply::Ready(_) | Reply::PartialAnswer { .. } => {
-                self.worker = None;
-                make_result(Err(self.invalid_message(FrameError::UnexpectedReply)), &[])
             }
         }
     }
@@ -208,12 +170,10 @@ impl PythonObject {
         if let Some(worker) = self.worker.take() {
             return Ok(worker);
         }
-        if let Some(remaining_delay) = self.restart_backoff.remaining_delay(self.clock.mono()) {
-            return Err(PythonError::RestartDelayed {
-                object: self.config.object.clone(),
-                remaining_delay,
-                last_failure: self.last_failure.clone(),
-            });
+        if let Some((remaining_delay, last_failure)) = self.restart_backoff.remaining_delay(self.clock.mono())
+        {
+            let (object, last_failure) = (self.config.object.clone(), last_failure.to_owned());
+            return Err(PythonError::RestartDelayed { object, remaining_delay, last_failure });
         }
         tracing::info!(name = self.launch.name, object = self.config.object, "restarting a Python process");
         self.start_worker()
