@@ -168,10 +168,8 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             format!("{name} has not reported since {}", app.zone.moment(host.last_seen).time_of_day())
         }
         (true, 0, 0) => format!("{name} is connected and idle"),
-        (true, own, 0) => format!("{name} runs {own} pipeline{}", if own == 1 { "" } else { "s" }),
-        (true, 0, others) => {
-            format!("{name} serves {others} pipeline{} of other hosts", if others == 1 { "" } else { "s" })
-        }
+        (true, own, 0) => format!("{name} runs {}", counted(own as u64, "pipeline")),
+        (true, 0, others) => format!("{name} serves {} of other hosts", counted(others as u64, "pipeline")),
         (true, own, others) => format!("{name} runs {own} and serves {others}"),
     };
     let aggregator_clock = app.clock.identity();

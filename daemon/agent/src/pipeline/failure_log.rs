@@ -3,6 +3,7 @@
 //! The first failure of each kind is logged at once, later failures in at most one summary per minute.
 
 use peernet_clock::{MonoTime, Span};
+use peernet_statistics::number::counted;
 use peernet_stream::Outcome;
 
 /// Shortest time between two log lines about one kind of failure.
@@ -76,9 +77,9 @@ impl UnloggedFailures {
             None => format!("iteration {number}: {description}{reason}"),
             Some(previous_logged_at) => {
                 let seconds = (now - previous_logged_at).seconds();
-                let iterations = if count == 1 { "iteration" } else { "iterations" };
+                let iterations = counted(count, "more iteration");
                 format!(
-                    "{count} more {iterations} {description} in {seconds:.0} s; the latest is iteration {number}{reason}"
+                    "{iterations} {description} in {seconds:.0} s; the latest is iteration {number}{reason}"
                 )
             }
         })

@@ -6,7 +6,7 @@ use peernet_analysis::accuracy::segmentation::SegmentedPixels;
 use peernet_logger::Tree;
 use peernet_sample::{Classification, Description, Sample};
 use peernet_sensors::{SensorError, read_mask};
-use peernet_statistics::number::{count, counted, fixed, share};
+use peernet_statistics::number::{count, counted, counted_with_plural, fixed, share};
 
 /// Longest answer that is shown, bytes.
 const MAX_SHOWN_BYTES: usize = 2_000;
@@ -68,7 +68,7 @@ impl Tally {
     /// Returns the score of the pixels of all pictures together.
     fn segmentation(&self) -> Option<String> {
         let class_count = self.pixels.class_count();
-        let classes = if class_count == 1 { "1 class".to_owned() } else { format!("{class_count} classes") };
+        let classes = counted_with_plural(class_count as u64, "class", "classes");
         self.pixels
             .mean_iou()
             .map(|iou| format!("; all pictures together: mean IoU {} % over {classes}", share(iou)))

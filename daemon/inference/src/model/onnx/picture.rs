@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use peernet_imaging::ImageError;
 use peernet_sample::{Part, PixelFormat};
+use peernet_statistics::number::counted;
 
 use super::card::{Colour, Layout, Normalisation, PictureSource};
 use super::geometry::{Geometry, PictureTransform};
@@ -16,7 +17,7 @@ pub(super) enum InputError {
     #[error("it has no payload")]
     NoPayload,
     /// The sample has fewer or more parts than the model has inputs.
-    #[error("it has {}, the model takes {expected}: {names}", counted(*.actual))]
+    #[error("it has {}, the model takes {expected}: {names}", counted(*.actual as u64, "part"))]
     Parts {
         actual: usize,
         expected: usize,
@@ -74,10 +75,6 @@ pub(super) enum InputError {
         input: String,
         error: Box<Self>,
     },
-}
-
-fn counted(parts: usize) -> String {
-    if parts == 1 { "1 part".to_owned() } else { format!("{parts} parts") }
 }
 
 /// Converts pictures to numbers as the card defines. Buffers are reused for the next picture.

@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use peernet_sample::printable_line;
+use peernet_statistics::number::counted;
 
-use super::stream_error::{StreamError, chunks};
+use super::stream_error::StreamError;
 
 /// Maximum length of a text of the server in a message, characters.
 const MAX_TEXT_CHARS: usize = 500;
@@ -26,7 +27,7 @@ pub(super) enum RequestError {
     /// The connection broke. In this and the other variants, `chunk_count` is the number of chunks that had arrived.
     #[error(
         "the connection to its server broke after {}: {reason}; the server's log says why; the next request connects again",
-        chunks(*.chunk_count)
+        counted(*.chunk_count, "chunk")
     )]
     Connection { chunk_count: u64, reason: String },
     /// The first token did not arrive in time.
@@ -35,13 +36,13 @@ pub(super) enum RequestError {
     /// A further token, or the end, did not arrive in time.
     #[error(
         "its server sent nothing for {} ms after {}; raise token_timeout_ms if it needs longer",
-        .limit.as_millis(), chunks(*.chunk_count)
+        .limit.as_millis(), counted(*.chunk_count, "chunk")
     )]
     Token { limit: Duration, chunk_count: u64 },
     /// The answer took too long.
     #[error(
         "its answer is not complete within {} ms, after {}; raise timeout_ms, or set max_tokens in parameters",
-        .limit.as_millis(), chunks(*.chunk_count)
+        .limit.as_millis(), counted(*.chunk_count, "chunk")
     )]
     Total { limit: Duration, chunk_count: u64 },
     /// The server refused the request.

@@ -1,5 +1,7 @@
 //! Reasons why a stream is not a complete answer.
 
+use peernet_statistics::number::counted;
+
 use super::event_stream::EventTooLong;
 
 /// Reason why a stream is not a complete answer.
@@ -13,7 +15,7 @@ pub(super) enum StreamError {
     EventTooLong,
     /// The server reported an error in the stream. In this and the other variants, `chunk_count` is the number of
     /// chunks that had arrived.
-    #[error("its server ended the answer after {}: {text}", chunks(*.chunk_count))]
+    #[error("its server ended the answer after {}: {text}", counted(*.chunk_count, "chunk"))]
     Server { chunk_count: u64, text: String },
     /// An event has the whole text of an answer instead of a `delta`.
     #[error(
@@ -32,7 +34,7 @@ pub(super) enum StreamError {
     #[error("its answer of {0} bytes is no event stream")]
     NoEvents(usize),
     /// The connection was closed before the answer had ended.
-    #[error("its server closed the connection after {} without ending the answer", chunks(*.0))]
+    #[error("its server closed the connection after {} without ending the answer", counted(*.0, "chunk"))]
     EndedEarly(u64),
     /// The answer is too long.
     #[error("its answer is longer than {0}; set max_tokens in parameters")]
@@ -43,9 +45,4 @@ impl From<EventTooLong> for StreamError {
     fn from(_: EventTooLong) -> Self {
         Self::EventTooLong
     }
-}
-
-/// Returns a number of chunks as text, such as `1 chunk`.
-pub(super) fn chunks(count: u64) -> String {
-    format!("{count} chunk{}", if count == 1 { "" } else { "s" })
 }
