@@ -15,7 +15,7 @@ use peernet_external::process::MAX_TIMEOUT_MS;
 use peernet_inference::bank::ModelFolders;
 use peernet_inference::{Bank, LoadError, check_library};
 use peernet_logger::Slug;
-use peernet_networks::{Address, NetworkKind, SessionSettings};
+use peernet_networks::{Address, MAX_IN_FLIGHT, NetworkKind, SessionSettings};
 use peernet_ros::topics::check_name;
 use peernet_sensors::{SensorKind, TransformKind};
 use peernet_stream::limits::MAX_PIPELINES;
@@ -40,8 +40,6 @@ const MAX_BATCH_DELAY_MS: u64 = 60_000;
 const MAX_IO_THREADS: u64 = 64;
 /// Largest `agent.stop_timeout_ms`: a minute.
 const MAX_STOP_TIMEOUT_MS: u64 = 60_000;
-/// Largest `max_in_flight` of a pipeline.
-const MAX_IN_FLIGHT: u64 = 4096;
 /// Largest `limit.duration_s`, and longest interval between two starts of iterations: a year.
 const MAX_RUN_S: f64 = 365.0 * 86_400.0;
 
@@ -241,7 +239,8 @@ fn check_pipeline(
         report.check_result(format!("{prefix}.transforms[{index}]"), transform.build());
     }
     report.check_result(format!("{prefix}.actuator"), pipeline.actuator.check(clock));
-    report.check_max(&format!("{prefix}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);
+    let max_in_flight = pipeline.max_in_flight.get() as u64;
+    report.check_max(&format!("{prefix}.max_in_flight"), max_in_flight, u64::from(MAX_IN_FLIGHT));
     report.check_max(&format!("{prefix}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
     // An iteration that times out misses its deadline in any case, so a deadline after the timeout has no effect.
     if let Some(deadline) = pipeline.deadline_ms.filter(|deadline| *deadline > pipeline.timeout_ms) {

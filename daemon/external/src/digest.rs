@@ -9,9 +9,9 @@ use sha2::{Digest, Sha256};
 
 use peernet_sample::printable_line;
 
-/// Size of the largest file of custom code that is hashed, bytes (256 MiB).
-// Facts are read before a run. Hashing a larger file would delay the run by more than a second.
-const MAX_HASHED_BYTES: u64 = 256 << 20;
+/// Size of the largest file of custom code, and of the largest data set, whose content is hashed, bytes (256 MiB).
+// Facts are read before a run. Hashing more would delay the run by more than a second.
+pub const MAX_HASHED_BYTES: u64 = 256 << 20;
 
 /// Returns the SHA-256 (FIPS 180-4) of everything that `reader` yields, in hexadecimal.
 ///

@@ -13,7 +13,7 @@ mod environment;
 mod role;
 mod text;
 
-pub use digest::{describe_with_hash, sha256};
+pub use digest::{MAX_HASHED_BYTES, describe_with_hash, sha256};
 pub use environment::{
     DEVICE_VARIABLE, REPEAT_VARIABLE, SEED_VARIABLE, USER_VARIABLE, environment, hide_values,
 };

@@ -24,7 +24,7 @@ pub use session::{
     PartialAnswerError, PartialAnswerHandler, PartialAnswerSender, RequestCancelled, RequestError, Responder,
     Session, StatisticsReader,
 };
-pub use settings::{InvalidSettings, Ros2SessionSettings, SessionSettings};
+pub use settings::{InvalidSettings, MAX_IN_FLIGHT, Ros2SessionSettings, SessionSettings};
 pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};
 pub use transport::{
     Address, AddressGroup, BindFailure, ConnectionId, Frames, InvalidAddress, InvalidEventStreamAddress,

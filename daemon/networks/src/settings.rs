@@ -13,7 +13,7 @@ const MAX_TIME_MS: u64 = 24 * 3600 * 1000;
 
 /// Largest allowed value of `max_in_flight`. The queues of the transports have room for `max_in_flight` messages and a
 /// few more, so this value also bounds the queues.
-const MAX_IN_FLIGHT: u32 = 4_096;
+pub const MAX_IN_FLIGHT: u32 = 4_096;
 
 /// Largest allowed value of `max_in_flight_bytes` and `max_unfinished_bytes`: 1 TiB.
 const MAX_IN_FLIGHT_BYTES: u64 = 1 << 40;

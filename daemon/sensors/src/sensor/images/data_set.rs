@@ -5,11 +5,7 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::Path;
 
-use peernet_external::sha256;
-
-/// Largest data set whose contents are hashed, bytes. Hashing 256 MiB takes at most a second; hashing a larger data set
-/// would delay the run.
-const MAX_HASHED_BYTES: u64 = 256 << 20;
+use peernet_external::{MAX_HASHED_BYTES, sha256};
 
 /// Returns the number of files, their number of bytes and their hash, as text. Each file is given with its name in the
 /// data set.
