@@ -197,7 +197,7 @@ mod tests {
     #[test]
     fn stages_have_the_order_of_the_logger() {
         use peernet_logger::{Name, stage};
-        let order = stage::ORDER.into_iter().chain([Name::from_static(LATENESS), stage::UNATTRIBUTED]);
+        let order = stage::ORDER.into_iter().chain([stage::LATENESS, stage::UNATTRIBUTED]);
         let names: Vec<&str> = STAGES.iter().map(|stage| stage.name).collect();
         assert_eq!(order.collect::<Vec<Name>>(), names);
     }
