@@ -85,11 +85,17 @@ impl ShortestRoundTrips {
         let round_trip_difference =
             point.round_trip.saturating_sub(self.shortest_round_trip).saturating_abs();
         let newest = self.points.back()?;
-        // A cheap check comes first: usually the middle is close to the middle of the newest point.
+        // A cheap check comes first: usually the middle is close to the middle of the newest point. If the newest point
+        // waited, it may be from after a jump and not have shown it, so the newest point with a short round trip must be
+        // close, too.
         let tolerance = self.tolerance();
         let movement_from = |earlier: &RoundTripPoint| point.middle.saturating_sub(earlier.middle);
+        let max_movement = (round_trip_difference / 2).saturating_add(tolerance);
+        let is_close = |earlier: &RoundTripPoint| max_movement > movement_from(earlier).abs();
+        let max_round_trip = self.shortest_round_trip.saturating_add(tolerance).saturating_add(self.spread);
+        let has_short_round_trip = |earlier: &&RoundTripPoint| earlier.round_trip <= max_round_trip;
         if self.points.len() < MIN_POINTS_TO_SUSPECT
-            || (round_trip_difference / 2).saturating_add(tolerance) > movement_from(newest).abs()
+            || (is_close(newest) && self.points.iter().rev().find(has_short_round_trip).is_none_or(is_close))
         {
             return None;
         }

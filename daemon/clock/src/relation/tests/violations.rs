@@ -337,3 +337,23 @@ fn exchange_that_hides_jump_bounds_no_earlier_delay() {
     let delay = relation.delay(Direction::Up, before.exchange.sent, before.exchange.received);
     assert!(contains(&delay, before.up), "{delay:?}");
 }
+
+/// The first exchange after a jump waits as long in both directions. It does not show the jump, and the middle of its
+/// bounds is that of the exchanges that follow it.
+#[test]
+fn exchange_that_waited_evenly_does_not_hide_jump() {
+    let jump = Span::from_millis(39);
+    let host_clocks = drifting(0.0);
+    let host_clocks =
+        HostClocks { cloud: host_clocks.cloud.stepped(Span::from_seconds(30), jump), ..host_clocks };
+    let mut relation = Relation::new(free_running_limit(200.0));
+    let trip = |t: f64, one_way: f64| host_clocks.trip(t * 1e9, one_way, 1e5, one_way);
+    (0..300).for_each(|n| _ = relation.learn(&trip(f64::from(n) / 10.0, 20e6).observation()));
+    // The shortest round trip of each half-second is kept, and this exchange is the first one of its half-second.
+    assert_eq!(relation.learn(&trip(30.02, 30e6).observation()), LearnResult::Accepted);
+    let next = trip(30.1, 20e6);
+    let judged = relation.judge(&next.observation());
+    let LearnResult::Jumped(movement) = judged.learn_result else { panic!("{judged:?}") };
+    assert!((movement - jump).abs() < Span::from_millis(1), "{movement}");
+    assert!(contains(&judged.up, next.up) && contains(&judged.down, next.down), "{judged:?}");
+}
