@@ -71,14 +71,15 @@ impl StepWatch {
         let change = now.difference() - last.difference();
         // Each reading is uncertain by half of its gap.
         let uncertainty = Span::from_nanos((now.gap() + last.gap()).nanos() / 2);
-        if change.abs()
-            > MIN_STEP + uncertainty + (now.after - last.before).drift(Self::MAX_RATE_DIFFERENCE_PPM)
-        {
+        let rate_error = (now.after - last.before).drift(Self::MAX_RATE_DIFFERENCE_PPM);
+        if change.abs() > MIN_STEP + uncertainty + rate_error {
             self.epoch += 1;
             self.last_step = Some(change);
-        } else if now.gap() > MAX_UNINTERRUPTED_GAP && last.gap() < now.gap() {
+        } else if now.gap() > MAX_UNINTERRUPTED_GAP && last.gap() + rate_error + rate_error < now.gap() {
             // An interrupted reading is uncertain. As a reference it could hide a step from all later readings, so the
-            // better one of the two readings is kept as the reference.
+            // better one of the two readings is kept as the reference. The older reading becomes worse with time: with a
+            // slow clocksource all readings seem interrupted, and one reading would otherwise stay the reference for
+            // hours.
             self.last = Some(last);
         }
         self.epoch

@@ -38,6 +38,20 @@ fn difference_within_reading_uncertainty_is_no_step() {
     assert_eq!(compare(&mut steps, 42, micros(-3_000_040), calm), 4);
 }
 
+/// A clocksource without a fast path takes some microseconds for each reading, so no reading is uninterrupted.
+#[test]
+fn step_is_detected_with_slow_clocksource() {
+    let mut steps = StepWatch::default();
+    let mut compare = |second: i64, ahead, gap| steps.compare(pair(Span::from_seconds(second), ahead, gap));
+    // The first reading has the shortest gap.
+    assert_eq!(compare(0, Span::ZERO, micros(4)), 0);
+    for second in 1..3_600 {
+        assert_eq!(compare(second, Span::ZERO, micros(5 + second % 3)), 0);
+    }
+    // In an hour, a difference in rate could explain 720 ms.
+    assert_eq!(compare(3_600, Span::from_millis(100), micros(5)), 1);
+}
+
 #[test]
 fn constant_drift_is_no_step() {
     let mut steps = StepWatch::default();
