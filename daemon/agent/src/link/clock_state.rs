@@ -335,13 +335,18 @@ impl LinkClockState {
         let is_restarted = self.relation.exchange_counts().restarts > restarts_before;
         if is_restarted {
             self.period.make_void();
+            // The time of a step that no host reported is not known. The exchanges of this second may be from after the
+            // step although they did not show it, so they must not bound the offset before the step.
+            if !has_new_edge_epoch && !has_new_cloud_epoch {
+                self.current_second.remove_exchanges();
+            }
         }
         self.reports.record_steps(is_restarted, (has_new_edge_epoch, has_new_cloud_epoch));
         result
     }
 
     /// Reports what the relation learned from an exchange, and adds the exchange to the current second unless the
-    /// relation refused it.
+    /// relation refused or ignored it.
     fn handle_learn_result(
         &mut self,
         learn_result: LearnResult,
@@ -352,7 +357,7 @@ impl LinkClockState {
         self.replace_void_period(now, changes);
         let settings = *self.relation.settings();
         match learn_result {
-            LearnResult::Refused(_) => return,
+            LearnResult::Refused(_) | LearnResult::Ignored => return,
             LearnResult::Accepted => {}
             LearnResult::Restarted(movement) => {
                 let limit = |violation| match violation {

@@ -87,6 +87,11 @@ impl LinkSecond {
         }
     }
 
+    /// Removes the exchanges. Probes, round trips and delays stay.
+    pub(super) fn remove_exchanges(&mut self) {
+        (self.upper, self.lower) = (None, None);
+    }
+
     /// Adds the round trip of a probe.
     pub(super) fn add_round_trip(&mut self, round_trip: Span) {
         self.min_round_trip =

@@ -169,7 +169,10 @@ impl Relation {
         let result = self.check_and_insert(observation);
         let counts = &mut self.exchange_counts;
         match result {
-            LearnResult::Accepted | LearnResult::Restarted(_) | LearnResult::Jumped(_) => {
+            LearnResult::Accepted
+            | LearnResult::Restarted(_)
+            | LearnResult::Jumped(_)
+            | LearnResult::Ignored => {
                 counts.accepted += 1;
                 self.exchange_times.insert(observation.exchange.returned);
             }
@@ -222,6 +225,7 @@ impl Relation {
                 }
                 None
             }
+            None if self.windows.may_precede_jump(exchange) => return LearnResult::Ignored,
             None => {
                 let jump = self.windows.insert(exchange, &bounds);
                 let suspects = &mut self.contradictions.suspects;

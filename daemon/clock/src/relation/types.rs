@@ -80,6 +80,9 @@ pub enum LearnResult {
     /// hosts changed, or a clock jumped without notice. Delays are `limited` until
     /// [`window`](RelationSettings::window) has passed since the jump.
     Jumped(Span),
+    /// The exchange bounds no offset, because it may be from before a suspected jump: it was sent before the exchange
+    /// that showed the jump, and learnt after it. It counts as accepted.
+    Ignored,
     /// The exchange was refused.
     Refused(Refusal),
 }

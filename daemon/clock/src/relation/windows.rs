@@ -79,14 +79,15 @@ impl Windows {
         self.current.contradiction(bounds)
     }
 
-    /// Inserts an exchange that contradicts nothing. If a jump is suspected before the exchange, the exchange is the
-    /// first of a new window, and the movement of the offset is returned.
+    /// Returns whether the exchange that showed the last suspected jump overtook this exchange, which may therefore be
+    /// from before the jump.
+    pub(super) fn may_precede_jump(&self, exchange: &Exchange) -> bool {
+        self.past_windows.back().is_some_and(|past| exchange.sent < past.next_sent)
+    }
+
+    /// Inserts an exchange that contradicts nothing and was sent after the last suspected jump. If a jump is suspected
+    /// before the exchange, the exchange is the first of a new window, and the movement of the offset is returned.
     pub(super) fn insert(&mut self, exchange: &Exchange, bounds: &Bounds) -> Option<Span> {
-        if self.past_windows.back().is_some_and(|past| exchange.sent < past.next_sent) {
-            // The exchange that showed the jump overtook this exchange, which may be from before the jump and is
-            // therefore left out.
-            return None;
-        }
         let suspected_jump = self.shortest_round_trips.suspected_jump(exchange, self.drift.limit);
         if let Some(SuspectedJump { last_exchange_before: (sent, returned), .. }) = suspected_jump {
             let new_band = self.new_band();

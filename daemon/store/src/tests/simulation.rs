@@ -212,7 +212,7 @@ impl Simulation {
         if relation_period != self.relation_period {
             (self.relation_period, self.best_exchanges) = (relation_period, (None, None));
         }
-        if let LearnResult::Refused(_) = learned {
+        if matches!(learned, LearnResult::Refused(_) | LearnResult::Ignored) {
             return;
         }
         let (upper, lower) = &mut self.best_exchanges;

@@ -1,5 +1,7 @@
 //! Tests of seconds, relation periods and restarts. The relation itself is tested in the crate `clock`.
 
+mod jumps;
+
 use peernet_clock::{ClockClaim, Exchange, Interval, RelationSettings, Verdict};
 use peernet_networks::RawClock;
 
@@ -458,34 +460,4 @@ fn observed_stamps_of_another_epoch_are_stepped() {
     // A stamp without an epoch may precede the step.
     up.sender.epoch = None;
     assert_eq!(clock_state.judge_stamps(&up, None)[0].map(|delay| delay.verdict), Some(Verdict::Stepped));
-}
-
-/// There are ten exchanges a second. The middle of their bounds moves by 8 ms from the 20th exchange on, and back from
-/// the 40th exchange on.
-#[test]
-fn suspected_jump_begins_relation_period_and_is_reported_once() {
-    let mut clock_state = clock_state();
-    let before = clock_state.latest_sample(&network(), now(0)).relation_period;
-    let (mut jumps, mut periods) = (Vec::new(), BTreeSet::new());
-    for number in 0..60 {
-        let sent = number * 100;
-        let mut observation = exchange(sent, 0);
-        let movement = Span::from_millis(if (20..40).contains(&number) { 8 } else { 0 });
-        let stamps = &mut observation.exchange;
-        (stamps.received, stamps.replied) = (stamps.received + movement, stamps.replied + movement);
-        // The round trip takes 12 ms, so the exchanges before and after the movement do not contradict each other.
-        stamps.sent = stamps.sent - Span::from_millis(5);
-        stamps.returned = stamps.returned + Span::from_millis(5);
-        let (_, changes) = clock_state.judge(&network(), &observation, MESSAGE_DELAYS, now(sent + 9));
-        jumps.extend(changes.jump);
-        assert!(changes.restart.is_none() && changes.excess_skew.is_none(), "{changes:?}");
-        periods.insert(clock_state.latest_sample(&network(), now(sent + 9)).relation_period);
-    }
-    // The second jump is not reported, because jumps are reported at most once a minute.
-    let [jump] = jumps[..] else { panic!("{jumps:?}") };
-    assert!(
-        (jump.movement - Span::from_millis(8)).abs() < Span::from_millis(1) && jump.unreported == 0,
-        "{jump:?}"
-    );
-    assert!(periods.contains(&before) && periods.len() == 3, "{periods:?}");
 }
