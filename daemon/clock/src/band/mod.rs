@@ -173,19 +173,25 @@ impl Band {
         is_excluded.then_some(Contradiction::DriftChange)
     }
 
-    /// Inserts an exchange and removes the bounds of expired exchanges.
+    /// Inserts an exchange and removes the bounds of expired exchanges. One of the newest exchanges that is inserted again
+    /// counts once.
     pub(crate) fn insert(&mut self, bounds: &Bounds) {
         self.newest_return = self.newest_return.max(bounds.lower.x);
         let start = self.newest_return.saturating_sub(self.retention);
         let inserted = [self.upper.insert(bounds.upper), self.lower.insert(bounds.lower)];
         self.upper.remove_before(start);
         self.lower.remove_before(start);
+        // An exchange is inserted again if a better stamp of the answer's departure is known. It must not take two places
+        // among the newest exchanges.
+        match self.newest_exchanges.iter().position(|other| other.upper.x == bounds.upper.x) {
+            Some(index) => _ = self.newest_exchanges.remove(index),
+            None => self.exchange_count += 1,
+        }
         let index = self.newest_exchanges.partition_point(|other| other.lower.x <= bounds.lower.x);
         self.newest_exchanges.insert(index, *bounds);
         if self.newest_exchanges.len() > MIN_BOUNDING_EXCHANGES {
             self.newest_exchanges.pop_front();
         }
-        self.exchange_count += 1;
         self.trend.insert(bounds.upper, bounds.lower, self.drift.limit.slope());
         if let Some(change) = self.drift.change_limit {
             let mut hulls = std::mem::take(&mut self.hulls);

@@ -113,6 +113,28 @@ fn delays_of_first_two_exchanges_are_stale() {
     assert!(!verdicts[2..].contains(&Verdict::Stale));
 }
 
+/// The departure of an answer is first stamped by the program, and later by the kernel.
+#[test]
+fn exchange_with_better_stamp_counts_once() {
+    let host_clocks = host_clocks(Span::ZERO);
+    let mut relation = relation();
+    let mut last_return = at(0);
+    for n in 0..10_u32 {
+        let observation = host_clocks.trip(f64::from(n) * 20e9, 1e6, 1e5, 1e6).observation();
+        let mut refined = observation;
+        refined.exchange.replied = refined.exchange.replied + Span::from_micros(50);
+        for observation in [observation, refined] {
+            assert_eq!(relation.learn(&observation), LearnResult::Accepted);
+        }
+        last_return = observation.exchange.returned;
+        let offset = relation.offset(last_return, WallTime::default()).expect("the clocks are related");
+        assert_eq!((offset.exchanges, offset.verdict == Verdict::Stale), (u64::from(n) + 1, n < 2));
+    }
+    // The newest eight exchanges bound the offset at any age.
+    let span = relation.window_span(last_return).expect("it has exchanges");
+    assert!(Span::from_seconds(140) <= span && span < Span::from_seconds(141), "{span}");
+}
+
 #[test]
 fn large_possible_asymmetry_yields_limited_verdict() {
     let host_clocks = host_clocks(Span::ZERO);
