@@ -1,12 +1,14 @@
 //! Rules for reading a `data.csv`, whichever program wrote it.
 
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 
 use crate::stage;
 
 /// Number of rows at the beginning of a run that the figures of the paper leave out. In a file without the column
 /// `warm-up`, these rows are the warm-up.
 pub const PUBLISHED_WARM_UP_ROWS: usize = 5;
+/// Number of bytes that are read at a time in search of the end of the last line.
+const BUFFER_BYTES: usize = 64 * 1024;
 
 /// Returns the name of the column with this cell in the header: without the suffix `_val` if it is the column of a
 /// stage. The paper's original program joins the names of nested nodes by underscores (`inference_backbone`), and adds
@@ -27,16 +29,26 @@ pub fn is_warm_up(cell: &str) -> Option<bool> {
     }
 }
 
-/// Returns whether a file ends with a complete line. Afterwards the file is read from its beginning.
+/// Returns whether a file ends with a complete line: with a line feed that is not within a quoted cell. Afterwards the file
+/// is read from its beginning.
 ///
 /// # Errors
 /// If the file cannot be read.
 pub fn ends_with_line(file: &mut (impl Read + Seek)) -> io::Result<bool> {
-    let mut last_byte = [0];
-    if file.seek(SeekFrom::End(0))? > 0 {
-        file.seek(SeekFrom::End(-1))?;
-        file.read_exact(&mut last_byte)?;
+    // The length of a device such as /dev/full is 0, although reading it never ends.
+    let length = file.seek(SeekFrom::End(0))?;
+    file.rewind()?;
+    let mut reader = BufReader::with_capacity(BUFFER_BYTES, file.take(length));
+    let (mut is_quoted, mut last_byte) = (false, 0);
+    loop {
+        let bytes = reader.fill_buf()?;
+        let Some(last) = bytes.last() else { break };
+        last_byte = *last;
+        // A quote within a quoted cell is doubled, so that it changes nothing.
+        bytes.iter().for_each(|byte| is_quoted ^= *byte == b'"');
+        let count = bytes.len();
+        reader.consume(count);
     }
     file.rewind()?;
-    Ok(last_byte == *b"\n")
+    Ok(last_byte == b'\n' && !is_quoted)
 }

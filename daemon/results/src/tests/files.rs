@@ -149,6 +149,23 @@ fn truncated_file_gives_complete_rows() {
 }
 
 #[test]
+fn file_truncated_within_quoted_cell_gives_complete_rows() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut rows = rows(10);
+    (rows[9].outcome, rows[9].reason) =
+        (Outcome::Failed, Some("Traceback:\n  line 1\nValueError".to_owned()));
+    write(folder.path(), &rows);
+    let path = folder.path().join("data.csv");
+    let text = std::fs::read_to_string(&path).expect("text");
+    for end in ["Traceback:", "Traceback:\n", "line 1\n"] {
+        let length = text.find(end).expect("in the last row") + end.len();
+        std::fs::write(&path, &text[..length]).expect("writable");
+        let loaded = ResultFolder::open(folder.path()).expect("readable");
+        assert_eq!(loaded.rows, to_rows(&rows[..9]), "{end:?}");
+    }
+}
+
+#[test]
 fn comparison_reads_columns_that_incompleteness_needs() {
     let folder = tempfile::tempdir().expect("a folder");
     let incompleteness = |limit: serde_json::Value| {
