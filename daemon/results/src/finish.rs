@@ -139,7 +139,13 @@ fn write_private(path: &Path, content: &[u8]) -> std::io::Result<()> {
     {
         return Err(error);
     }
-    file.write_all(content)
+    let result = file.write_all(content);
+    if !metadata.is_file() {
+        return result;
+    }
+    // Without the record the rows can still be read, but not with a part of the record. A file can be truncated on a full
+    // disk, too. After a power failure, an unsynced file could be incomplete.
+    result.and_then(|()| file.sync_all()).inspect_err(|_| _ = file.set_len(0))
 }
 
 #[cfg(test)]

@@ -40,13 +40,15 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     Ok(Loaded { folder, record, rows })
 }
 
-/// Reads the record; `None` if the file does not exist.
+/// Reads the record; `None` if the file does not exist or is empty. The file is empty if the disk was full when the run
+/// ended.
 fn read_record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
     let read = || match path.metadata()? {
         metadata if metadata.is_file() => std::fs::read(path),
         _ => Err(std::io::Error::other("it is not a regular file")),
     };
     match read() {
+        Ok(text) if text.is_empty() => Ok(None),
         Ok(text) => Ok(Some(serde_json::from_slice(&text).map_err(read_error(path))?)),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(read_error(path)(error)),

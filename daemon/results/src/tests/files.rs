@@ -232,6 +232,17 @@ fn incomplete_results_have_reason() {
 }
 
 #[test]
+fn empty_record_counts_as_missing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    write(folder.path(), &rows(10));
+    std::fs::write(folder.path().join("run.json"), "").expect("writable");
+    let loaded = ResultFolder::open(folder.path()).expect("the rows are complete");
+    assert_eq!(loaded.rows, to_rows(&rows(10)));
+    let incompleteness = loaded.incompleteness().expect("the record is missing");
+    assert!(incompleteness.contains("run.json is missing"), "{incompleteness}");
+}
+
+#[test]
 fn unwritable_folder_loses_no_rows() {
     let folder = tempfile::tempdir().expect("a folder");
     let result = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
