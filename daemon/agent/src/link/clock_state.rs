@@ -152,16 +152,14 @@ impl LinkClockState {
         (delays, changes)
     }
 
-    /// Judges the delays of observed messages, one in each direction, or of a request and its first partial answer.
+    /// Judges the delays of observed messages, one in each direction.
     // These delays update neither the clock relation nor the current second. Both stamps of an observed message are
-    // receptions: the departure of the message is not stamped. For a request, `judge` has already updated both from the
-    // final answer.
+    // receptions: the departure of the message is not stamped.
     pub(super) fn judge_stamps(
         &self,
         up: &TransitStamps,
         down: Option<&TransitStamps>,
     ) -> [Option<OneWayDelay>; 2] {
-        let is_current = |stamp: &HostStamp, clock: &AnnouncedClock| stamp.epoch == Some(clock.epoch());
         let is_up_current = is_current(&up.sender, &self.edge) && is_current(&up.receiver, &self.cloud);
         let is_down_current = |down: &TransitStamps| {
             is_current(&down.sender, &self.cloud) && is_current(&down.receiver, &self.edge)
@@ -186,6 +184,16 @@ impl LinkClockState {
             Some(judge(up, is_up_current, Direction::Up)),
             down.map(|down| judge(down, is_down_current(down), Direction::Down)),
         ]
+    }
+
+    /// Judges the delay of a partial answer.
+    // It updates neither the clock relation nor the current second, because the final answer has updated both.
+    pub(super) fn judge_partial_answer(&self, download: &TransitStamps) -> OneWayDelay {
+        if !is_current(&download.sender, &self.cloud) || !is_current(&download.receiver, &self.edge) {
+            return download.stepped_delay();
+        }
+        let (sent, received) = download.times();
+        download.with_raw_difference(self.relation.delay(Direction::Down, sent, received))
     }
 
     /// Handles the result of a probe.
@@ -452,6 +460,11 @@ impl LinkClockState {
         let limit = self.relation.settings().max_drift_ppm;
         self.relation.set_claims(self.edge.claim(now, limit), self.cloud.claim(now, limit));
     }
+}
+
+/// Returns whether a stamp is of the latest known epoch of its clock.
+fn is_current(stamp: &HostStamp, clock: &AnnouncedClock) -> bool {
+    stamp.epoch == Some(clock.epoch())
 }
 
 /// Returns the readings of the edge's clocks at the wall-clock time `at`, which is shortly before `now`.

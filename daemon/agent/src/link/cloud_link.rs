@@ -118,34 +118,25 @@ impl CloudLink {
         correct(tree, up, Direction::Up, up_delay);
         correct(tree, down, Direction::Down, down_delay);
         if let Some(first_partial_answer) = completed.first_partial_answer {
-            self.correct_first_partial_answer(
-                tree,
-                [up, first_partial_answer],
-                completed.observation.as_ref(),
-            );
+            self.correct_first_partial_answer(tree, first_partial_answer, completed.observation.as_ref());
         }
         self.report(changes);
         sum_of_delays
     }
 
-    /// Judges the delay of the first partial answer and sets it in the tree. `up` is the node of the request's upload.
+    /// Judges the delay of the first partial answer and sets it in the tree.
     fn correct_first_partial_answer(
         &self,
         tree: &mut Tree,
-        [up, first_partial_answer]: [NodeId; 2],
+        first_partial_answer: NodeId,
         observation: Option<&ExchangeObservation>,
     ) {
-        let epochs = observation.map(|observation| (Some(observation.edge_epoch), observation.cloud_epoch));
-        let (edge, cloud) = epochs.unwrap_or_default();
-        let stamps_of_messages = TransitStamps::in_tree(tree, up, (edge, cloud)).zip(TransitStamps::in_tree(
-            tree,
-            first_partial_answer,
-            (cloud, edge),
-        ));
-        let Some((up, down)) = stamps_of_messages else { return };
-        let [_, delay] = self.judge_stamps(&up, Some(&down));
+        let epochs = observation.map(|observation| (observation.cloud_epoch, Some(observation.edge_epoch)));
+        let stamps = TransitStamps::in_tree(tree, first_partial_answer, epochs.unwrap_or_default());
+        let Some(stamps) = stamps else { return };
+        let delay = lock(&self.clock_state).judge_partial_answer(&stamps);
         if let Some(Measure::Transit(transit)) = tree.measure_mut(first_partial_answer) {
-            transit.delay = delay;
+            transit.delay = Some(delay);
         }
     }
 
@@ -175,8 +166,7 @@ impl CloudLink {
         update(&mut clock_state, self.shared.host.clock.stamp())
     }
 
-    /// Judges the delays of observed messages, one in each direction, or of a request and its first partial answer. The
-    /// relation does not learn from these delays.
+    /// Judges the delays of observed messages, one in each direction. The relation does not learn from these delays.
     pub(crate) fn judge_stamps(
         &self,
         up: &TransitStamps,
