@@ -133,22 +133,41 @@ fn steps_per_episode(row: &Row) -> Option<i64> {
 /// the ranges of all episodes at once, so the number of queries grows only with the logarithm of the run's length.
 async fn first_numbers_of_episodes(readers: &Readers, run: i64, last: &Row) -> Result<Vec<i64>, StoreError> {
     // The searched iteration of an episode is the first iteration of this or a later episode. For each episode, the
-    // list has a number before the searched iteration, and a number at or after it. Retention deletes the oldest
-    // iterations, so a missing iteration is before the stored iterations.
+    // list has a number before the searched iteration, and a number at or after it, such that no stored iteration of an
+    // earlier episode follows. Iterations that are not stored are skipped, because a run may have gaps.
     let mut ranges: Vec<(i64, i64)> = (1..=last.episode).map(|_| (0, last.number)).collect();
     while ranges.iter().any(|(before, at)| before + 1 < *at) {
         let middles: Vec<i64> = ranges.iter().map(|(before, at)| before + (at - before) / 2).collect();
-        let episodes_by_number: HashMap<i64, u32> = rows_by_number(readers, run, &middles)
+        let stored = first_stored_numbers(readers, run, &middles).await?;
+        let stored_numbers: Vec<i64> = stored.iter().copied().flatten().collect();
+        let episodes_by_number: HashMap<i64, u32> = rows_by_number(readers, run, &stored_numbers)
             .await?
             .into_iter()
             .map(|row| (row.number, row.episode))
             .collect();
-        for (episode, ((before, at), middle)) in (1..).zip(ranges.iter_mut().zip(middles)) {
-            let has_begun = episodes_by_number.get(&middle).is_some_and(|found| *found >= episode);
-            if has_begun { *at = middle } else { *before = middle }
+        for (episode, ((before, at), (middle, stored))) in
+            (1..).zip(ranges.iter_mut().zip(middles.into_iter().zip(stored)))
+        {
+            let found = stored.and_then(|number| episodes_by_number.get(&number));
+            if found.is_some_and(|found| *found >= episode) { *at = middle } else { *before = middle }
         }
     }
-    Ok(ranges.into_iter().map(|(_, at)| at).collect())
+    let numbers: Vec<i64> = ranges.into_iter().map(|(_, at)| at).collect();
+    Ok(first_stored_numbers(readers, run, &numbers).await?.into_iter().flatten().collect())
+}
+
+/// Returns, for each of these numbers, the number of the first stored iteration at or after it.
+async fn first_stored_numbers(
+    readers: &Readers,
+    run: i64,
+    numbers: &[i64],
+) -> Result<Vec<Option<i64>>, StoreError> {
+    sqlx::query_scalar(sql::FIRST_STORED)
+        .bind(run)
+        .bind(to_json(numbers)?)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.error_for(WHAT))
 }
 
 /// Returns the periods of warm-up at the start of a run and of the episodes that begin at `borders`.

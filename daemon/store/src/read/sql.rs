@@ -143,6 +143,10 @@ statements! {
     // Here and below, the condition `number > 0` excludes no row. It makes the query plan show that SQLite searches by
     // number, as the test of query plans requires.
     LAST_ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number > 0 ORDER BY number DESC LIMIT 1");
+    /// For each of some numbers, the number of the first stored iteration at or after it. ?1 run, ?2 numbers, a JSON
+    /// array.
+    FIRST_STORED = "SELECT (SELECT number FROM iteration WHERE run = ?1 AND number >= start.value \
+                    ORDER BY number LIMIT 1) FROM json_each(?2) AS start";
     /// For each of some numbers, the number of the first iteration at or after it that is not warm-up. `+warm_up` makes
     /// SQLite find iterations by number and not by the index that contains `warm_up`. ?1 run, ?2 numbers, a JSON array,
     /// ?3 how many numbers after each number are searched.

@@ -197,6 +197,27 @@ async fn episodes_of_different_lengths_have_borders() {
 }
 
 #[tokio::test]
+async fn gap_hides_only_borders_within_it() {
+    let mut test_store = TestStore::new().await;
+    let first_numbers = [1, 8, 11, 23, 28, 29];
+    // Number 20 is half of 40, so the search for the starts of episodes looks at it first. Number 28 is a whole episode.
+    store_run(&mut test_store, 40, |iteration| {
+        let episode = first_numbers.iter().rposition(|first| *first <= iteration.number).expect("at least 1");
+        let step = iteration.number - first_numbers[episode];
+        (iteration.episode, iteration.step) = (episode as u32, step as u32);
+        iteration.warm_up = step == 0;
+        ![20, 28].contains(&iteration.number)
+    })
+    .await;
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!(episodes.borders, start_times([8, 11, 23, 29]));
+    assert_eq!(
+        episodes.warm_up.iter().map(|(from, _)| *from).collect::<Vec<_>>(),
+        start_times([1, 8, 11, 23, 29])
+    );
+}
+
+#[tokio::test]
 async fn too_many_episodes_are_only_counted() {
     let mut test_store = TestStore::new().await;
     // Runs of 31 and of 32 episodes. The first run has the maximum number of borders.
