@@ -13,10 +13,12 @@ const RECONNECT_TIMEOUT: Span = Span::from_seconds(15);
 /// that has not reported is not missing.
 pub(crate) fn is_waiting_for_agents(snapshot: &LiveState, since: WallTime) -> bool {
     let has_known_hosts = snapshot.absent > 0 || !snapshot.hosts.is_empty();
+    // The time is negative if the aggregator's clock was set back; then the time since the start is not known.
+    let elapsed = snapshot.at - since;
     // As long as not even one host has reported, the page has nothing else to show, so the time does not matter.
     has_known_hosts
         && snapshot.pipelines.is_empty()
-        && (snapshot.hosts.is_empty() || snapshot.at - since < RECONNECT_TIMEOUT)
+        && (snapshot.hosts.is_empty() || !elapsed.is_negative() && elapsed < RECONNECT_TIMEOUT)
 }
 
 /// Returns a sentence such as `2 hosts are known from earlier`; `None` if no known host is absent.
@@ -49,6 +51,8 @@ mod tests {
             is_waiting_for_agents(&shown, recently) && !is_waiting_for_agents(&shown, long_ago),
             "after an hour, the absent host is missing"
         );
+        let in_future = shown.at + Span::from_seconds(3_600);
+        assert!(!is_waiting_for_agents(&shown, in_future), "the clock was set back by an hour");
         shown.pipelines.push(pipeline("line", 5.0, 1.0, Verdict::Ok, &[]).into());
         assert!(!is_waiting_for_agents(&shown, recently), "a pipeline has been reported");
     }
