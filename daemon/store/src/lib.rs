@@ -79,7 +79,7 @@ impl Store {
         Self { readers }
     }
 
-    /// Closes the connections after the queries in progress are answered. Later queries are refused.
+    /// Stops the queries in progress and closes the connections. Later queries are refused.
     pub async fn close(&self) {
         self.readers.close().await;
     }

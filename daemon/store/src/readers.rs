@@ -1,6 +1,7 @@
 //! Read-only connections for queries, few in number and with a time limit for each statement.
 
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
@@ -23,13 +24,16 @@ const INTERRUPTED: &str = "9";
 
 /// Read-only connections, opened when needed.
 ///
-/// SQLite's progress handler interrupts a statement that takes longer than the limit; the connection stays usable.
+/// SQLite's progress handler interrupts a statement that takes longer than the limit; the connection stays usable. It
+/// also interrupts statements when the connections are to be closed.
 #[derive(Clone, Debug)]
 pub struct Readers {
     /// Closed while the database is closed.
     pool: Arc<RwLock<SqlitePool>>,
     /// Longest time of a statement.
     limit: Duration,
+    /// True from the beginning of [`Self::close`] until [`Self::reopen`].
+    is_closing: Arc<AtomicBool>,
     integrity: Integrity,
 }
 
@@ -52,7 +56,8 @@ impl Readers {
             .disable_statement_logging();
         let limit_span = Span::from_nanos(i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX));
         // The deadline is set when a connection is opened, and again whenever the pool gives out the connection.
-        let deadline = Deadline { limit: limit_span, clock };
+        let is_closing = Arc::new(AtomicBool::new(false));
+        let deadline = Deadline { limit: limit_span, clock, is_closing: Arc::clone(&is_closing) };
         let renewed_deadline = deadline.clone();
         let pool = SqlitePoolOptions::new()
             .max_connections(connections)
@@ -66,7 +71,7 @@ impl Readers {
                 Box::pin(async move { setting.await.map(|()| true) })
             })
             .connect_lazy_with(options);
-        Self { pool: Arc::new(RwLock::new(pool)), limit, integrity }
+        Self { pool: Arc::new(RwLock::new(pool)), limit, is_closing, integrity }
     }
 
     /// Returns the current pool of connections.
@@ -74,8 +79,9 @@ impl Readers {
         self.pool.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Closes the connections after the queries in progress are answered; later queries are refused.
+    /// Stops the queries in progress and closes the connections; later queries are refused.
     pub(super) async fn close(&self) {
+        self.is_closing.store(true, Ordering::Relaxed);
         self.pool().close().await;
     }
 
@@ -83,6 +89,7 @@ impl Readers {
     pub(super) fn reopen(&self) {
         let mut pool = self.pool.write().unwrap_or_else(PoisonError::into_inner);
         let options = pool.connect_options().as_ref().clone();
+        self.is_closing.store(false, Ordering::Relaxed);
         *pool = pool.options().clone().connect_lazy_with(options);
     }
 
@@ -91,13 +98,17 @@ impl Readers {
         &self,
         what: &'static str,
     ) -> impl Fn(sqlx::Error) -> StoreError + Copy + use<'_> {
-        let Self { limit, integrity, .. } = self;
+        let Self { limit, is_closing, integrity, .. } = self;
         let limit = *limit;
         move |source| match source {
             sqlx::Error::PoolTimedOut => StoreError::Busy { what },
             sqlx::Error::PoolClosed => StoreError::Closed { what },
             sqlx::Error::Database(error) if error.code().as_deref() == Some(INTERRUPTED) => {
-                StoreError::TooLong { what, limit }
+                if is_closing.load(Ordering::Relaxed) {
+                    StoreError::Closed { what }
+                } else {
+                    StoreError::TooLong { what, limit }
+                }
             }
             error => {
                 let source = DatabaseError::new(error);
@@ -117,15 +128,16 @@ impl Readers {
 struct Deadline {
     limit: Span,
     clock: SharedClock,
+    is_closing: Arc<AtomicBool>,
 }
 
 impl Deadline {
     fn set(self, connection: &mut SqliteConnection) -> BoxFuture<'_, Result<(), sqlx::Error>> {
         Box::pin(async move {
-            let Self { limit, clock } = self;
+            let Self { limit, clock, is_closing } = self;
             let start = clock.mono();
-            let is_within_limit = move || clock.mono() - start < limit;
-            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS_PER_CHECK, is_within_limit);
+            let may_continue = move || clock.mono() - start < limit && !is_closing.load(Ordering::Relaxed);
+            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS_PER_CHECK, may_continue);
             Ok(())
         })
     }

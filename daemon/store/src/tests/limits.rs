@@ -7,6 +7,7 @@ use std::time::Duration;
 use peernet_clock::{ClockIdentity, SystemClock};
 
 use super::TestStore;
+use crate::Store;
 use crate::error::StoreError;
 use crate::integrity::Integrity;
 use crate::readers::Readers;
@@ -16,14 +17,12 @@ const ENDLESS: &str = "WITH RECURSIVE endless (n) AS (SELECT 1 UNION ALL SELECT 
 
 /// Opens readers whose queries are stopped after 100 ms.
 fn open_readers_with_short_limit(path: &Path) -> Readers {
+    open_readers(path, Duration::from_millis(100))
+}
+
+fn open_readers(path: &Path, limit: Duration) -> Readers {
     let identity = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
-    Readers::open(
-        path,
-        1,
-        Duration::from_millis(100),
-        Arc::new(SystemClock::new(identity)),
-        Integrity::new(path),
-    )
+    Readers::open(path, 1, limit, Arc::new(SystemClock::new(identity)), Integrity::new(path))
 }
 
 #[tokio::test]
@@ -48,6 +47,24 @@ async fn endless_query_is_stopped_while_writer_commits() {
         assert_eq!(iterations, 50);
         sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&readers.pool()).await.expect_err("it has no end");
     }
+}
+
+#[tokio::test]
+async fn closing_stops_queries_in_progress() {
+    let test_store = TestStore::new().await;
+    // The longest limit that can be configured.
+    let store = Store::new(open_readers(&test_store.path, Duration::from_secs(600)));
+    let mut connection = store.readers.pool().acquire().await.expect("a connection");
+    let endless =
+        tokio::spawn(async move { sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&mut *connection).await });
+    tokio::time::timeout(Duration::from_secs(60), store.close()).await.expect("does not wait for the query");
+    let error = endless.await.expect("ends").map_err(store.readers.error_for("everything"));
+    assert!(matches!(error, Err(StoreError::Closed { what: "everything" })), "{error:?}");
+
+    store.reopen();
+    let hosts =
+        sqlx::query_scalar::<_, i64>("SELECT count(*) FROM host").fetch_one(&store.readers.pool()).await;
+    hosts.expect("answers");
 }
 
 #[tokio::test]
