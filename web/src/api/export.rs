@@ -6,10 +6,11 @@ use axum::extract::{Path, State};
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
-use futures::stream;
+use futures::{TryStreamExt, stream};
 use peernet_analysis::rows::Row;
 use peernet_results::Header;
 use peernet_store::{RunSummary, Store};
+use peernet_stream::Iteration;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 use utoipa_axum::router::OpenApiRouter;
@@ -58,14 +59,17 @@ async fn export(
     let number = path(number)?;
     let run = app.store().run(number).await?.ok_or_else(|| WebError::no_run(number))?;
     let name = format!("{}-{number}.csv", run.summary.pipeline);
+    // This part is read before the answer begins, so that a store that cannot be read gives an error and no empty table.
+    let mut first_of_shapes = app.store().iterations_by_shape(&run.summary, 0).await?;
+    let failing_app = app.clone();
     // A chunk is read from the store only when the client has taken the previous chunk, so that a long run is never in memory as a whole.
     // The first chunk is the header row. All iterations are scanned before it, because each iteration may add a column.
     let chunks = stream::try_unfold(None, move |progress| {
-        let (app, run) = (app.clone(), run.summary.clone());
+        let (app, run, first_of_shapes) = (app.clone(), run.summary.clone(), first_of_shapes.take());
         async move {
             let mut text = Vec::new();
             let Some(ExportProgress { header, after, last_number }) = progress else {
-                let (header, last_number) = scan_columns(app.store(), &run).await?;
+                let (header, last_number) = scan_columns(app.store(), &run, first_of_shapes).await?;
                 header.write_header(&mut text);
                 return Ok(Some((Bytes::from(text), Some(ExportProgress { header, after: 0, last_number }))));
             };
@@ -80,6 +84,10 @@ async fn export(
             }
             Ok(Some((Bytes::from(text), Some(ExportProgress { header, after: last, last_number }))))
         }
+    });
+    // The status has been sent, so the client only sees that the body is incomplete. `to_problem` logs the error.
+    let chunks = chunks.inspect_err(move |error| {
+        error.to_problem(&failing_app);
     });
     let headers = [
         (CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
@@ -97,12 +105,18 @@ struct ExportProgress {
     last_number: u64,
 }
 
-/// Returns the columns of all iterations of a run, and the number of its last iteration.
-async fn scan_columns(store: &Store, run: &RunSummary) -> Result<(Header, u64), WebError> {
+/// Returns the columns of all iterations of a run, and the number of its last iteration. `first_of_shapes` is the
+/// store's answer for the beginning of the run.
+async fn scan_columns(
+    store: &Store,
+    run: &RunSummary,
+    mut first_of_shapes: Option<(u64, Vec<Iteration>)>,
+) -> Result<(Header, u64), WebError> {
     let (mut header, mut last_number) = (Header::default(), 0);
-    while let Some((last, first_of_shapes)) = store.iterations_by_shape(run, last_number).await? {
-        first_of_shapes.iter().for_each(|iteration| header.add(&Row::from_iteration(iteration)));
+    while let Some((last, iterations)) = first_of_shapes {
+        iterations.iter().for_each(|iteration| header.add(&Row::from_iteration(iteration)));
         last_number = last;
+        first_of_shapes = store.iterations_by_shape(run, last_number).await?;
     }
     Ok((header, last_number))
 }

@@ -83,6 +83,18 @@ async fn damaged_database_errors_match_readiness() {
 }
 
 #[tokio::test]
+async fn export_of_unreadable_run_is_an_error() {
+    let (dashboard, _site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
+    let options = SqliteConnectOptions::new().filename(dashboard.database());
+    let mut connection = options.connect().await.expect("opens");
+    // No version stores a negative number of an episode.
+    sqlx::query("UPDATE iteration SET episode = -1").execute(&mut connection).await.expect("writes");
+    let answer = dashboard.get("/api/v1/runs/1/export").await;
+    assert_eq!(answer.status, StatusCode::INTERNAL_SERVER_ERROR, "{}", answer.text());
+    assert_eq!(answer.header("content-type"), "application/problem+json");
+}
+
+#[tokio::test]
 async fn agent_and_aggregator_counts_agree_when_idle() {
     let (dashboard, _site) =
         TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
