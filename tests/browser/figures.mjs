@@ -112,6 +112,36 @@ describe("charts of few data", () => {
     });
     assert.deepEqual(all("strip 0").map(({ value }) => value), [90, 100, null, 100, 80]);
   });
+
+  test("chart shows new data after a step of the clock", async () => {
+    let shown;
+    // Both charts end far from the data of all other charts, so that only these two can determine the time range.
+    const { page, close } = await openWithData(browser, base, "/", ({ charts }) => {
+      shown = charts.slice(0, 2);
+      const from = charts[0].from + 1e6, list = (value) => Array(600).fill(value);
+      for (const chart of shown) Object.assign(chart, { from, remote: false, n: list(2), means: { total: list(10), inference: list(10) }, transfers: { up: list(null), down: list(null) }, p95: { size: null, points: [] }, cpu: [], gpu: [] });
+    });
+    assert.equal(shown.length, 2);
+    let last = shown[0].from + 599;
+    // The clock of the first chart's host is set by `step` seconds; the clock of the other host is right.
+    for (const step of [-86400, 1e9]) {
+      last += 1;
+      const lasts = [last + step, last];
+      await page.evaluate(([charts, lasts]) => {
+        const second = (at) => ({ at, counts: { ok: 2 }, parts: { inference: 0.01 }, means: { total: 0.01 }, transfers: { upload: null, download: null } });
+        const pipelines = charts.map(({ host, pipeline }, index) => ({ host, name: pipeline, seconds: [second(lasts[index] - 1), second(lasts[index])], total_over_time: { bucket_s: null, points: [] } }));
+        document.dispatchEvent(new CustomEvent("peernet-picture", { detail: { at: new Date().toISOString(), hosts: [], pipelines } }));
+        // A choice of the range draws at once.
+        document.dispatchEvent(new CustomEvent("peernet-range", { detail: 600 }));
+      }, [shown, lasts]);
+      await page.waitForFunction(([charts, lasts]) => charts.every(({ key }, index) => {
+        const { xAxis, series } = globalThis.echarts.getInstanceByDom(document.querySelector(`.live-chart[data-key="${CSS.escape(key)}"]`)).getOption();
+        const end = (lasts[index] + 1) * 1000, points = series.find(({ name }) => name === "inference").data;
+        return xAxis[0].max === end && points.some((point) => (point.value ?? point)[1] != null && Math.abs((point.value ?? point)[0] - end) < 60e3);
+      }), [shown, lasts], { timeout: 30000 });
+    }
+    await close();
+  });
 });
 
 describe("trust and comparison of runs", () => {

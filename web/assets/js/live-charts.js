@@ -5,6 +5,8 @@
   const MAX_SECONDS = 600, RETRY_MS = 2000;
   // Longest time between two reports of a connected host, which reports every five seconds.
   const MAX_REPORT_GAP_S = 15;
+  // Largest decrease of a host's clock that removes no seconds; the aggregator has the same limit.
+  const MAX_CLOCK_DECREASE_S = 2;
   // Minimum time between two drawings of new data, milliseconds. In this time only the newest bucket changes, by too
   // little to be visible.
   const MIN_REDRAW_MS = 1000;
@@ -30,12 +32,30 @@
 
   // --- seconds into buckets
   function grow(list, length) { while (list.length < length) list.push(null); }
+  // Returns the lists of a card that have an entry for each second since `from`.
+  const lists = (card) => [card.n, ...Object.values(card.means), ...Object.values(card.transfers)];
+  // Prepares a card for a report whose newest second is `at`. If the host's clock was set, seconds that the clock shows again and seconds
+  // outside the chart are removed, as the aggregator removes them.
+  function follow(card, at) {
+    if (at !== card.last) card.reportedAt = performance.now();
+    if (card.n.length === 0) return;
+    if (at - card.last >= MAX_SECONDS || at < card.from) {
+      for (const list of lists(card)) list.length = 0;
+      card.from = at - MAX_SECONDS + 1;
+      grow(card.n, MAX_SECONDS);
+    } else if (card.last - at > MAX_CLOCK_DECREASE_S) {
+      for (const list of lists(card)) list.length = Math.min(list.length, at - card.from + 1);
+    } else return;
+    state++;
+    card.last = at;
+    card.p95.points = card.p95.points.filter(([start]) => start <= at);
+  }
   // Adds the values of a second to a card. A second may be received again.
   function put(card, second) {
     state++;
     let at = second.at - card.from;
     if (card.n.length === 0) { card.from = second.at; at = 0; }
-    if (at < 0) return;
+    if (at < 0 || at >= card.n.length + MAX_SECONDS) return;
     const length = at + 1;
     grow(card.n, length);
     card.n[at] = second.counts.ok;
@@ -53,7 +73,7 @@
     const extra = card.n.length - MAX_SECONDS;
     if (extra > 0) {
       card.from += extra;
-      for (const list of [card.n, ...Object.values(card.means), ...Object.values(card.transfers)]) list.splice(0, extra);
+      for (const list of lists(card)) list.splice(0, extra);
     }
     card.last = card.from + card.n.length - 1;
   }
@@ -74,8 +94,14 @@
     return points.filter(([at]) => at < end && at + size > start).map(([at, value]) => [Math.max(at, start) * 1e3, Math.min(at + size, end) * 1e3, value]);
   }
 
-  // Returns the buckets of a card. They are cached until any card changes, because all charts end at the newest second of all cards. `state`
-  // counts the changes.
+  // Returns the newest second of all cards, at which charts end. The clocks of some hosts may be wrong; the chart of a host that
+  // reports shows the host's time, so cards that are too far from it do not count.
+  function newestSecond(card) {
+    const reports = performance.now() - (card.reportedAt ?? -Infinity) < MAX_REPORT_GAP_S * 1000;
+    return Math.max(...cards.map((other) => other.last).filter((last) => !reports || Math.abs(last - card.last) < MAX_SECONDS));
+  }
+  // Returns the buckets of a card. They are cached until any card changes, because a chart ends at the newest second of other cards, too.
+  // `state` counts the changes.
   let state = 0;
   function bucketed(card) {
     const key = `${state} ${range}`;
@@ -83,7 +109,7 @@
     return card.view;
   }
   function buckets(card) {
-    const end = Math.max(...cards.map((other) => other.last)) + 1, start = end - range;
+    const end = newestSecond(card) + 1, start = end - range;
     const known = card.n.filter((count) => count != null), rate = known.reduce((sum, count) => sum + count, 0) / Math.max(1, known.length);
     const size = PEER.bucket(range, rate);
     const stages = PEER.PARTS.filter((part) => card.means[part]);
@@ -261,13 +287,17 @@
     for (const pipeline of detail.pipelines) {
       const card = cards.find((other) => other.host === pipeline.host && other.pipeline === pipeline.name);
       if (!card) continue;
-      const oldest = pipeline.seconds[0];
-      if (card.hasMissedSeconds || (oldest && card.n.length && oldest.at > card.last + 1)) catchUp(card);
+      const oldest = pipeline.seconds[0], newest = pipeline.seconds[pipeline.seconds.length - 1];
+      const misses = oldest && card.n.length && oldest.at > card.last + 1;
+      if (newest) follow(card, newest.at);
+      if (card.hasMissedSeconds || misses) catchUp(card);
       pipeline.seconds.forEach((second) => put(card, second));
       if (!putPercentiles(card, pipeline.total_over_time, false)) catchUp(card);
       const host = detail.hosts.find((other) => other.name === card.host), at = Math.floor(Date.parse(detail.at) / 1000);
       for (const name of ["cpu", "gpu"]) {
         const list = card[name];
+        // Later points are from before the aggregator's clock was set back.
+        while (list.length && list[list.length - 1][0] > at) list.pop();
         // Like the history from the server, the list has a point every five seconds.
         if (card.remote || !host?.connected || host[name] == null || (list.length && at - list[list.length - 1][0] < 5)) continue;
         list.push([at, host[name] * 100]);
@@ -285,6 +315,9 @@
       const answer = await fetch(`/api/v1/pipelines/${encodeURIComponent(card.host)}/${encodeURIComponent(card.pipeline)}`);
       if (!answer.ok) throw new Error(`status ${answer.status}`);
       const pipeline = await answer.json();
+      const newest = pipeline.seconds[pipeline.seconds.length - 1];
+      // The answer may be older than the card.
+      if (newest?.at > card.last) follow(card, newest.at);
       pipeline.seconds.forEach((second) => put(card, second));
       putPercentiles(card, pipeline.total_over_time, true);
       card.hasMissedSeconds = false;
