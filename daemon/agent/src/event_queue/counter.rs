@@ -18,11 +18,13 @@
 //! (`peernet_stream`, `unresolved.rs`).
 
 mod abandoned;
+mod locked;
 mod owner;
 #[cfg(test)]
 mod tests;
 
 pub(crate) use self::abandoned::remove_abandoned;
+pub(crate) use self::locked::LockedCounts;
 pub(crate) use self::owner::CountOwner;
 
 use std::collections::BTreeMap;
@@ -262,13 +264,13 @@ fn open_owned_file(name: &str) -> Option<File> {
     open_owned_file_with(name, File::options().read(true))
 }
 
-/// Same as [`open_owned_file`] with any kind of access.
-fn open_owned_file_with(name: &str, access: &mut OpenOptions) -> Option<File> {
+/// Opens the file of this name in shared memory with these options, if it belongs to this user.
+fn open_owned_file_with(name: &str, options: &mut OpenOptions) -> Option<File> {
     // Other users can create files in this folder: opening must not block on a FIFO, and must not follow a link.
     let flags = i32::try_from((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits()).ok()?;
     // The name comes from the spool and may be any path. The last component of a path cannot lead out of the folder.
     let path = Path::new(SHARED_MEMORY).join(Path::new(name).file_name()?);
-    let file = access.custom_flags(flags).open(path).ok()?;
+    let file = options.custom_flags(flags).open(path).ok()?;
     let metadata = file.metadata().ok()?;
     (metadata.is_file() && metadata.uid() == rustix::process::geteuid().as_raw()).then_some(file)
 }
@@ -288,18 +290,6 @@ fn read_owner(file: &File) -> Option<CountOwner> {
 /// Returns whether the file of this name belongs to another spool.
 pub(crate) fn belongs_to_another_spool(name: &str, spool: &CountOwner) -> bool {
     open_owned_file(name).and_then(|file| read_owner(&file)).is_some_and(|owner| !owner.is_same_file(spool))
-}
-
-/// Assigns the counts in the file of this name to the spool `to`, if they belong to the spool `from`.
-///
-/// # Errors
-/// When the file cannot be written.
-pub(crate) fn assign(name: &str, from: &CountOwner, to: &CountOwner) -> io::Result<()> {
-    let file = open_owned_file_with(name, File::options().read(true).write(true));
-    match file.filter(|file| read_owner(file).is_some_and(|owner| owner.is_same_file(from))) {
-        Some(file) => file.write_all_at(&to.encode(), OWNER_OFFSET as u64),
-        None => Ok(()),
-    }
 }
 
 /// Reads the counts of an earlier process for this spool from the file of this name; `None` if the file is missing or

@@ -11,17 +11,9 @@ use super::{CountOwner, SHARED_MEMORY, open_owned_file, read_owner, remove};
 /// The files named in `needed` stay, because `spool` still needs them. A file that does not contain the identity of a
 /// spool stays, too.
 pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {
-    let entries = match fs::read_dir(SHARED_MEMORY) {
-        Ok(entries) => entries,
-        Err(error) => {
-            tracing::debug!(%error, "cannot list {SHARED_MEMORY}: event counts of killed agents are not removed");
-            return;
-        }
-    };
     let mut removed = 0_u64;
-    for name in entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok()) {
-        if is_count_file_name(&name)
-            && !needed.contains(&name.as_str())
+    for name in count_file_names() {
+        if !needed.contains(&name.as_str())
             && open_owned_file(&name).is_some_and(|file| is_abandoned(&file, spool))
         {
             remove(&name);
@@ -34,6 +26,19 @@ pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {
             "removed files with event counts in {SHARED_MEMORY} that no spool needs any more"
         );
     }
+}
+
+/// Returns the names of all files of counts.
+pub(super) fn count_file_names() -> Vec<String> {
+    let entries = match fs::read_dir(SHARED_MEMORY) {
+        Ok(entries) => entries,
+        Err(error) => {
+            tracing::debug!(%error, "cannot list {SHARED_MEMORY}: event counts of killed agents are not found");
+            return Vec::new();
+        }
+    };
+    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    names.filter(|name| is_count_file_name(name)).collect()
 }
 
 /// Returns whether this is the name of a file of counts.

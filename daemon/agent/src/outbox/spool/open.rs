@@ -21,7 +21,7 @@ use super::reserve::Reserve;
 use super::statements::MAX_PROCESSES;
 use super::{QuarantinedSpool, SpoolError, killed_process};
 use crate::event_queue::EventCounter;
-use crate::event_queue::counter::CountOwner;
+use crate::event_queue::counter::{CountOwner, LockedCounts};
 use crate::lock::FileLock;
 
 pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool");
@@ -86,10 +86,19 @@ impl OpenSpool {
             // A damaged spool must not prevent the robot from measuring. The file is not deleted, because a user may
             // recover its events.
             Err(error) if error.is_damage() => {
+                let counts = CountOwner::from_path(path).map(|spool| LockedCounts::of_spool(&spool));
                 let quarantine_result = quarantine(path, error.damage(), clock.wall());
                 let mut moved = quarantine_result.map_err(io("quarantine the damaged spool", path))?;
                 let recovered = recover(&moved.new_path, path, host).await;
                 moved.recovered = recovered.map_err(|error| error.to_string());
+                // Without the assignment, the recovered spool would be taken for a copy of the damaged one, and the events
+                // that the previous process lost would not be reported.
+                if moved.recovered.is_ok()
+                    && let Err(error) =
+                        counts.and_then(|counts| counts.assign_to(&CountOwner::from_path(path)?))
+                {
+                    tracing::warn!(%error, "cannot assign the count of queued events to the recovered spool; the events that were lost are not reported");
+                }
                 quarantined = Some(moved);
                 connect_despite_full_disk(path, host, &mut reserve).await
             }

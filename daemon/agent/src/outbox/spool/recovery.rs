@@ -17,7 +17,6 @@ use super::error::is_corrupt;
 use super::inspect::read_only_options;
 use super::open::{MIGRATIONS, chain_from_column, set_application_id, settings};
 use super::quarantine::with_suffix;
-use crate::event_queue::counter::{self, CountOwner};
 
 /// Tables that are copied whole: the state of the stream.
 const STATE_TABLES: [&str; 4] = ["stream", "reached", "unreported", "unresolved"];
@@ -66,7 +65,7 @@ pub(super) async fn recover(
 ) -> Result<RecoveryCounts, RecoveryError> {
     let mut source = read_only_options(damaged).connect().await?;
     let file_bytes = fs::metadata(damaged).map_or(0, |metadata| metadata.len());
-    let result = create(&mut source, file_bytes, (damaged, spool), host).await;
+    let result = create(&mut source, file_bytes, spool, host).await;
     if let Err(error) = source.close().await {
         tracing::debug!(%error, "closing the quarantined spool failed");
     }
@@ -92,7 +91,7 @@ fn remove_incomplete_spool(spool: &Path) {
 async fn create(
     source: &mut SqliteConnection,
     file_bytes: u64,
-    (damaged, spool): (&Path, &Path),
+    spool: &Path,
     host: HostId,
 ) -> Result<RecoveryCounts, RecoveryError> {
     let owner: Option<String> =
@@ -101,10 +100,7 @@ async fn create(
         return Err(RecoveryError::OtherHost);
     }
     let mut target = settings(spool).connect().await?;
-    let result = match fill(source, &mut target, file_bytes, spool).await {
-        Ok(recovered) => assign_event_counts(&mut target, damaged, spool).await.map(|()| recovered),
-        error => error,
-    };
+    let result = fill(source, &mut target, file_bytes, spool).await;
     // The connection is closed before the file is removed or opened again.
     target.close().await?;
     result
@@ -235,26 +231,4 @@ async fn count_losses(target: &mut SqliteConnection, lost_events: u64) -> Result
     .execute(target)
     .await
     .map(drop)
-}
-
-/// Assigns the counts of queued events in shared memory to the new spool. Otherwise the events that the previous process
-/// lost would not be reported, because the new spool would be taken for a copy of the damaged one.
-async fn assign_event_counts(
-    target: &mut SqliteConnection,
-    damaged: &Path,
-    spool: &Path,
-) -> Result<(), RecoveryError> {
-    let names: Vec<String> = sqlx::query_scalar(
-        "SELECT counter FROM stream WHERE counter IS NOT NULL UNION SELECT counter FROM unresolved",
-    )
-    .fetch_all(target)
-    .await?;
-    let assign = |name: &String| {
-        // Renaming the damaged file did not change its identity.
-        counter::assign(name, &CountOwner::from_path(damaged)?, &CountOwner::from_path(spool)?)
-    };
-    if let Err(error) = names.iter().try_for_each(assign) {
-        tracing::warn!(%error, "cannot assign the count of queued events to the new spool; the events that were lost are not reported");
-    }
-    Ok(())
 }
