@@ -59,7 +59,7 @@ pub struct SettledEvents {
     pub last: Option<WallTime>,
 }
 
-/// A batch that was sent and is not in the spool. All counts include this batch.
+/// A batch that was sent, or is about to be sent, although it is not in the spool. All counts include this batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SentUnspooled {
     /// Process that sent the batch ([`super::Hello::process`]).

@@ -94,7 +94,7 @@ pub use receiving::{
 pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};
 pub use sending::{Action, Compression, Notice, Sending, SendingConfig};
 pub use spool::{SpoolState, SpooledBatch, Usage};
-pub use totals::{NewestSentBatch, Totals};
+pub use totals::{NewestSendableBatch, Totals};
 pub use unresolved::{MAX_SENT_UNSPOOLED, UnresolvedBatches};
 pub use versions::{Release, VersionMismatch, VersionRange};
 

@@ -4,7 +4,7 @@ use bytes::Bytes;
 use peernet_clock::WallTime;
 
 use crate::counts::{CountedEvents, SettledEvents};
-use crate::totals::{NewestSentBatch, Totals};
+use crate::totals::{NewestSendableBatch, Totals};
 use crate::{ChainHash, Gap, StreamId, UnresolvedBatches};
 
 /// Maximum number of gaps of earlier processes that are kept separately. Further gaps are merged.
@@ -90,9 +90,9 @@ pub struct SpoolState {
     pub waiting_usage: Usage,
     /// Totals up to the newest batch.
     pub totals: Totals,
-    /// Newest batch that each process may have sent from this spool. A process that is not listed is assumed to have
-    /// sent from a copy of the spool.
-    pub newest_sent: Vec<NewestSentBatch>,
+    /// Newest batch that each process was allowed to send from this spool. A process that is not listed is assumed to
+    /// have sent from a copy of the spool.
+    pub newest_sendable: Vec<NewestSendableBatch>,
     /// Gaps of earlier processes that are not reported yet: for events that were dropped, or lost when a process was
     /// killed.
     pub unreported: Vec<Gap>,
@@ -115,7 +115,7 @@ impl SpoolState {
             since: None,
             waiting_usage: Usage::default(),
             totals: Totals::default(),
-            newest_sent: Vec::new(),
+            newest_sendable: Vec::new(),
             unreported: Vec::new(),
             unresolved: None,
         }

@@ -1,20 +1,20 @@
-//! Counts since a spool was created, and the newest batch of each process.
+//! Counts since a spool was created, and the newest batch that each process is allowed to send.
 
 use crate::Gap;
 use crate::counts::SubmittedEvents;
 
-/// Newest batch that a process may have sent.
+/// Newest batch that a process is allowed to send.
 ///
-/// The record is written to the spool's file before the batches are sent. The recorded process or an earlier process
-/// sent the batches in the file up to this number. If the aggregator has a later batch of the recorded process, it has
-/// also stored these batches, because it stores the batches of a stream in order. The file then lost its newest batches
-/// (a power failure, a failed disk), or is an older copy. A batch of a process that is not recorded in the file proves
-/// nothing about the file.
+/// The record is written to the spool's file before the process sends the batch, so the process has not necessarily
+/// sent it. If the aggregator has a later batch of the recorded process, it has also stored all batches of the file up
+/// to this number: the recorded process or an earlier process sent them, and the aggregator stores the batches of a
+/// stream in order. The file then lost its newest batches (a power failure, a failed disk), or is an older copy. A batch
+/// of a process that is not recorded in the file proves nothing about the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct NewestSentBatch {
+pub struct NewestSendableBatch {
     /// Random number of the process ([`super::Hello::process`]).
     pub process: u64,
-    /// Number of the newest batch that the process may have sent.
+    /// Number of the newest batch that the process is allowed to send.
     pub number: u64,
 }
 
@@ -33,9 +33,9 @@ pub struct Totals {
     pub reported_drops: u64,
     /// Events that were submitted to the current process.
     pub submitted: SubmittedEvents,
-    /// Newest batch that the current process may have sent; `None` before the aggregator has accepted the process. If
-    /// `None`, the records in the spool stay unchanged.
-    pub newest_sent: Option<NewestSentBatch>,
+    /// Newest batch that the current process is allowed to send; `None` before the aggregator has accepted the process.
+    /// If `None`, the records in the spool stay unchanged.
+    pub newest_sendable: Option<NewestSendableBatch>,
     /// Losses that no gap reports yet; `None` if the losses in the spool stay unchanged. `Some` also means that
     /// [`SpoolState::unresolved`](crate::SpoolState::unresolved) is resolved.
     pub unreported: Option<Vec<Gap>>,

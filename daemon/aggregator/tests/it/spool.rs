@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use peernet_clock::Stamp;
 use peernet_stream::{
-    Action, ChainHash, NewestSentBatch, Notice, Sending, SpoolState, SpooledBatch, StreamId, Totals, Usage,
+    Action, ChainHash, NewestSendableBatch, Notice, Sending, SpoolState, SpooledBatch, StreamId, Totals,
+    Usage,
 };
 
 /// The state that survives the agent's process.
@@ -18,7 +19,7 @@ pub(crate) struct Spool {
     deleted: (u64, ChainHash),
     batches: BTreeMap<u64, SpooledBatch>,
     totals: Totals,
-    newest_sent: Vec<NewestSentBatch>,
+    newest_sendable: Vec<NewestSendableBatch>,
 }
 
 impl Spool {
@@ -31,7 +32,7 @@ impl Spool {
             deleted: (0, ChainHash::START),
             batches: BTreeMap::new(),
             totals: Totals::default(),
-            newest_sent: Vec::new(),
+            newest_sendable: Vec::new(),
         }
     }
 
@@ -53,7 +54,7 @@ impl Spool {
             since: self.batches.first_key_value().map(|(_, batch)| batch.since),
             waiting_usage: usages.fold(Usage::default(), |sum, usage| sum + usage),
             totals: self.totals.clone(),
-            newest_sent: self.newest_sent.clone(),
+            newest_sendable: self.newest_sendable.clone(),
             unreported: Vec::new(),
             unresolved: None,
         }
@@ -65,9 +66,9 @@ impl Spool {
             Action::Append { batches, totals } => {
                 self.batches.extend(batches.into_iter().map(|batch| (batch.number, batch)));
                 // A new entry replaces the entry of the same process.
-                self.newest_sent
-                    .retain(|old| totals.newest_sent.is_none_or(|new| new.process != old.process));
-                self.newest_sent.extend(totals.newest_sent);
+                self.newest_sendable
+                    .retain(|old| totals.newest_sendable.is_none_or(|new| new.process != old.process));
+                self.newest_sendable.extend(totals.newest_sendable);
                 self.totals = totals;
                 sending.on_appended(now)
             }

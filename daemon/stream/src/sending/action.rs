@@ -16,7 +16,7 @@ pub enum Action {
     /// [`Sending::on_append_failed`].
     ///
     /// While the spool can be written, a batch is sent only after an `Append` has recorded that the batch may be sent
-    /// ([`Totals::newest_sent`]). For batches that were written while disconnected, this is an `Append` with empty
+    /// ([`Totals::newest_sendable`]). For batches that were written while disconnected, this is an `Append` with empty
     /// `batches`. The record should be on the medium, not only in the system's memory, before the action is answered.
     Append {
         /// Contiguous batches that follow the newest batch in the spool; empty if only the totals changed.

@@ -128,9 +128,9 @@ impl Appends {
     /// Ends the transaction successfully. Returns its result; `None` if no transaction is in progress.
     pub(super) fn finish(&mut self) -> Option<AppendResult> {
         let RunningAppend { last, bytes, freed_bytes, totals, resolves_earlier_process } = self.job.end()?;
-        // A transaction without a record of sent batches leaves the record in the file unchanged.
-        let newest_sent = totals.newest_sent.or(self.written_totals.newest_sent);
-        self.written_totals = Totals { newest_sent, ..totals };
+        // If the totals do not contain `newest_sendable`, the transaction leaves the record in the file unchanged.
+        let newest_sendable = totals.newest_sendable.or(self.written_totals.newest_sendable);
+        self.written_totals = Totals { newest_sendable, ..totals };
         Some(AppendResult { last, bytes, freed_bytes, resolves_earlier_process })
     }
 
@@ -155,8 +155,9 @@ impl Appends {
             .then(|| self.started_at + LOSS_WRITE_INTERVAL)
     }
 
-    /// Returns whether the file records for all its batches, up to `spooled`, that this process may send them.
-    pub(super) fn has_sent_record(&self, spooled: u64) -> bool {
-        self.written_totals.newest_sent.is_some_and(|newest_sent| newest_sent.number >= spooled)
+    /// Returns whether the file contains the record that this process is allowed to send all batches up to number
+    /// `through`.
+    pub(super) fn has_recorded_sendable(&self, through: u64) -> bool {
+        self.written_totals.newest_sendable.is_some_and(|newest_sendable| newest_sendable.number >= through)
     }
 }

@@ -10,7 +10,7 @@ use super::session::{ConnectionState, ScanPurpose, Welcome};
 use super::spool_reader::{LoadPurpose, ScanResult};
 use super::{Notice, Sending};
 use crate::spool::SpooledBatch;
-use crate::totals::NewestSentBatch;
+use crate::totals::NewestSendableBatch;
 use peernet_logger::Slug;
 
 /// Returns the reason to refuse an aggregator that chose a version which this agent does not support.
@@ -303,13 +303,13 @@ impl Sending {
     /// spool no longer contains. If not, a process with a copy of this spool sent that batch. The aggregator's database
     /// may then be a backup from a time when the aggregator received the batches of that copy.
     fn has_sent_last_stored(&self, welcome: &Welcome) -> bool {
-        let is_sender = |newest_sent: &NewestSentBatch| {
-            Some(newest_sent.process) == welcome.process && newest_sent.number >= welcome.last_stored
+        let is_sender = |newest_sendable: &NewestSendableBatch| {
+            Some(newest_sendable.process) == welcome.process && newest_sendable.number >= welcome.last_stored
         };
         // Without a chain hash, the aggregator has no batch of this stream, and therefore none of a copy.
         welcome.chain.is_none()
             || welcome.process == Some(self.spooler.process())
-            || self.renewal.newest_sent_by_earlier_processes().iter().any(is_sender)
+            || self.renewal.newest_sendable_of_earlier_processes().iter().any(is_sender)
     }
 
     fn begin_sending(&mut self, welcome: Welcome, aggregator_lost_batches: bool, now: Stamp) {
@@ -327,22 +327,22 @@ impl Sending {
     ///
     /// - The process wrote to this spool. The spool then lost its last batches, or the spool is a copy that was made
     ///   before that process wrote its last batches to the original. All batches that this spool has from the process
-    ///   are stored ([`NewestSentBatch`]). Later batches of the spool were never stored.
+    ///   are stored ([`NewestSendableBatch`]). Later batches of the spool were never stored.
     /// - The process never wrote to this spool. The spool is then a copy of unknown age. All its batches are sent,
     ///   because it is better to store events twice, in two streams, than not at all.
     fn leave_stream(&mut self, welcome: &Welcome, now: Stamp) {
         let (last_stored, newest) = (welcome.last_stored, self.spooler.backlog.newest());
         self.notices.push_back(Notice::StreamRenewed { stored: last_stored, newest });
-        let newest_sent = self
+        let newest_sendable = self
             .renewal
-            .newest_sent_by_earlier_processes()
+            .newest_sendable_of_earlier_processes()
             .iter()
-            .find(|newest_sent| Some(newest_sent.process) == welcome.process);
-        // If the process recorded batch `last_stored` as sent, but the aggregator has a different batch with this
-        // number, no batch is certain to be stored.
-        let last_common = newest_sent
-            .filter(|newest_sent| last_stored > newest_sent.number)
-            .map_or(0, |newest_sent| newest_sent.number.min(newest));
+            .find(|newest_sendable| Some(newest_sendable.process) == welcome.process);
+        // If the spool contains the record that the process was allowed to send batch `last_stored`, but the aggregator
+        // has a different batch with this number, no batch is certain to be stored.
+        let last_common = newest_sendable
+            .filter(|newest_sendable| last_stored > newest_sendable.number)
+            .map_or(0, |newest_sendable| newest_sendable.number.min(newest));
         // No batch that the spool still holds is known to be stored.
         if last_common < self.spooler.backlog.oldest() {
             return self.renew_stream(now.mono);

@@ -81,7 +81,7 @@ impl Sending {
         // from the spool.
         let budget = 2 * u64::from(config.window.max(1)) * config.batch_bytes as u64;
         Self {
-            renewal: StreamRenewal::new(std::mem::take(&mut spool.newest_sent)),
+            renewal: StreamRenewal::new(std::mem::take(&mut spool.newest_sendable)),
             spooler: EventSpooler::new(config, process, budget, spool),
             reader: SpoolReader::default(),
             failure: SpoolFailure::default(),

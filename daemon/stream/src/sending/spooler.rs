@@ -12,7 +12,7 @@ use super::intake::{EventCapacity, Intake};
 use super::spool_reader::ScanResult;
 use super::{Action, SendingConfig};
 use crate::spool::{SpoolState, SpooledBatch};
-use crate::totals::{NewestSentBatch, Totals};
+use crate::totals::{NewestSendableBatch, Totals};
 use crate::{Accounting, BatchHead, ChainHash, Event, Gap, SentUnspooled, StreamId, SubmittedEvents};
 
 /// Maximum number of batches in one transaction, so that other work on the spool does not wait for long.
@@ -47,10 +47,10 @@ impl EventSpooler {
         let Totals { produced, dropped, .. } = spool.totals;
         // All events in the spool were produced, even if the counts in the spool state fewer events.
         let produced = produced.max(dropped.saturating_add(backlog.waiting_usage().events));
-        // `newest_sent` and `submitted` concern the current process, which has sent and submitted nothing yet.
+        // `newest_sendable` and `submitted` concern the current process, which has sent and submitted nothing yet.
         let totals = Totals {
             produced,
-            newest_sent: None,
+            newest_sendable: None,
             submitted: SubmittedEvents::default(),
             ..spool.totals.clone()
         };
@@ -196,7 +196,7 @@ impl EventSpooler {
             gaps: settled.gaps,
             reported_drops: settled.reported_drops,
             submitted,
-            newest_sent: self.appends.written_totals().newest_sent,
+            newest_sendable: self.appends.written_totals().newest_sendable,
             unreported: None,
         }
     }
@@ -324,16 +324,14 @@ impl EventSpooler {
 
     /// Returns the number up to which batches may be sent, and whether they may be sent from memory.
     ///
-    /// Before batches are sent, the file records that they may be sent, because later writes may be lost. While the
-    /// file cannot be written, batches in the file are sent without such a record: otherwise a disk that is full of
-    /// batches would never have space again. Batches that are not in the file are sent only if the file has this record
-    /// for all its batches.
+    /// Before batches are sent, the file records that this process is allowed to send them ([`NewestSendableBatch`]),
+    /// because later writes may be lost. While the file cannot be written, batches in the file are sent without such a
+    /// record: otherwise a disk that is full of batches would never have space again. Batches that are not in the file
+    /// are sent only if the file has this record for all its batches.
     pub(super) fn sendable(&self) -> (u64, bool) {
         match self.appends.has_failed() {
-            false => {
-                (self.appends.written_totals().newest_sent.map_or(0, |newest_sent| newest_sent.number), false)
-            }
-            true if self.has_sent_record() => (u64::MAX, true),
+            false => (self.appends.written_totals().newest_sendable.map_or(0, |newest| newest.number), false),
+            true if self.has_recorded_all_as_sendable() => (u64::MAX, true),
             true => (self.backlog.spooled(), false),
         }
     }
@@ -401,9 +399,9 @@ impl EventSpooler {
         let resolves_earlier_process = self.earlier.unwritten_gaps().is_some();
         // The record of batches that may be sent comes first, because no batch may be sent before the file contains it.
         // The result about an earlier process comes first, too, because no loss may be reported before this write.
-        if resolves_earlier_process || self.is_accepted && !self.has_sent_record() {
-            let newest_sent = self.newest_sent_record(spooled);
-            return Some((Vec::new(), Totals { newest_sent, ..written.clone() }));
+        if resolves_earlier_process || self.is_accepted && !self.has_recorded_all_as_sendable() {
+            let newest_sendable = self.newest_sendable(spooled);
+            return Some((Vec::new(), Totals { newest_sendable, ..written.clone() }));
         }
         // After a failure to write batches, the number of dropped events is written alone, because it needs less space.
         if self.appends.has_failed_with_batches() && self.intake.totals().dropped != written.dropped {
@@ -415,7 +413,7 @@ impl EventSpooler {
             return totals.map(|totals| (Vec::new(), totals));
         };
         let newest = batches.last().map_or(spooled, |batch| batch.number);
-        Some((batches, Totals { newest_sent: self.newest_sent_record(newest), ..totals }))
+        Some((batches, Totals { newest_sendable: self.newest_sendable(newest), ..totals }))
     }
 
     /// Returns the time at which the number of dropped events is written alone.
@@ -423,14 +421,14 @@ impl EventSpooler {
         self.appends.losses_due_at(self.intake.totals().dropped)
     }
 
-    /// Returns the record that this process may send batches up to `number`; `None` before the aggregator has accepted
-    /// this process.
-    fn newest_sent_record(&self, number: u64) -> Option<NewestSentBatch> {
-        self.is_accepted.then_some(NewestSentBatch { process: self.process, number })
+    /// Returns the record that this process is allowed to send batches up to `number`; `None` before the aggregator has
+    /// accepted this process.
+    fn newest_sendable(&self, number: u64) -> Option<NewestSendableBatch> {
+        self.is_accepted.then_some(NewestSendableBatch { process: self.process, number })
     }
 
-    /// Returns whether the file records for all its batches that this process may send them.
-    fn has_sent_record(&self) -> bool {
-        self.appends.has_sent_record(self.backlog.spooled())
+    /// Returns whether the file contains the record that this process is allowed to send all batches of the file.
+    fn has_recorded_all_as_sendable(&self) -> bool {
+        self.appends.has_recorded_sendable(self.backlog.spooled())
     }
 }

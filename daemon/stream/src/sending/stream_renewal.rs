@@ -6,21 +6,22 @@ use super::Action;
 use super::job::Job;
 use super::spooler::EventSpooler;
 use crate::StreamId;
-use crate::totals::NewestSentBatch;
+use crate::totals::NewestSendableBatch;
 
-/// Move of the spool to a new stream, and the newest batches that earlier processes sent in the current stream.
+/// Move of the spool to a new stream, and the newest batches that earlier processes may have sent in the current
+/// stream.
 #[derive(Clone, Debug)]
 pub(super) struct StreamRenewal {
     /// New stream, if the move is requested. Nothing is sent until the spool belongs to the new stream.
     requested: Option<StreamId>,
     job: Job<StreamId>,
     /// For each earlier process, the newest batch that it may have sent in the current stream.
-    newest_sent_by_earlier_processes: Vec<NewestSentBatch>,
+    newest_sendable_of_earlier_processes: Vec<NewestSendableBatch>,
 }
 
 impl StreamRenewal {
-    pub(super) fn new(newest_sent_by_earlier_processes: Vec<NewestSentBatch>) -> Self {
-        Self { requested: None, job: Job::default(), newest_sent_by_earlier_processes }
+    pub(super) fn new(newest_sendable_of_earlier_processes: Vec<NewestSendableBatch>) -> Self {
+        Self { requested: None, job: Job::default(), newest_sendable_of_earlier_processes }
     }
 
     /// Returns whether the current stream is to be left.
@@ -34,8 +35,8 @@ impl StreamRenewal {
     }
 
     /// Returns, for each earlier process, the newest batch that it may have sent in the current stream.
-    pub(super) fn newest_sent_by_earlier_processes(&self) -> &[NewestSentBatch] {
-        &self.newest_sent_by_earlier_processes
+    pub(super) fn newest_sendable_of_earlier_processes(&self) -> &[NewestSendableBatch] {
+        &self.newest_sendable_of_earlier_processes
     }
 
     /// Returns the next action.
@@ -62,7 +63,7 @@ impl StreamRenewal {
     /// was requested.
     pub(super) fn finish(&mut self) -> Option<StreamId> {
         let stream = self.job.end()?;
-        (self.requested, self.newest_sent_by_earlier_processes) = (None, Vec::new());
+        (self.requested, self.newest_sendable_of_earlier_processes) = (None, Vec::new());
         Some(stream)
     }
 

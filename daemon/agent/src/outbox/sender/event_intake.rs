@@ -63,7 +63,8 @@ impl EventIntake {
         }
     }
 
-    /// Frees the counter's records of ended runs whose events are all in the spool, stored or dropped.
+    /// Frees the counter's records of ended runs whose events are all settled. An event is settled if it is in the
+    /// spool, if the aggregator stored it, or if it was dropped.
     pub(super) fn release_runs(&self, state_machine: &mut Sending) {
         for (run, events) in state_machine.settled_runs() {
             if self.receiver.counter.release_if_settled(run, events) {
@@ -96,8 +97,8 @@ impl EventIntake {
         self.receiver.counter.total().is_some()
     }
 
-    /// Removes the counter if all counted events are settled: in the spool, stored or dropped. `settled` is the number
-    /// of settled events.
+    /// Removes the counter if all counted events are settled ([`Self::release_runs`]). `settled` is the number of
+    /// settled events.
     pub(super) fn remove_counter(&self, settled: u64) {
         if self.receiver.counter.total() == Some(settled) {
             self.receiver.counter.remove();

@@ -98,8 +98,8 @@ impl SpoolFile {
             counter::remove(&counter);
         }
         if batches.is_empty() {
-            // The totals may contain the record `newest_sent`. After this write the outbox may send batches that are
-            // only in memory, and the aggregator may store them. After a power cut the file must still state which
+            // The totals may contain `newest_sendable`. After this write the outbox may send batches that are only in
+            // memory, and the aggregator may store them. After a power cut the file must still state which
             // process sent them.
             self.sync(ACTION).await?;
         }

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use peernet_clock::{SharedClock, WallTime};
 use peernet_logger::HostId;
-use peernet_stream::{ChainHash, NewestSentBatch, SpoolState, StreamId, SubmittedEvents, Totals, Usage};
+use peernet_stream::{ChainHash, NewestSendableBatch, SpoolState, StreamId, SubmittedEvents, Totals, Usage};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
@@ -217,8 +217,8 @@ async fn prepare(
         return Err(SpoolError::OtherHost { path: path.to_owned(), found: row.host, own: host });
     }
     let waiting = waiting_totals(connection).await.map_err(cannot_open)?;
-    let sent_batches = newest_sent_batches(connection).await.map_err(cannot_open)?;
-    let state = row.into_state(waiting, sent_batches);
+    let newest_sendable = newest_sendable_batches(connection).await.map_err(cannot_open)?;
+    let state = row.into_state(waiting, newest_sendable);
     let mut state = state.map_err(|defect| SpoolError::Damaged { path: path.to_owned(), defect })?;
     state.unreported = killed_process::read_unreported(connection).await.map_err(cannot_open)?;
     let owner = CountOwner::from_path(path).map_err(|source| SpoolError::Io {
@@ -318,18 +318,21 @@ async fn waiting_totals(connection: &mut SqliteConnection) -> Result<WaitingTota
     .await
 }
 
-/// Returns the number of the newest sent batch of each process, for the newest processes.
-async fn newest_sent_batches(connection: &mut SqliteConnection) -> Result<Vec<NewestSentBatch>, sqlx::Error> {
+/// Returns the newest batch that each process was allowed to send, the largest number first, for at most
+/// [`MAX_PROCESSES`] processes.
+async fn newest_sendable_batches(
+    connection: &mut SqliteConnection,
+) -> Result<Vec<NewestSendableBatch>, sqlx::Error> {
     let rows: Vec<(i64, i64)> =
         sqlx::query_as("SELECT process, number FROM reached ORDER BY number DESC LIMIT ?")
             .bind(MAX_PROCESSES)
             .fetch_all(connection)
             .await?;
-    let sent_batch = |(process, number): (i64, i64)| NewestSentBatch {
+    let batch_of_row = |(process, number): (i64, i64)| NewestSendableBatch {
         process: process.cast_unsigned(),
         number: number.cast_unsigned(),
     };
-    Ok(rows.into_iter().map(sent_batch).collect())
+    Ok(rows.into_iter().map(batch_of_row).collect())
 }
 
 impl StreamRow {
@@ -340,7 +343,7 @@ impl StreamRow {
     fn into_state(
         self,
         waiting: WaitingTotals,
-        newest_sent: Vec<NewestSentBatch>,
+        newest_sendable: Vec<NewestSendableBatch>,
     ) -> Result<SpoolState, SpoolDefect> {
         let id = |text: &str| text.parse().map_err(|_| SpoolDefect::StreamId(text.to_owned()));
         let acknowledged_chain = chain_from_column(&self.chain)?;
@@ -379,10 +382,10 @@ impl StreamRow {
                 gaps: self.gaps.cast_unsigned(),
                 reported_drops: self.reported_drops.cast_unsigned(),
                 submitted: SubmittedEvents::default(),
-                newest_sent: None,
+                newest_sendable: None,
                 unreported: None,
             },
-            newest_sent,
+            newest_sendable,
             unreported: Vec::new(),
             unresolved: None,
         })

@@ -6,7 +6,8 @@ use sqlx::SqliteConnection;
 
 use super::killed_process;
 
-/// Maximum number of processes whose newest sent batch is recorded. Each start of the agent is a process.
+/// Maximum number of processes for which the newest batch that they were allowed to send is recorded. Each start of the
+/// agent is a process.
 // The limit keeps the table small even if the agent restarts again and again without an aggregator.
 pub(super) const MAX_PROCESSES: i64 = 64;
 
@@ -57,10 +58,10 @@ pub(super) async fn insert(
     if let Some(unreported) = &totals.unreported {
         killed_process::resolve(connection, totals.reported_drops, unreported).await?;
     }
-    let Some(newest_sent) = totals.newest_sent else { return Ok(()) };
+    let Some(newest_sendable) = totals.newest_sendable else { return Ok(()) };
     sqlx::query("INSERT OR REPLACE INTO reached (process, number) VALUES (?, ?)")
-        .bind(newest_sent.process.cast_signed())
-        .bind(newest_sent.number.cast_signed())
+        .bind(newest_sendable.process.cast_signed())
+        .bind(newest_sendable.number.cast_signed())
         .execute(connection)
         .await
         .map(drop)

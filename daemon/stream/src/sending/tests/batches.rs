@@ -52,7 +52,7 @@ fn batches_are_consecutive_and_spooled_before_sending() {
             gaps: 0,
             reported_drops: 0,
             submitted: totals.submitted.clone(),
-            newest_sent: Some(NewestSentBatch { process: 1, number: 4 }),
+            newest_sendable: Some(NewestSendableBatch { process: 1, number: 4 }),
             unreported: None,
         }
     );

@@ -96,7 +96,7 @@ fn unsent_batches_are_distinguished_from_sent_batches_after_restart() {
 }
 
 #[test]
-fn newest_sent_batch_is_recorded_per_process() {
+fn newest_sendable_batch_is_recorded_per_process() {
     // Process 1 sent batches 1 to 10, and process 3 sent batches up to 14. In each case, the spool lost the last
     // batches of one of the two processes, which the aggregator has stored.
     let mut agent = agent_with_unacknowledged(10, 0);

@@ -40,7 +40,7 @@ fn batches_are_sent_from_memory_while_disk_is_full() {
         panic!("{:?}", agent.actions)
     };
     assert_eq!(
-        (no_batches.len(), totals.newest_sent.map(|newest_sent| newest_sent.number), batches.len()),
+        (no_batches.len(), totals.newest_sendable.map(|newest| newest.number), batches.len()),
         (0, Some(6), 4)
     );
     assert_eq!(agent.file.batches.keys().copied().collect::<Vec<_>>(), [7, 8, 9, 10]);
@@ -128,7 +128,7 @@ fn unspooled_batches_wait_until_file_records_sending() {
     assert!(agent.take_sent_numbers().is_empty(), "the file cannot be read either");
     agent.spool_is_broken = false;
     agent.advance_ms(1_000);
-    assert_eq!(agent.file.newest_sent, [NewestSentBatch { process: 2, number: 4 }]);
+    assert_eq!(agent.file.newest_sendable, [NewestSendableBatch { process: 2, number: 4 }]);
     assert_eq!(agent.deliver(), [1, 2, 3, 4]);
 }
 

@@ -25,7 +25,7 @@ use super::super::{
 };
 use super::{Action, Notice, Sending, SendingConfig};
 use crate::spool::{SpoolState, SpooledBatch, Usage};
-use crate::totals::{NewestSentBatch, Totals};
+use crate::totals::{NewestSendableBatch, Totals};
 use peernet_logger::HostId;
 
 fn at(millis: i64) -> Stamp {
@@ -65,7 +65,7 @@ struct File {
     previous_chain: ChainHash,
     newest: (u64, ChainHash),
     totals: Totals,
-    newest_sent: Vec<NewestSentBatch>,
+    newest_sendable: Vec<NewestSendableBatch>,
     /// Number of processes that opened the file.
     processes: u64,
     batches: BTreeMap<u64, SpooledBatch>,
@@ -81,7 +81,7 @@ impl File {
             previous_chain: ChainHash::START,
             newest: (0, ChainHash::START),
             totals: Totals::default(),
-            newest_sent: Vec::new(),
+            newest_sendable: Vec::new(),
             processes: 0,
             batches: BTreeMap::new(),
         }
@@ -100,7 +100,7 @@ impl File {
             since: oldest.map(|batch| batch.since),
             waiting_usage: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
             totals: self.totals.clone(),
-            newest_sent: self.newest_sent.clone(),
+            newest_sendable: self.newest_sendable.clone(),
             unreported: Vec::new(),
             unresolved: None,
         }
@@ -113,10 +113,10 @@ impl File {
             self.newest = (batch.number, batch.chain);
             self.batches.insert(batch.number, batch);
         }
-        self.newest_sent.retain(|newest_sent| {
-            totals.newest_sent.is_none_or(|added| added.process != newest_sent.process)
+        self.newest_sendable.retain(|newest_sendable| {
+            totals.newest_sendable.is_none_or(|added| added.process != newest_sendable.process)
         });
-        self.newest_sent.extend(totals.newest_sent);
+        self.newest_sendable.extend(totals.newest_sendable);
         self.totals = totals;
     }
 

@@ -14,7 +14,7 @@ pub(in super::super) struct SpoolFile {
     previous_chain: ChainHash,
     newest: (u64, ChainHash),
     totals: Totals,
-    newest_sent: Vec<NewestSentBatch>,
+    newest_sendable: Vec<NewestSendableBatch>,
     /// Losses that no gap reports yet, each with the value that [`Totals::reported_drops`] has after the loss is
     /// reported.
     unreported: Vec<(u64, Gap)>,
@@ -34,7 +34,7 @@ impl SpoolFile {
             previous_chain: ChainHash::START,
             newest: (0, ChainHash::START),
             totals: Totals::default(),
-            newest_sent: Vec::new(),
+            newest_sendable: Vec::new(),
             unreported: Vec::new(),
             unresolved: None,
             counted: CountedEvents::default(),
@@ -56,7 +56,7 @@ impl SpoolFile {
             since: oldest.map(|batch| batch.since),
             waiting_usage: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
             totals: self.totals.clone(),
-            newest_sent: self.newest_sent.clone(),
+            newest_sendable: self.newest_sendable.clone(),
             unreported: self.unreported.iter().map(|(_, gap)| gap.clone()).collect(),
             unresolved: self.unresolved.clone(),
         }
@@ -109,9 +109,9 @@ impl SpoolFile {
             self.newest = (batch.number, batch.chain);
             self.batches.insert(batch.number, batch.clone());
         }
-        if let Some(newest_sent) = totals.newest_sent {
-            self.newest_sent.retain(|other| other.process != newest_sent.process);
-            self.newest_sent.push(newest_sent);
+        if let Some(newest_sendable) = totals.newest_sendable {
+            self.newest_sendable.retain(|other| other.process != newest_sendable.process);
+            self.newest_sendable.push(newest_sendable);
         }
         let unreported = totals.unreported.take();
         self.totals = totals;

@@ -1,6 +1,6 @@
 //! Tests of writing a spool and reading it back.
 
-use peernet_stream::{ChainHash, NewestSentBatch, StreamId, Usage};
+use peernet_stream::{ChainHash, NewestSendableBatch, StreamId, Usage};
 
 use super::*;
 
@@ -104,35 +104,35 @@ async fn renewed_spool_keeps_batches_under_new_stream_id() {
 }
 
 #[tokio::test]
-async fn newest_sent_batch_of_each_process_survives_reopening() {
+async fn newest_sendable_batch_of_each_process_survives_reopening() {
     let spool_folder = SpoolFolder::new();
     let (mut file, fresh) = spool_folder.open_undamaged().await;
-    assert_eq!(fresh.newest_sent, []);
+    assert_eq!(fresh.newest_sendable, []);
     let written_batches = batches(ChainHash::START, 1..=6, 10);
     let totals_of_process = |process, number| {
-        let newest_sent = NewestSentBatch { process, number };
-        (newest_sent, Totals { newest_sent: Some(newest_sent), ..totals(9) })
+        let newest_sendable = NewestSendableBatch { process, number };
+        (newest_sendable, Totals { newest_sendable: Some(newest_sendable), ..totals(9) })
     };
     let ((first, totals_of_first), (second, totals_of_second)) =
         (totals_of_process(u64::MAX, 2), totals_of_process(5, 4));
     file.append(&written_batches[..2], &totals_of_first).await.expect("appends");
     file.append(&[], &totals_of_process(5, 2).1).await.expect("appends");
     file.append(&written_batches[2..4], &totals_of_second).await.expect("appends");
-    // Without a connection the totals have no newest sent batch. The file keeps the earlier ones.
+    // Without a connection the totals have no `newest_sendable`. The file keeps the earlier records.
     file.append(&written_batches[4..], &totals(18)).await.expect("appends");
     file.close().await.expect("closes");
     let (mut file, state) = spool_folder.open_undamaged().await;
-    assert_eq!(state.newest_sent, [second, first]);
+    assert_eq!(state.newest_sendable, [second, first]);
     for process in 100..200 {
         file.append(&[], &totals_of_process(process, 6).1).await.expect("appends");
     }
     file.delete_through(6, written_batches[5].chain).await.expect("deletes");
     file.close().await.expect("closes");
-    // The deletion keeps the newest sent batches of 64 processes, those with the largest numbers.
-    let newest_sent = spool_folder.open_undamaged().await.1.newest_sent;
+    // The deletion keeps the records of 64 processes, those with the largest batch numbers.
+    let newest_sendable = spool_folder.open_undamaged().await.1.newest_sendable;
     assert!(
-        newest_sent.len() == 64 && newest_sent.iter().all(|newest_sent| newest_sent.number == 6),
-        "{newest_sent:?}"
+        newest_sendable.len() == 64 && newest_sendable.iter().all(|newest| newest.number == 6),
+        "{newest_sendable:?}"
     );
 }
 
