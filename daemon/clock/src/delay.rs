@@ -96,8 +96,8 @@ const MIN_SHARE_RECIPROCAL: u64 = 20;
 pub enum Verdict {
     /// The interval contains the true delay and is at most half as wide as the delay.
     Ok,
-    /// The interval contains the true delay but is wider than half of the delay, or a jump of a
-    /// clock was suspected at most one window of exchanges before.
+    /// The interval contains the true delay but is wider than half of the delay, or a jump of a clock was suspected
+    /// before the delay, by at most the length of the window ([`window`](crate::RelationSettings::window)).
     Limited,
     /// There are no recent exchanges, or too few; or the newest exchanges contradict the others, and neither of the two
     /// groups is refuted yet.

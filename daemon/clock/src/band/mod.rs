@@ -85,16 +85,16 @@ pub(crate) struct OffsetInterval {
     pub(crate) is_consistent: bool,
 }
 
-/// The interval of the offset over time that the exchanges of a window prove.
+/// The interval of the offset over time that exchanges prove.
 ///
-/// An exchange bounds the offset only at times that are at most one window away from it. The newest eight exchanges are
-/// exceptions: they count at any age. If a clock violates the limit of drift or jumps unnoticed, intervals are
-/// therefore wrong only as long as the window, or these eight exchanges, reach back to the violation.
+/// An exchange bounds the offset only at times that are at most the length of the window away from it. The newest eight
+/// exchanges are exceptions: they count at any age. If a clock violates the limit of drift or jumps unnoticed,
+/// intervals are therefore wrong only as long as the window, or these eight exchanges, reach back to the violation.
 #[derive(Clone, Debug)]
 pub(crate) struct Band {
     drift: DriftModel,
-    /// Length of the window, nanoseconds.
-    window: i64,
+    /// Longest time between an exchange and a time at which the exchange bounds the offset, nanoseconds.
+    window_length: i64,
     /// Time for which bounds are kept, nanoseconds.
     retention: i64,
     upper: Slots,
@@ -112,14 +112,14 @@ pub(crate) struct Band {
 }
 
 impl Band {
-    /// Creates a band without exchanges. Exchanges are kept for `retention`, or for `window` if that is longer, to
-    /// answer queries about the past.
-    pub(crate) fn new(drift: DriftModel, window: Span, retention: Span) -> Self {
-        let window = window.nanos().max(0);
-        let retention = retention.nanos().max(window);
+    /// Creates a band without exchanges. Exchanges are kept for `retention`, or for `window_length` if that is longer,
+    /// to answer queries about the past.
+    pub(crate) fn new(drift: DriftModel, window_length: Span, retention: Span) -> Self {
+        let window_length = window_length.nanos().max(0);
+        let retention = retention.nanos().max(window_length);
         Self {
             drift,
-            window,
+            window_length,
             retention,
             upper: Slots::new(drift.limit, retention),
             lower: Slots::new(drift.limit, retention),
@@ -243,7 +243,7 @@ impl Band {
 
     /// Calls `query` with the hulls of the points around `q`.
     fn query_hulls<T>(&self, q: i64, change: DriftChangeLimit, query: impl Fn(&Hulls) -> T) -> T {
-        if self.hulls.are_within(q, self.window) {
+        if self.hulls.are_within(q, self.window_length) {
             return query(&self.hulls);
         }
         let mut hulls = Hulls::default();
@@ -278,25 +278,27 @@ impl Band {
         match (upper, self.upper.newest()) {
             (Insertion::Newest, Some(newest)) => hulls.replace_upper(newest, change),
             (Insertion::Unchanged, _) => {}
-            _ => hulls.set_upper(self.upper.points_around(q, self.window, max_points), change),
+            _ => hulls.set_upper(self.upper.points_around(q, self.window_length, max_points), change),
         }
         match (lower, self.lower.newest()) {
             (Insertion::Newest, Some(newest)) => hulls.replace_lower(newest, change),
             (Insertion::Unchanged, _) => {}
-            _ => hulls.set_lower(self.lower.points_around(q, self.window, max_points), change),
+            _ => hulls.set_lower(self.lower.points_around(q, self.window_length, max_points), change),
         }
     }
 
     /// Returns whether the oldest of the newest eight exchanges is before the window of `q`.
     fn is_sparse(&self, q: i64) -> bool {
-        self.newest_exchanges.front().is_some_and(|oldest| q.saturating_sub(oldest.upper.x) > self.window)
+        self.newest_exchanges
+            .front()
+            .is_some_and(|oldest| q.saturating_sub(oldest.upper.x) > self.window_length)
     }
 
     /// Returns the age that an exchange can have and still bound the offset at a time: the window, or the age of the
     /// oldest of the newest eight exchanges if that is more. `None` without exchanges.
     pub(crate) fn window_span(&self, at: RawTime) -> Option<Span> {
         let oldest = self.newest_exchanges.front()?.upper.x;
-        Some(Span::from_nanos(at.nanos().saturating_sub(oldest).max(self.window)))
+        Some(Span::from_nanos(at.nanos().saturating_sub(oldest).max(self.window_length)))
     }
 
     /// Returns the upper bound at `q` by the limit of drift, from the points within the window and the newest
@@ -304,14 +306,14 @@ impl Band {
     fn upper_bound(&self, q: i64) -> Option<i64> {
         let from_newest =
             lowest_bound(self.newest_exchanges.iter().map(|bounds| bounds.upper), self.drift.limit, q);
-        self.upper.bound(q, self.window).into_iter().chain(from_newest).min()
+        self.upper.bound(q, self.window_length).into_iter().chain(from_newest).min()
     }
 
     /// Returns the lower bound at `q` by the limit of drift, with the opposite sign.
     fn lower_bound(&self, q: i64) -> Option<i64> {
         let from_newest =
             lowest_bound(self.newest_exchanges.iter().map(|bounds| bounds.lower), self.drift.limit, q);
-        self.lower.bound(q, self.window).into_iter().chain(from_newest).min()
+        self.lower.bound(q, self.window_length).into_iter().chain(from_newest).min()
     }
 
     /// Returns the estimate at a time within `interval`, which must be the band's interval at that time.
@@ -354,7 +356,7 @@ impl Band {
     /// Returns the time of the earliest exchange that can bound the offset at `at`: the start of the window, or the
     /// oldest of the newest eight exchanges if that is earlier.
     pub(crate) fn window_start(&self, at: RawTime) -> RawTime {
-        let start = at.nanos().saturating_sub(self.window);
+        let start = at.nanos().saturating_sub(self.window_length);
         let oldest = self.newest_exchanges.front().map_or(start, |oldest| oldest.upper.x);
         RawTime::from_nanos(start.min(oldest))
     }

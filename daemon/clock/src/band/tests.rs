@@ -145,9 +145,9 @@ proptest! {
 }
 
 /// Checks a jump that is smaller than the round trips, so that no exchange contradicts it. The jump makes intervals
-/// wrong for one window only.
+/// wrong only for the length of the window.
 #[test]
-fn undetected_jump_spoils_intervals_for_one_window() {
+fn undetected_jump_spoils_intervals_for_length_of_window() {
     let jump = Span::from_millis(15);
     let cloud = SimulatedClock::drifting(Span::ZERO, 0.0).stepped(Span::from_seconds(30), jump);
     let host_clocks = HostClocks { edge: SimulatedClock::drifting(Span::ZERO, 0.0), cloud };

@@ -1,4 +1,4 @@
-//! Exchanges that contradict the band: either their stamps are wrong, or they are the first exchanges after an
+//! Exchanges that contradict the current band: either their stamps are wrong, or they are the first exchanges after an
 //! unannounced step: a step that no host reported.
 
 use super::types::ViolatedLimit;
@@ -6,16 +6,16 @@ use crate::band::{Band, Bounds, Contradiction};
 use crate::{RawTime, Span};
 
 /// Number of agreeing suspects that prove an unannounced step.
-// A single wrong stamp must not discard the window.
+// A single wrong stamp must not discard the current band.
 const MIN_SUSPECTS_FOR_STEP: u64 = 4;
 
 /// Two unannounced steps within this time show that a limit is violated. From the second step on, the limit counts as
 /// violated for the same time.
 // Clocks are rarely set twice a minute. A clock that drifts faster than the limit, or a peer that sends wrong stamps,
-// contradicts the band again and again.
+// contradicts the current band again and again.
 const VIOLATION_DURATION: Span = Span::from_seconds(60);
 
-/// Exchanges that currently contradict the band, and the unannounced steps that earlier exchanges proved.
+/// Exchanges that contradict the current band, and the unannounced steps that earlier exchanges proved.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Contradictions {
     pub(super) suspects: SuspectExchanges,
@@ -55,17 +55,18 @@ impl UnannouncedSteps {
     }
 }
 
-/// Exchanges that contradict the band, agree with each other, and were not refuted by a later exchange.
+/// Exchanges that contradict the current band, agree with each other, and were not refuted by a later exchange.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SuspectExchanges {
+    /// Band of the suspects; `None` without suspects.
     band: Option<Band>,
     /// Bounds of each suspect; without meaning while `band` is `None`. An answer that arrives twice counts once.
     bounds: Vec<Bounds>,
 }
 
 impl SuspectExchanges {
-    /// Adds an exchange that contradicts the band. If the exchange contradicts the earlier suspects, the
-    /// exchange replaces them. Returns the band of all suspects once they prove a step.
+    /// Adds an exchange that contradicts the current band. If the exchange contradicts the earlier suspects, the exchange
+    /// replaces them. Returns the band of all suspects once they prove a step.
     pub(super) fn add(&mut self, bounds: &Bounds, new_band: impl FnOnce() -> Band) -> Option<Band> {
         let mut band = match self.band.take().filter(|band| band.contradiction(bounds).is_none()) {
             Some(band) => band,
@@ -85,14 +86,14 @@ impl SuspectExchanges {
         None
     }
 
-    /// Compares the suspects with an accepted exchange, which the band already contains. Removes the suspects if
+    /// Compares the suspects with an accepted exchange, which the current band already contains. Removes the suspects if
     /// - the exchange contradicts the suspects,
     /// - the suspects contradict no exchange that still bounds the offset, or
     /// - the suspects are too old to bound the offset themselves.
-    // The suspects stay if the exchange has such wide bounds that it fits both the band and the suspects. If they were
+    // The suspects stay if the exchange has such wide bounds that it fits the band of the suspects, too. If they were
     // removed, no step could be recognised under load. The suspicion still ends: if the clocks changed, the exchanges
-    // from before the change leave the window at some time. The method is `cold`, because suspects are rare, but
-    // `learn` is called for every message.
+    // from before the change leave the window at some time. The method is `cold`, because suspects are rare, but `learn`
+    // is called for every message.
     #[cold]
     pub(super) fn reconsider(&mut self, exchange: &Bounds, current: &Band) {
         let start = current.window_start(exchange.sent());

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use crate::{RawTime, Span};
 
-/// Maximum number of times kept per window.
+/// Maximum number of times that are kept, apart from the newest.
 const MAX_TIMES: i64 = 1024;
 
 /// Some of the times of exchanges, in order: no two times are closer than `min_gap`. The newest time is stored
@@ -14,18 +14,19 @@ pub(super) struct ExchangeTimes {
     times: VecDeque<RawTime>,
     newest: Option<RawTime>,
     min_gap: Span,
-    window: Span,
+    /// Times that are more than this before the newest are removed.
+    retention: Span,
 }
 
 impl ExchangeTimes {
-    pub(super) fn new(max_fresh_age: Span, window: Span) -> Self {
+    pub(super) fn new(max_fresh_age: Span, retention: Span) -> Self {
         // The gap is a fraction of `max_fresh_age`, so that the removal of times hardly changes whether an exchange
         // counts as recent.
-        let min_gap = (max_fresh_age.nanos() / 8).max(window.nanos() / MAX_TIMES).max(1);
-        Self { times: VecDeque::new(), newest: None, min_gap: Span::from_nanos(min_gap), window }
+        let min_gap = (max_fresh_age.nanos() / 8).max(retention.nanos() / MAX_TIMES).max(1);
+        Self { times: VecDeque::new(), newest: None, min_gap: Span::from_nanos(min_gap), retention }
     }
 
-    /// Inserts the time of an exchange and removes times that are more than `window` before the newest.
+    /// Inserts the time of an exchange and removes times that are more than `retention` before the newest.
     pub(super) fn insert(&mut self, at: RawTime) {
         self.newest = self.newest.max(Some(at));
         let index = self.times.partition_point(|time| *time <= at);
@@ -36,7 +37,7 @@ impl ExchangeTimes {
             return;
         }
         self.times.insert(index, at);
-        let start = self.newest.unwrap_or(at) - self.window;
+        let start = self.newest.unwrap_or(at) - self.retention;
         while self.times.front().is_some_and(|time| *time < start) {
             self.times.pop_front();
         }
@@ -71,7 +72,7 @@ mod tests {
     fn kept_times_show_all_nearby_exchanges() {
         let second = |seconds: f64| RawTime::from_nanos((seconds * 1e9) as i64);
         let mut exchange_times = ExchangeTimes::new(Span::from_seconds(10), Span::from_seconds(600));
-        // The times from 0 to 2,000 s come in a shuffled order. The window keeps those from 1,400 s on.
+        // The times from 0 to 2,000 s come in a shuffled order. Those from 1,400 s on are kept.
         for n in 0..200_000 {
             exchange_times.insert(second(f64::from(n * 7919 % 200_000) / 100.0));
         }

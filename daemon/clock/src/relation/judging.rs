@@ -96,7 +96,7 @@ impl Relation {
         };
         let (lo, hi, value) = subtract_offset(direction, raw, &offset);
         // The difference has a slightly different length by each of the two clocks, because the clocks drift apart.
-        let drift = Span::from_nanos(self.windows.limit().max_change_over(lo.abs().max(hi.abs()).nanos()));
+        let drift = Span::from_nanos(self.bands.limit().max_change_over(lo.abs().max(hi.abs()).nanos()));
         // There is no drift between two stamps of one clock.
         let is_exact = offset.source == DelaySource::SameClock && offset.is_consistent;
         let bounds =
@@ -108,7 +108,7 @@ impl Relation {
     // Both directions share one estimate, so that the two delays add up to the round trip.
     fn offsets_of_exchange(&self, sent: RawTime, returned: RawTime) -> [Option<CombinedOffset>; 2] {
         let down = self.combined_offset(returned);
-        let up_estimate = down.map(|down| down.estimate + self.windows.offset_change(returned, sent));
+        let up_estimate = down.map(|down| down.estimate + self.bands.offset_change(returned, sent));
         [self.offset_sources(sent, up_estimate).combine(), down]
     }
 
@@ -119,11 +119,11 @@ impl Relation {
 
     /// Returns the interval of each source at a time. `estimate`, if given, replaces the band's own estimate.
     pub(super) fn offset_sources(&self, at: RawTime, estimate: Option<Span>) -> OffsetSources {
-        let band = self.windows.interval(at);
+        let band = self.bands.interval(at);
         let band_offset = band.map(|band| {
             let estimate = match estimate {
                 Some(estimate) => estimate.clamp(band.interval.lo, band.interval.hi),
-                None => self.windows.estimate(at, band),
+                None => self.bands.estimate(at, band),
             };
             (band.interval, estimate)
         });
@@ -147,7 +147,7 @@ impl Relation {
         // Suspects may be the first exchanges after a step. Until this is decided, the offset may be outdated.
         if uses_exchanges
             && (!is_fresh
-                || self.windows.exchange_count() < MIN_EXCHANGES_FOR_FRESHNESS
+                || self.bands.exchange_count() < MIN_EXCHANGES_FOR_FRESHNESS
                 || !self.contradictions.suspects.is_empty())
         {
             return Verdict::Stale;
@@ -201,7 +201,7 @@ impl Relation {
         if hi.is_negative() {
             return OneWayDelay::stepped(raw, offset.source);
         }
-        let drift = Span::from_nanos(self.windows.limit().max_change_over(hi.nanos()));
+        let drift = Span::from_nanos(self.bands.limit().max_change_over(hi.nanos()));
         let bounds = Interval { lo: (lo - drift).max(Span::ZERO), hi: hi + drift };
         // The estimate of the offset assumes a symmetric path, so the value may be negative, which a delay cannot be.
         let value = value.clamp(lo.max(Span::ZERO), hi);
@@ -218,7 +218,7 @@ impl Relation {
         is_fresh: bool,
     ) -> OneWayDelay {
         let verdict = match self.verdict_of(offset, is_fresh) {
-            Verdict::Ok if bounds.is_wide_for(value) || self.windows.is_near_suspected_jump(at) => {
+            Verdict::Ok if bounds.is_wide_for(value) || self.bands.is_near_suspected_jump(at) => {
                 Verdict::Limited
             }
             verdict => verdict,

@@ -29,7 +29,7 @@ const MIN_TOLERANCE_NANOS: i64 = 100_000;
 /// The tolerance is the shortest round trip divided by this number, but at least [`MIN_TOLERANCE_NANOS`].
 const ROUND_TRIP_TO_TOLERANCE: i64 = 50;
 
-/// The exchange with the shortest round trip of each interval of the window.
+/// The exchange with the shortest round trip of each interval of time within the window.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ShortestRoundTrips {
     points: VecDeque<RoundTripPoint>,
@@ -157,8 +157,8 @@ impl ShortestRoundTrips {
         }
     }
 
-    /// Inserts an exchange, and removes the exchanges that were sent more than `window` before it.
-    pub(super) fn insert(&mut self, exchange: &Exchange, window: Span) {
+    /// Inserts an exchange, and removes the exchanges that were sent more than `window_length` before it.
+    pub(super) fn insert(&mut self, exchange: &Exchange, window_length: Span) {
         let point = RoundTripPoint::from(exchange);
         if self.check_for_spanned_jump(&point) {
             return;
@@ -175,7 +175,7 @@ impl ShortestRoundTrips {
             Some(last) if interval(last) > interval(&point) => {}
             _ => {
                 self.points.push_back(point);
-                let start = point.sent - window;
+                let start = point.sent - window_length;
                 let has_expired_point = |points: &VecDeque<RoundTripPoint>| {
                     points.len() > MAX_POINTS
                         || (points.len() > MIN_POINTS

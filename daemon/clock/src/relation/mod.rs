@@ -3,6 +3,7 @@
 //!
 //! The module does no I/O. Tests pass it generated histories of clocks and paths, some of which violate an assumption.
 
+mod bands;
 mod contradictions;
 mod exchange_times;
 mod judging;
@@ -12,10 +13,10 @@ mod steps;
 #[cfg(test)]
 mod tests;
 mod types;
-mod windows;
 
 use crate::band::{Bounds, Contradiction, ProvenSkew};
 use crate::{ClockClaim, Exchange, ExchangeObservation, RawTime, RelatedClocks, Span, WallTime};
+use bands::Bands;
 use contradictions::Contradictions;
 use exchange_times::ExchangeTimes;
 pub use judging::MIN_EXCHANGES_FOR_FRESHNESS;
@@ -24,7 +25,6 @@ use steps::StepTracker;
 pub use types::{
     Direction, ExchangeCounts, JudgedExchange, LearnResult, Offset, Refusal, RelationSettings, ViolatedLimit,
 };
-use windows::Windows;
 
 /// Largest magnitude of stamps and offsets: 73 years.
 // A host whose clock has no battery starts in 1970, so large offsets are valid.
@@ -44,7 +44,7 @@ const MAX_RATE_DIFFERENCE_PPM: i64 = 500;
 pub struct Relation {
     same_clock: bool,
     settings: RelationSettings,
-    windows: Windows,
+    bands: Bands,
     exchange_times: ExchangeTimes,
     contradictions: Contradictions,
     steps: StepTracker,
@@ -61,7 +61,7 @@ impl Relation {
         Self {
             same_clock: false,
             settings,
-            windows: Windows::new(&settings),
+            bands: Bands::new(&settings),
             exchange_times: ExchangeTimes::new(
                 settings.max_fresh_age,
                 settings.window.max(settings.retention),
@@ -103,7 +103,7 @@ impl Relation {
         // `None`: the band itself gives the estimate.
         let sources = self.offset_sources(at, None);
         let combined = sources.combine()?;
-        let band = self.windows.current();
+        let band = self.bands.current();
         let is_fresh = self.exchange_times.has_exchange_near(at, at, self.settings.max_fresh_age);
         Some(Offset {
             at: wall,
@@ -123,16 +123,16 @@ impl Relation {
         self.exchange_counts
     }
 
-    /// Returns the skew that the exchanges of the current window prove, whatever their delays were. `None` without
+    /// Returns the skew that the exchanges of the current band prove, whatever their delays were. `None` without
     /// enough exchanges.
     pub fn proven_skew(&self) -> Option<ProvenSkew> {
-        self.windows.current().proven_skew()
+        self.bands.current().proven_skew()
     }
 
     /// Returns the age that an exchange can have and still bound the offset at a time: the window of the settings, or
     /// the age of the oldest of the newest eight exchanges if that is more. `None` without exchanges.
     pub fn window_span(&self, at: RawTime) -> Option<Span> {
-        self.windows.current().window_span(at)
+        self.bands.current().window_span(at)
     }
 
     /// Returns the limit that the clocks seem to violate; `None` if the clocks seem to violate no limit. If a limit is
@@ -144,12 +144,12 @@ impl Relation {
         if self.excess_skew().is_some() {
             return Some(ViolatedLimit::Drift);
         }
-        self.contradictions.unannounced_steps.violated_limit(self.windows.current().newest_return()?)
+        self.contradictions.unannounced_steps.violated_limit(self.bands.current().newest_return()?)
     }
 
     /// Returns the proven skew if it is beyond the limit of drift; else `None`.
     pub fn excess_skew(&self) -> Option<ProvenSkew> {
-        self.windows.current().excess_skew()
+        self.bands.current().excess_skew()
     }
 
     /// Returns whether the clocks seem to violate a limit.
@@ -159,7 +159,7 @@ impl Relation {
 
     /// Returns the memory of the exchanges, bytes.
     pub fn memory_bytes(&self) -> usize {
-        self.windows.memory_bytes()
+        self.bands.memory_bytes()
             + self.contradictions.suspects.memory_bytes()
             + self.exchange_times.memory_bytes()
     }
@@ -183,7 +183,7 @@ impl Relation {
         result
     }
 
-    /// Starts a new window if `epoch` is higher than the last known epoch of the edge's clock, or is the first one.
+    /// Starts a new band if `epoch` is higher than the last known epoch of the edge's clock, or is the first one.
     pub fn restart_after_edge_step(&mut self, epoch: u32) {
         if self.steps.update_edge_epoch(epoch) {
             self.claims.edge = None;
@@ -191,7 +191,7 @@ impl Relation {
         }
     }
 
-    /// Starts a new window if `epoch`, which the peer reported, is higher than the last known epoch of the cloud's
+    /// Starts a new band if `epoch`, which the peer reported, is higher than the last known epoch of the cloud's
     /// clock, or is the first one.
     pub fn restart_after_cloud_step(&mut self, epoch: u32) {
         if self.steps.update_cloud_epoch(epoch) {
@@ -200,7 +200,7 @@ impl Relation {
         }
     }
 
-    /// Checks an exchange against its epochs and the window, and inserts it if it passes.
+    /// Checks an exchange against its epochs and the current band, and inserts it if it passes.
     fn check_and_insert(&mut self, observation: &ExchangeObservation) -> LearnResult {
         let exchange = &observation.exchange;
         if !self.is_possible(exchange) {
@@ -217,20 +217,20 @@ impl Relation {
             return LearnResult::Refused(Refusal::Stepped);
         }
         let bounds = Bounds::from(exchange);
-        let contradiction = self.windows.contradiction(&bounds);
+        let contradiction = self.bands.contradiction(&bounds);
         let jump = match contradiction {
             Some(contradiction) => {
-                if !self.replace_window_if_confirmed(&bounds, exchange.returned, contradiction) {
+                if !self.replace_band_if_confirmed(&bounds, exchange.returned, contradiction) {
                     return LearnResult::Refused(Refusal::Outlier);
                 }
                 None
             }
-            None if self.windows.may_precede_jump(exchange) => return LearnResult::Ignored,
+            None if self.bands.may_precede_jump(exchange) => return LearnResult::Ignored,
             None => {
-                let jump = self.windows.insert(exchange, &bounds);
+                let jump = self.bands.insert(exchange, &bounds);
                 let suspects = &mut self.contradictions.suspects;
                 if !suspects.is_empty() {
-                    suspects.reconsider(&bounds, self.windows.current());
+                    suspects.reconsider(&bounds, self.bands.current());
                 }
                 jump
             }
@@ -251,21 +251,21 @@ impl Relation {
         }
     }
 
-    /// Adds an exchange that contradicts the window to the suspects. If enough suspects agree, they
-    /// replace the window, and the method returns `true`.
-    fn replace_window_if_confirmed(
+    /// Adds an exchange that contradicts the current band to the suspects. If enough suspects agree, their band replaces
+    /// the current band, and the method returns `true`.
+    fn replace_band_if_confirmed(
         &mut self,
         bounds: &Bounds,
         at: RawTime,
         contradiction: Contradiction,
     ) -> bool {
-        let Some(window) = self.contradictions.suspects.add(bounds, || self.windows.new_band()) else {
+        let Some(band) = self.contradictions.suspects.add(bounds, || self.bands.new_band()) else {
             return false;
         };
         self.steps.stop_excluding();
         self.restart();
         self.contradictions.unannounced_steps.record(at, contradiction);
-        self.windows.restart(window);
+        self.bands.restart(band);
         true
     }
 
@@ -277,7 +277,7 @@ impl Relation {
     fn is_possible(&self, exchange: &Exchange) -> bool {
         let Exchange { sent, received, replied, returned, uncertainty } = *exchange;
         let max_drift =
-            Span::from_nanos(self.windows.limit().max_change_between(sent.nanos(), returned.nanos()));
+            Span::from_nanos(self.bands.limit().max_change_between(sent.nanos(), returned.nanos()));
         let is_too_large = [sent, received, replied, returned]
             .into_iter()
             .map(|stamp| stamp - RawTime::from_nanos(0))
@@ -290,21 +290,21 @@ impl Relation {
             && exchange.round_trip() + uncertainty + uncertainty + max_drift >= Span::ZERO
     }
 
-    /// Starts a new window after a step of a clock.
+    /// Starts a new band after a step of a clock.
     fn restart(&mut self) {
         self.contradictions.suspects.clear();
-        // A step can be reported twice. The second report finds an empty window, and must not replace the estimate from
+        // A step can be reported twice. The second report finds an empty band, and must not replace the estimate from
         // before the step.
-        let Some(newest) = self.windows.current().newest_return() else { return };
+        let Some(newest) = self.bands.current().newest_return() else { return };
         self.estimate_before_restart = Some(self.estimate_at(newest));
-        self.windows.restart(self.windows.new_band());
+        self.bands.restart(self.bands.new_band());
         self.exchange_times.clear();
         self.exchange_counts.restarts += 1;
     }
 
     /// Returns the estimate of the offset at a time, from the exchanges alone; `None` without exchanges.
     fn estimate_at(&self, at: RawTime) -> Option<Span> {
-        self.windows.interval(at).map(|interval| self.windows.estimate(at, interval))
+        self.bands.interval(at).map(|interval| self.bands.estimate(at, interval))
     }
 }
 

@@ -72,12 +72,12 @@ pub enum Refusal {
 pub enum LearnResult {
     /// The exchange was accepted.
     Accepted,
-    /// The exchange was accepted as the first of a new window, because a clock was stepped before it. The value is the
-    /// estimate after the step minus the estimate before it, if both exist.
+    /// The exchange was accepted, and the exchanges before it no longer count, because a clock was stepped before it.
+    /// The value is the estimate after the step minus the estimate before it, if both exist.
     Restarted(Option<Span>),
-    /// The exchange was accepted as the first of a new window, because a jump is suspected: the offset moved by more
-    /// than queueing on the network explains. The value is the movement of the offset. Either the path between the
-    /// hosts changed, or a clock jumped without notice. Delays are `limited` until
+    /// The exchange was accepted, and the exchanges before it no longer count for later times, because a jump is
+    /// suspected: the offset moved by more than queueing on the network explains. The value is the movement of the
+    /// offset. Either the path between the hosts changed, or a clock jumped without notice. Delays are `limited` until
     /// [`window`](RelationSettings::window) has passed since the jump.
     Jumped(Span),
     /// The exchange bounds no offset, because it may be from before a suspected jump: it was sent before the exchange
@@ -112,10 +112,10 @@ pub struct Offset {
     pub sources: Vec<(DelaySource, Interval)>,
     /// `ok`, `stale` or `inconsistent`. Other verdicts apply to delays only.
     pub verdict: Verdict,
-    /// Rate at which the offset changes, from the exchanges of the window, parts per million; `None` without enough
-    /// exchanges.
+    /// Rate at which the offset changes, parts per million, from the exchanges since the last step or suspected jump;
+    /// `None` without enough exchanges.
     pub skew_ppm: Option<f64>,
-    /// Number of exchanges in the window.
+    /// Number of exchanges since the last step or suspected jump.
     pub exchanges: u64,
     /// Time from the newest exchange to `at`; `None` without exchanges.
     pub age: Option<Span>,
@@ -146,7 +146,7 @@ pub struct ExchangeCounts {
     pub outliers: u64,
     /// Number of exchanges that were refused because a clock was stepped while they were in flight.
     pub stepped: u64,
-    /// Number of windows that started after a step or a suspected jump.
+    /// Number of steps and suspected jumps after which earlier exchanges no longer counted.
     pub restarts: u32,
 }
 

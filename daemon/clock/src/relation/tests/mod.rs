@@ -47,5 +47,5 @@ fn contains(delay: &OneWayDelay, truth: Span) -> bool {
 
 /// Returns the intervals of the band at all seconds of a test.
 fn all_intervals(relation: &Relation) -> Vec<Option<Interval>> {
-    (0..40).map(|second| relation.windows.interval(at(second)).map(|offset| offset.interval)).collect()
+    (0..40).map(|second| relation.bands.interval(at(second)).map(|offset| offset.interval)).collect()
 }

@@ -186,7 +186,7 @@ fn lower_epoch_is_refused_until_restart_is_assumed() {
     let learn_results: Vec<LearnResult> = (20..40).map(|n| relation.learn(&observation_of(n, 0))).collect();
     assert_eq!(relation.exchange_counts().restarts, 1);
     // The eighth answer in a row with a lower epoch shows the restart and is itself refused. The ninth answer starts a
-    // new window.
+    // new band.
     assert!(matches!(learn_results[8], LearnResult::Restarted(_)), "{learn_results:?}");
     assert!(learn_results[9..].iter().all(|learn_result| *learn_result == LearnResult::Accepted));
 }

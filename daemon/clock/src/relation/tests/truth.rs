@@ -40,7 +40,7 @@ proptest! {
             // The exchange itself determines the sum of both delays, up to a few times the largest drift between its
             // start and its end. The 10 ns allow for the rounding of the stamps.
             let sum = judged.up.value.expect("a value") + judged.down.value.expect("a value");
-            let slack = Span::from_nanos(relation.windows.limit().max_change_over((trip.exchange.returned - trip.exchange.sent).nanos()) + 10);
+            let slack = Span::from_nanos(relation.bands.limit().max_change_over((trip.exchange.returned - trip.exchange.sent).nanos()) + 10);
             prop_assert!((sum - (trip.up + trip.down)).abs() <= slack + slack + slack, "{sum} {} {}", trip.up, trip.down);
         }
     }

@@ -308,9 +308,9 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
             (relation.delay(Direction::Down, exchange.replied, exchange.returned), trip.down),
         ] {
             assert!(spans_the_jump || contains(&delay, truth), "{delay:?} {truth} at {}", trip.end);
-            // An interval of one window is about 40 ms wide. An interval above 60 ms is the hull of both windows.
+            // The interval of one band is about 40 ms wide. An interval above 60 ms is the hull of two bands.
             hulls += u32::from(delay.bounds.is_some_and(|bounds| bounds.width() > Span::from_millis(60)));
-            // Delays are `limited` for one window of 10 s after a suspected jump.
+            // Delays are `limited` for 10 s after a suspected jump, which is the length of the window.
             let is_near_suspected_jump = (30.3e9..39.5e9).contains(&trip.end);
             assert!(!is_near_suspected_jump || delay.verdict == Verdict::Limited, "{delay:?}");
         }

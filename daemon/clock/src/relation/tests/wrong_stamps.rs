@@ -13,7 +13,7 @@ proptest! {
             let mut wrong_observation = host_clocks.trip(10e9 + n as f64 * 1e7, 3e4, 1e5, 3e4).observation();
             wrong_observation.exchange.received = RawTime::from_nanos(received);
             wrong_observation.exchange.replied = RawTime::from_nanos(replied);
-            // Only an impossible exchange has an epoch here: a new epoch of a possible exchange ends the window.
+            // Only an impossible exchange has an epoch here: a new epoch of a possible exchange starts a new band.
             wrong_observation.cloud_epoch = Some(epoch).filter(|_| received > replied);
             let judged = relation.judge(&wrong_observation);
             prop_assert!(matches!(judged.learn_result, LearnResult::Refused(_)));

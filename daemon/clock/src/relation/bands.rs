@@ -1,4 +1,4 @@
-//! The current window of exchanges, and the past windows that suspected jumps ended.
+//! The current band, and the past bands that suspected jumps ended.
 
 use std::collections::VecDeque;
 
@@ -7,40 +7,41 @@ use super::jumps::{ShortestRoundTrips, SuspectedJump};
 use crate::band::{Band, Bounds, Contradiction, DriftChangeLimit, DriftLimit, DriftModel, OffsetInterval};
 use crate::{Exchange, RawTime, Span};
 
-/// Maximum number of past windows that are kept to judge delays from their time.
-const MAX_PAST_WINDOWS: usize = 16;
-/// Longest duration of a message. Past windows are kept for this time in addition to `retention`.
+/// Maximum number of past bands that are kept to judge delays from their time.
+const MAX_PAST_BANDS: usize = 16;
+/// Longest duration of a message. Past bands are kept for this time in addition to `retention`.
 const MAX_MESSAGE_DURATION: Span = Span::from_seconds(60);
 
-/// The exchanges of the current and of past windows, and the bounds of the offset that follow from them.
+/// The current band and past bands. A band bounds the offset by the exchanges between two steps or suspected jumps of
+/// the clocks.
 ///
-/// A suspected jump happened at some time between two exchanges. The earlier window holds before the first of these
-/// exchanges, and the later window holds after the second. Between the two exchanges either window may hold, so the
-/// interval is the hull of both.
+/// A suspected jump happened at some time between two exchanges. The earlier band holds before the first of these
+/// exchanges, and the later band holds after the second. Between the two exchanges either band may hold, so the
+/// interval is the hull of the intervals of both bands.
 #[derive(Clone, Debug)]
-pub(super) struct Windows {
+pub(super) struct Bands {
     drift: DriftModel,
-    /// The setting [`RelationSettings::window`], a duration.
-    window: Span,
+    /// The setting [`RelationSettings::window`].
+    window_length: Span,
     retention: Span,
     current: Band,
-    past_windows: VecDeque<PastWindow>,
+    past_bands: VecDeque<PastBand>,
     shortest_round_trips: ShortestRoundTrips,
 }
 
-/// A window that a suspected jump ended.
+/// A band that a suspected jump ended.
 #[derive(Clone, Debug)]
-struct PastWindow {
+struct PastBand {
     band: Band,
-    /// Time until which this window certainly holds.
+    /// Time until which this band certainly holds.
     holds_until: RawTime,
-    /// Time after which the next window certainly holds.
+    /// Time after which the next band certainly holds.
     next_holds_from: RawTime,
-    /// Time at which the first exchange of the next window was sent.
+    /// Time at which the first exchange of the next band was sent.
     next_sent: RawTime,
 }
 
-impl Windows {
+impl Bands {
     pub(super) fn new(settings: &RelationSettings) -> Self {
         let limit = DriftLimit::new(settings.max_drift_ppm);
         // A time daemon may change the rate of a wall clock at once, so no limit holds for the change of the drift.
@@ -48,13 +49,13 @@ impl Windows {
         let change_limit =
             are_free_running.then(|| DriftChangeLimit::new(settings.max_drift_change_ppm_per_s, limit));
         let drift = DriftModel { limit, change_limit };
-        let (window, retention) = (settings.window, settings.retention);
+        let (window_length, retention) = (settings.window, settings.retention);
         Self {
             drift,
-            window,
+            window_length,
             retention,
-            current: Band::new(drift, window, retention),
-            past_windows: VecDeque::new(),
+            current: Band::new(drift, window_length, retention),
+            past_bands: VecDeque::new(),
             shortest_round_trips: ShortestRoundTrips::default(),
         }
     }
@@ -64,14 +65,14 @@ impl Windows {
         self.drift.limit
     }
 
-    /// Returns the current window.
+    /// Returns the current band.
     pub(super) fn current(&self) -> &Band {
         &self.current
     }
 
-    /// Returns a window without exchanges.
+    /// Returns a band without exchanges.
     pub(super) fn new_band(&self) -> Band {
-        Band::new(self.drift, self.window, self.retention)
+        Band::new(self.drift, self.window_length, self.retention)
     }
 
     /// Returns the assumption that an exchange contradicts.
@@ -82,11 +83,11 @@ impl Windows {
     /// Returns whether the exchange that showed the last suspected jump overtook this exchange, which may therefore be
     /// from before the jump.
     pub(super) fn may_precede_jump(&self, exchange: &Exchange) -> bool {
-        self.past_windows.back().is_some_and(|past| exchange.sent < past.next_sent)
+        self.past_bands.back().is_some_and(|past| exchange.sent < past.next_sent)
     }
 
     /// Inserts an exchange that contradicts nothing and was sent after the last suspected jump. If a jump is suspected
-    /// before the exchange, the exchange is the first of a new window, and the movement of the offset is returned.
+    /// before the exchange, the exchange is the first of a new band, and the movement of the offset is returned.
     pub(super) fn insert(&mut self, exchange: &Exchange, bounds: &Bounds) -> Option<Span> {
         let suspected_jump = self.shortest_round_trips.suspected_jump(exchange, self.drift.limit);
         if let Some(SuspectedJump { last_exchange_before: (sent, returned), .. }) = suspected_jump {
@@ -97,32 +98,32 @@ impl Windows {
             // If the edge's own clock jumped back, the second exchange has the earlier stamps. Therefore the
             // minimum and the maximum are taken.
             let (holds_until, next_holds_from) = (sent.min(exchange.sent), returned.max(exchange.returned));
-            self.past_windows.push_back(PastWindow {
+            self.past_bands.push_back(PastBand {
                 band,
                 holds_until,
                 next_holds_from,
                 next_sent: exchange.sent,
             });
-            // No query needs a window that ended before `start`.
+            // No query needs a band that ended before `start`.
             let start = exchange.returned - self.retention - MAX_MESSAGE_DURATION;
-            while self.past_windows.len() > MAX_PAST_WINDOWS
-                || self.past_windows.front().is_some_and(|past| past.next_holds_from < start)
+            while self.past_bands.len() > MAX_PAST_BANDS
+                || self.past_bands.front().is_some_and(|past| past.next_holds_from < start)
             {
-                self.past_windows.pop_front();
+                self.past_bands.pop_front();
             }
             self.shortest_round_trips.clear();
         }
         self.current.insert(bounds);
-        self.shortest_round_trips.insert(exchange, self.window);
+        self.shortest_round_trips.insert(exchange, self.window_length);
         suspected_jump.map(|jump| jump.movement)
     }
 
-    /// Replaces all windows by one window, which has the exchanges of `band`, after a step of a clock.
+    /// Replaces all bands by `band` after a step of a clock.
     pub(super) fn restart(&mut self, band: Band) {
         self.current = band;
-        // A step makes all earlier bounds invalid. After a suspected jump, past windows stay valid, because the time of
+        // A step makes all earlier bounds invalid. After a suspected jump, past bands stay valid, because the time of
         // the jump is known.
-        self.past_windows.clear();
+        self.past_bands.clear();
         self.shortest_round_trips.clear();
     }
 
@@ -132,12 +133,12 @@ impl Windows {
             interval: a.interval.hull(b.interval),
             is_consistent: a.is_consistent && b.is_consistent,
         };
-        self.bands(at).filter_map(|band| band.interval(at)).reduce(hull)
+        self.bands_at(at).filter_map(|band| band.interval(at)).reduce(hull)
     }
 
     /// Returns the estimate at a time, within the interval of that time.
     pub(super) fn estimate(&self, at: RawTime, interval: OffsetInterval) -> Span {
-        let band = self.bands(at).next().unwrap_or(&self.current);
+        let band = self.bands_at(at).next().unwrap_or(&self.current);
         band.estimate(at, interval.interval)
     }
 
@@ -146,30 +147,31 @@ impl Windows {
         self.current.offset_change(from, to)
     }
 
-    /// Returns whether a jump is suspected at a time or at most one window before it. Delays are then `limited`.
+    /// Returns whether a jump is suspected at a time, or before it by at most the length of the window. Delays are then
+    /// `limited`.
     pub(super) fn is_near_suspected_jump(&self, at: RawTime) -> bool {
-        self.past_windows
+        self.past_bands
             .iter()
-            .any(|past| past.holds_until <= at && at <= past.next_holds_from + self.window)
+            .any(|past| past.holds_until <= at && at <= past.next_holds_from + self.window_length)
     }
 
-    /// Returns the number of exchanges of the current window, and of the window before it if a suspected jump separates
+    /// Returns the number of exchanges of the current band, and of the band before it if a suspected jump separates
     /// them.
     pub(super) fn exchange_count(&self) -> u64 {
-        // If only the current window counted, delays would be `stale` after a suspected jump, although both windows
-        // bound them.
-        self.current.exchange_count() + self.past_windows.back().map_or(0, |past| past.band.exchange_count())
+        // If only the current band counted, delays would be `stale` after a suspected jump, although both bands bound
+        // them.
+        self.current.exchange_count() + self.past_bands.back().map_or(0, |past| past.band.exchange_count())
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
         let past: usize =
-            self.past_windows.iter().map(|past| size_of::<PastWindow>() + past.band.memory_bytes()).sum();
+            self.past_bands.iter().map(|past| size_of::<PastBand>() + past.band.memory_bytes()).sum();
         self.current.memory_bytes() + past + self.shortest_round_trips.memory_bytes()
     }
 
-    /// Returns the windows that may hold at a time, the latest first.
-    fn bands(&self, at: RawTime) -> impl Iterator<Item = &Band> {
-        let past = self.past_windows.iter().rev();
+    /// Returns the bands that may hold at a time, the latest first.
+    fn bands_at(&self, at: RawTime) -> impl Iterator<Item = &Band> {
+        let past = self.past_bands.iter().rev();
         let starts = past.clone().map(|past| Some(past.holds_until)).chain([None]);
         let ends = [None].into_iter().chain(past.clone().map(|past| Some(past.next_holds_from)));
         let bands = [&self.current].into_iter().chain(past.map(|past| &past.band));
