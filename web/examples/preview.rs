@@ -117,12 +117,12 @@ async fn produce(
     site.store_experiment(600, 2).await;
     site.store_episodes(2_000, 250).await;
     let sizes = [30e3, 150e3, 400e3, 800e3].map(|bytes| (bytes, None));
-    site.store_sizes(2.min(site.pipelines.len() - 1), 300, &sizes).await;
+    site.store_run_of_each_size(2.min(site.pipelines.len() - 1), 300, &sizes).await;
     if grid {
-        site.store_grid(100, 50).await;
-        site.store_skipping(0, 600, 3).await;
-        site.store_attempts(200, &["stopped", "finished"]).await;
-        site.store_users(200, &[1, 2, 3]).await;
+        site.store_run_of_each_configuration(100, 50).await;
+        site.store_overloaded_run(0, 600, 3).await;
+        site.store_run_with_each_end_reason(200, &["stopped", "finished"]).await;
+        site.store_runs_with_users(200, &[1, 2, 3]).await;
     }
     site.store_unfinished_run_of_each_pipeline(300).await;
     site.backlog = backlog.then(|| clock.wall());

@@ -11,7 +11,7 @@ use crate::rows::LATENESS;
 /// are not related.
 pub const BOTH_DIRECTIONS: &str = "upload + download";
 
-/// Name of the unattributed time without the late start, where the late start is a separate part.
+/// Name of the unattributed time without the lateness, where the lateness is a separate part.
 pub const REST_OF_UNATTRIBUTED: &str = "rest of unattributed";
 
 /// Ratios of an iteration's total to the median total of its run that are usual. An iteration with
@@ -73,10 +73,10 @@ pub struct IterationTimes<'a> {
     pub total: Option<f64>,
     /// Durations in the order of the stages.
     pub stages: &'a [(Name, f64)],
-    /// Time from the intended start to the real start: a part of `unattributed`.
-    pub lateness: Option<f64>,
     /// Part of the total that does not belong to a stage.
     pub unattributed: Option<f64>,
+    /// Time from the intended start to the real start: a part of `unattributed`.
+    pub lateness: Option<f64>,
     /// Sum of the durations of upload and download, if only the sum is known.
     pub both_ways: Option<f64>,
 }
@@ -116,8 +116,8 @@ impl Medians {
     /// sum of upload and download is known, the sum replaces both stages.
     pub fn causes(&self, times: &IterationTimes<'_>) -> Vec<Cause> {
         let Some((total, median)) = times.total.zip(self.median(&stage::TOTAL)) else { return Vec::new() };
-        let lateness = Name::from_static(LATENESS);
-        let median_lateness = self.median(&lateness).unwrap_or(0.0);
+        let lateness_name = Name::from_static(LATENESS);
+        let median_lateness = self.median(&lateness_name).unwrap_or(0.0);
         let cause = |name: &Name, value, median: Option<f64>| {
             median.map(|median| Cause { name: name.clone(), value, median })
         };
@@ -125,14 +125,14 @@ impl Medians {
             |name: &Name| times.both_ways.is_none() || ![stage::UPLOAD, stage::DOWNLOAD].contains(name);
         let stages = times.stages.iter().filter(|(name, _)| is_separate(name));
         let stages = stages.filter_map(|(name, value)| cause(name, *value, self.median(name)));
-        let late_start = times.lateness.and_then(|value| cause(&lateness, value, Some(median_lateness)));
+        let lateness = times.lateness.and_then(|value| cause(&lateness_name, value, Some(median_lateness)));
         let unattributed = times.unattributed.and_then(|value| {
             let median = self.median(&stage::UNATTRIBUTED);
             let value_lateness = times.lateness.unwrap_or(0.0);
             let without_lateness = |value: f64, lateness: f64| (value - lateness).max(0.0);
-            let has_late_start = value_lateness > 0.0 || median_lateness > 0.0;
+            let has_lateness = value_lateness > 0.0 || median_lateness > 0.0;
             let name =
-                if has_late_start { Name::from_static(REST_OF_UNATTRIBUTED) } else { stage::UNATTRIBUTED };
+                if has_lateness { Name::from_static(REST_OF_UNATTRIBUTED) } else { stage::UNATTRIBUTED };
             cause(
                 &name,
                 without_lateness(value, value_lateness),
@@ -142,7 +142,7 @@ impl Medians {
         let network = times
             .both_ways
             .and_then(|value| cause(&Name::from_static(BOTH_DIRECTIONS), value, self.both_ways()));
-        causes(total, median, stages.chain(late_start).chain(unattributed).chain(network))
+        causes(total, median, stages.chain(lateness).chain(unattributed).chain(network))
     }
 }
 
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn late_start_is_separated_from_unattributed_time() {
+    fn lateness_is_separated_from_unattributed_time() {
         let run =
             medians(&[("total", 0.055), ("inference", 0.012), ("unattributed", 0.004), ("lateness", 0.002)]);
         let stages = [(stage::INFERENCE, 0.231)];

@@ -7,7 +7,7 @@ use crate::rows::{LATENESS, RowRef, Rows};
 use crate::slowness::{self, BOTH_DIRECTIONS, REST_OF_UNATTRIBUTED};
 
 /// If the time that belongs to no stage is at most this share of the total, the time is a rounding error.
-const MIN_REST_SHARE: f64 = 1e-9;
+const MIN_UNATTRIBUTED_SHARE: f64 = 1e-9;
 /// If at least this share of the total is unexplained, the trust report has a caveat and the overview warns.
 pub const NOTABLE_UNEXPLAINED_SHARE: f64 = 0.05;
 /// Unexplained time that is shorter than this number of seconds is negligible, even if it is a large share of the
@@ -20,19 +20,19 @@ pub struct StageSplit {
     /// Mean of each part per iteration, seconds, in the order of the stages. The last part is `unattributed`, if there
     /// is time that belongs to no stage.
     pub parts: Vec<(Name, f64)>,
-    /// `lateness` as a part of `unattributed`, seconds; 0 in a closed loop. If the clocks disagree,
-    /// `lateness` can be longer than `unattributed`; this part is then as long as `unattributed`.
-    pub late_start: f64,
     /// Mean of the total, seconds; 0 without a total.
     pub total: f64,
     /// Mean time from the intended to the real start, seconds; `None` in a closed loop.
     pub lateness: Option<f64>,
+    /// Part of `unattributed` that is lateness, seconds; 0 in a closed loop. It is `lateness`, but at most
+    /// `unattributed`: if the clocks disagree, `lateness` can be longer than `unattributed`.
+    pub unattributed_lateness: f64,
     /// Mean wait for the restart of the model's process, seconds. This wait is a part of `unattributed`, because it is
     /// not a stage. A wait for the restart of the process of a sensor or actuator is a part of the stage that waited.
     pub model_restarts: f64,
     /// Total minus all stages, seconds; negative if stages overlap. `None` unless all stages of at least one iteration
     /// are known.
-    rest: Option<f64>,
+    known_unattributed: Option<f64>,
 }
 
 /// Number of values of a node, and their mean in seconds.
@@ -65,8 +65,8 @@ impl StageSplit {
         let is_direction = |(name, _): &(Name, f64)| [stage::UPLOAD, stage::DOWNLOAD].contains(name);
         if was_sent && !parts.iter().any(is_direction) {
             let others = parts.iter().map(|(_, seconds)| *seconds);
-            let unattributed = mean_of(&stage::UNATTRIBUTED).map(|(_, mean)| mean);
-            let sum = unattributed.map(|rest| slowness::both_ways(total, others, rest));
+            let recorded_unattributed = mean_of(&stage::UNATTRIBUTED).map(|(_, mean)| mean);
+            let sum = recorded_unattributed.map(|recorded| slowness::both_ways(total, others, recorded));
             let index = index_of_network(&parts);
             parts.splice(
                 index..index,
@@ -74,27 +74,27 @@ impl StageSplit {
             );
         }
         let unattributed = total - parts.iter().map(|(_, seconds)| seconds).sum::<f64>();
-        if unattributed > MIN_REST_SHARE * total {
+        if unattributed > MIN_UNATTRIBUTED_SHARE * total {
             parts.push((stage::UNATTRIBUTED, unattributed));
         }
-        // If no iteration has a value of `unattributed`, the rest may be a stage whose duration is unknown.
-        let rest = mean_of(&stage::UNATTRIBUTED).map(|_| unattributed);
+        // If no iteration has a value of `unattributed`, this time may belong to a stage whose duration is unknown.
+        let known_unattributed = mean_of(&stage::UNATTRIBUTED).map(|_| unattributed);
         let per_iteration = |name: &str| mean_of(name).map(|values| mean_per_iteration(values, iterations));
         let lateness = per_iteration(LATENESS);
         Self {
             parts,
-            late_start: lateness.unwrap_or_default().clamp(0.0, unattributed.max(0.0)),
             total,
             lateness,
+            unattributed_lateness: lateness.unwrap_or_default().clamp(0.0, unattributed.max(0.0)),
             model_restarts: per_iteration(&stage::RESTART).unwrap_or_default(),
-            rest,
+            known_unattributed,
         }
     }
 
     /// Returns the time that neither a stage nor a late start nor the restart of a process of the model explains,
     /// seconds; negative if stages overlap. `None` unless all stages of at least one iteration are known.
     pub fn unexplained(&self) -> Option<f64> {
-        Some(self.rest? - self.lateness.unwrap_or_default() - self.model_restarts)
+        Some(self.known_unattributed? - self.lateness.unwrap_or_default() - self.model_restarts)
     }
 
     /// Returns the stages that took time, longest first. `unattributed` is no stage.
@@ -127,10 +127,10 @@ impl StageSplit {
         Self::new(sent, mean_of)
     }
 
-    /// Returns the time that belongs to no stage, minus the late start, seconds.
-    pub fn unattributed_without_late_start(&self) -> f64 {
+    /// Returns the time that belongs to no stage, minus the lateness in it, seconds.
+    pub fn unattributed_without_lateness(&self) -> f64 {
         let unattributed = self.parts.last().filter(|(name, _)| *name == stage::UNATTRIBUTED);
-        unattributed.map_or(0.0, |(_, seconds)| seconds - self.late_start)
+        unattributed.map_or(0.0, |(_, seconds)| seconds - self.unattributed_lateness)
     }
 }
 
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn late_start_and_restart_count_as_explained() {
+    fn lateness_and_restart_count_as_explained() {
         let split_of = |nodes: &'static [(&'static str, u64, f64)]| {
             StageSplit::new([0; 2], |name| {
                 nodes.iter().find(|(node, ..)| *node == name).map(|(_, count, mean)| (*count, *mean))
@@ -305,14 +305,17 @@ mod tests {
         assert!((unexplained - 0.001).abs() < 1e-12 && !split.is_notable(unexplained, 0.06), "{split:?}");
         assert!(split.is_notable(unexplained, 0.04) && split.is_notable(-unexplained, 0.04));
         assert!(!split.is_notable(0.9 * NEGLIGIBLE_UNEXPLAINED_S, 0.0));
-        // No iteration has a value of `unattributed`, so the rest may be a stage whose duration is unknown.
+        // No iteration has a value of `unattributed`, so the other 10 ms may belong to a stage whose duration is unknown.
         assert_eq!(split_of(&[("total", 50, 0.020), ("sensing", 50, 0.010)]).unexplained(), None);
         let overlap = split_of(&[("total", 50, 0.020), ("sensing", 50, 0.030), ("unattributed", 50, -0.010)]);
-        assert!((overlap.unexplained().expect("known") + 0.010).abs() < 1e-12 && overlap.late_start == 0.0);
+        assert!(
+            (overlap.unexplained().expect("known") + 0.010).abs() < 1e-12
+                && overlap.unattributed_lateness == 0.0
+        );
     }
 
     #[test]
-    fn late_start_is_part_of_unattributed_time() {
+    fn lateness_is_part_of_unattributed_time() {
         let split = |lateness: f64| {
             StageSplit::new([0; 2], |name| match name {
                 "total" => Some((50, 0.020)),
@@ -321,11 +324,11 @@ mod tests {
                 _ => None,
             })
         };
-        let with_late_start = split(0.003);
-        assert!((with_late_start.unattributed_without_late_start() - 0.002).abs() < 1e-12);
+        let with_lateness = split(0.003);
+        assert!((with_lateness.unattributed_without_lateness() - 0.002).abs() < 1e-12);
         assert!(
-            split(0.009).unattributed_without_late_start().abs() < 1e-12,
-            "the late start is at most as long as the unattributed time"
+            split(0.009).unattributed_without_lateness().abs() < 1e-12,
+            "the lateness counts at most as long as the unattributed time"
         );
     }
 

@@ -92,8 +92,8 @@ impl Transfer {
     /// Returns the speed while sending if the clocks determine it; `verdict` is the verdict on the delays, `None` if no
     /// delay was judged. `None` while no delay is known, or if the verdict is neither `ok` nor `limited`.
     pub fn known_speed(&self, verdict: Option<Verdict>) -> Option<KnownSpeed> {
-        let is_limited = is_speed_limited(verdict)?;
-        Some(KnownSpeed { bits_per_second: self.speed()?, is_limited })
+        let is_interval_only = is_speed_interval_only(verdict)?;
+        Some(KnownSpeed { bits_per_second: self.speed()?, is_interval_only })
     }
 
     /// Returns the traffic in bits per second: bytes divided by `wall_s` seconds of wall time. `None` if `wall_s` is 0.
@@ -107,8 +107,9 @@ impl Transfer {
 pub struct KnownSpeed {
     /// The speed, from the estimated delays.
     pub bits_per_second: f64,
-    /// `true` if the verdict on the delays is `limited`: the speed is to be shown as an interval, not as a number.
-    pub is_limited: bool,
+    /// `true` if only an interval of the speed is known, because the verdict on the delays is `limited`. The speed is
+    /// then to be shown as an interval, not as a number.
+    pub is_interval_only: bool,
 }
 
 /// Sums of both directions.
@@ -138,9 +139,10 @@ impl Transfers {
     }
 }
 
-/// Returns whether the clocks give only an interval of a speed; `verdict` is the verdict on the delays, `None` if no
-/// delay was judged. Returns `None` if the speed is unknown, because the verdict is neither `ok` nor `limited`.
-pub const fn is_speed_limited(verdict: Option<Verdict>) -> Option<bool> {
+/// Returns whether only an interval of a speed is known, because the verdict on the delays is `limited`. `verdict` is
+/// `None` if no delay was judged. Returns `None` if the speed is unknown, because the verdict is neither `ok` nor
+/// `limited`.
+pub const fn is_speed_interval_only(verdict: Option<Verdict>) -> Option<bool> {
     match verdict {
         // Results of other programs have delays without verdicts.
         None | Some(Verdict::Ok) => Some(false),
@@ -181,7 +183,7 @@ mod tests {
     #[test]
     fn verdict_decides_whether_speed_is_known() {
         let up = Transfer { bytes: 2e6, timed_bytes: 1e6, seconds: 0.5 };
-        let known = |is_limited| Some(KnownSpeed { bits_per_second: 16e6, is_limited });
+        let known = |is_interval_only| Some(KnownSpeed { bits_per_second: 16e6, is_interval_only });
         assert_eq!([None, Some(Verdict::Ok)].map(|verdict| up.known_speed(verdict)), [known(false); 2]);
         assert_eq!(up.known_speed(Some(Verdict::Limited)), known(true));
         for verdict in [Verdict::Stale, Verdict::Unsynchronised, Verdict::Stepped, Verdict::Inconsistent] {

@@ -2,8 +2,8 @@
 
 use peernet_clock::{Span, Stamp, WallTime};
 
-/// Smallest step that is reported. Smaller steps do not matter, because no step deletes data, and pages show whole
-/// seconds.
+/// Smallest step that is reported. No step deletes data. A smaller step shifts the times on pages by only a few seconds,
+/// so it is not reported.
 const MIN_STEP: Span = Span::from_seconds(10);
 
 /// Comparison of the wall clock with the monotonic clock, which no program can step.

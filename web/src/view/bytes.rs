@@ -1,7 +1,7 @@
 //! Sizes, throughputs and other quantities of one iteration.
 
 use peernet_analysis::summary::Scale;
-use peernet_analysis::transfer::{DirectionNodes, is_speed_limited};
+use peernet_analysis::transfer::{DirectionNodes, is_speed_interval_only};
 use peernet_logger::{Measure, Name, Node, NodeId};
 use peernet_statistics::number::{NONE, SPACE, bytes, throughput, throughput_between, times};
 use peernet_store::{IterationDetail, QuantityStatistics};
@@ -91,8 +91,9 @@ fn throughput_text(detail: &IterationDetail, nodes: &DirectionNodes) -> (String,
         Some(Measure::Transit(transit)) => transit.delay.map(|delay| delay.verdict),
         _ => None,
     };
-    // `is_speed_limited` returns `None` if the verdict permits no throughput.
-    match (rate.value, rate.bounds, is_speed_limited(verdict)) {
+    // `is_speed_interval_only` returns `Some(true)` for the verdict `limited`, and `None` if the verdict permits no
+    // throughput.
+    match (rate.value, rate.bounds, is_speed_interval_only(verdict)) {
         (Some(_), Some((lo, hi)), Some(true)) => {
             (throughput_between((lo, Some(hi))), "the delay is known only within its clock bound")
         }

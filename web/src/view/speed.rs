@@ -66,8 +66,8 @@ pub(crate) fn text(
     direction: Direction,
     delay: Option<&QuantityStatistics>,
 ) -> Option<String> {
-    let KnownSpeed { bits_per_second, is_limited } = known_speed(transfers, bounds, direction)?;
-    if !is_limited {
+    let KnownSpeed { bits_per_second, is_interval_only } = known_speed(transfers, bounds, direction)?;
+    if !is_interval_only {
         return Some(throughput(bits_per_second));
     }
     interval(bits_per_second, delay?, bound_of(bounds, direction)?)

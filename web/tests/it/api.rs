@@ -7,7 +7,7 @@ use axum::http::{Request, StatusCode};
 use serde_json::{Value, json};
 
 use crate::test_dashboard::{ITERATIONS, TestDashboard};
-use crate::test_site::TestPipeline;
+use crate::test_site::{TestPipeline, WARM_UP_ITERATIONS};
 
 /// Every route, with an address of that route that exists when two pipelines have a stored run each.
 const ROUTES: &[(&str, &str)] = &[
@@ -109,8 +109,8 @@ async fn live_and_stored_figures_are_served() {
     assert_eq!(runs["runs"][0]["number"], 2);
     assert_eq!(runs["next"], Value::Null);
     let run = dashboard.get("/api/v1/runs/2").await.json();
-    assert_eq!((&run["reason"], &run["warm_up"]), (&json!("finished"), &json!(20)));
-    assert_eq!(run["counts"]["ok"], ITERATIONS - 20);
+    assert_eq!((&run["reason"], &run["warm_up"]), (&json!("finished"), &json!(WARM_UP_ITERATIONS)));
+    assert_eq!(run["counts"]["ok"], ITERATIONS - WARM_UP_ITERATIONS);
     assert!(run["started"].as_str().expect("a time").ends_with('Z'));
 
     let stages = dashboard.get("/api/v1/runs/2/stages").await.json();
@@ -134,7 +134,7 @@ async fn live_and_stored_figures_are_served() {
     let histogram = dashboard.get("/api/v1/runs/2/histogram?stage=upload&bins=20").await.json();
     let counts: u64 = histogram["counts"].as_array().expect("counts").iter().filter_map(Value::as_u64).sum();
     let outside = ["below", "beyond"].map(|end| histogram[end].as_u64().expect("a count"));
-    assert_eq!(counts + outside.iter().sum::<u64>(), ITERATIONS - 20);
+    assert_eq!(counts + outside.iter().sum::<u64>(), ITERATIONS - WARM_UP_ITERATIONS);
 
     let iteration = dashboard.get("/api/v1/runs/2/iterations/100").await.json();
     assert_eq!(

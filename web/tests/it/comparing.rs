@@ -45,9 +45,9 @@ async fn run_page_states_trust_and_reasons() {
 #[tokio::test]
 async fn skipped_starts_before_failed_iterations_are_shown() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
-    // 20 of the 120 iterations are warm-up, and 10 of the other 100 timed out. 7 starts were skipped before each of
-    // these.
-    site.store_skipping(0, 120, 7).await;
+    // 20 of the 120 iterations are the warm-up, and 10 of the other 100 timed out. 7 starts were skipped before each
+    // iteration that timed out.
+    site.store_overloaded_run(0, 120, 7).await;
     assert_eq!(dashboard.get("/api/v1/runs/1").await.json()["skipped_starts"], 0);
     assert_eq!(dashboard.get("/api/v1/runs/2").await.json()["skipped_starts"], 70);
     let trust = dashboard.get("/api/v1/runs/2/trust").await.json();
@@ -98,7 +98,9 @@ async fn skipped_starts_before_failed_iterations_are_shown() {
 #[tokio::test]
 async fn values_of_repeated_nodes_are_not_called_iterations() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
-    site.store_skipping(0, 120, 7).await;
+    // 20 of the 120 iterations are the warm-up, and 10 of the other 100 timed out. Each of the 90 successful iterations
+    // has two nodes `crop`.
+    site.store_overloaded_run(0, 120, 7).await;
     let page = dashboard.get("/compare?runs=2&stage=crop").await;
     assert!(page.text().contains("180 values, median "), "{}", page.text());
     let page = dashboard.get("/compare?runs=2&stage=inference").await;
@@ -199,7 +201,7 @@ async fn repeats_of_an_experiment_are_combined() {
 async fn sizes_are_sorted_by_value_or_file_order() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::resized()]).await;
     let without_index = [600e3, 30e3, 2_000e3, 150e3].map(|bytes| (bytes, None));
-    site.store_sizes(0, 100, &without_index).await;
+    site.store_run_of_each_size(0, 100, &without_index).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
@@ -216,7 +218,7 @@ async fn sizes_are_sorted_by_value_or_file_order() {
     assert!(dashboard.get("/runs").await.text().contains("size = 2000 kB, repeat 1"));
 
     let with_index = [(600e3, Some(1)), (30e3, Some(2)), (150e3, Some(0))];
-    site.store_sizes(0, 100, &with_index).await;
+    site.store_run_of_each_size(0, 100, &with_index).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
@@ -233,7 +235,7 @@ async fn many_users_count_as_one_configuration() {
         TestPipeline::resized(),
     ])
     .await;
-    site.store_users(100, &[1, 3]).await;
+    site.store_runs_with_users(100, &[1, 3]).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
@@ -245,7 +247,7 @@ async fn many_users_count_as_one_configuration() {
 async fn baseline_can_be_any_of_fifty_configurations() {
     let (dashboard, mut site) =
         TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
-    site.store_grid(30, 50).await;
+    site.store_run_of_each_configuration(30, 50).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
@@ -266,7 +268,7 @@ async fn rates_of_users_are_equal_on_page_and_in_files() {
         TestPipeline::resized(),
     ])
     .await;
-    site.store_users(400, &[1, 3]).await;
+    site.store_runs_with_users(400, &[1, 3]).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
@@ -423,7 +425,7 @@ async fn run_files_and_store_give_same_comparison() {
 async fn repeated_run_after_interruption_counts_once() {
     let (dashboard, mut site) =
         TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;
-    site.store_attempts(100, &["stopped", "finished"]).await;
+    site.store_run_with_each_end_reason(100, &["stopped", "finished"]).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let (id, first) =
         (listed["experiments"][0]["id"].as_str().expect("an id"), &listed["experiments"][0]["oldest"]);
@@ -450,7 +452,7 @@ async fn repeated_run_after_interruption_counts_once() {
         "{doubts:?}"
     );
 
-    site.store_attempts(50, &["stopped"]).await;
+    site.store_run_with_each_end_reason(50, &["stopped"]).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;

@@ -21,7 +21,7 @@ async fn runs_with_episodes_are_drawn_over_time() {
     let panel = panel.split("</section>").next().expect("an end tag");
     assert_eq!(panel.matches("<figure>").count(), 2, "{panel}");
     assert!(panel.contains(&format!("<a href=\"/runs/{first}#course\">#{first}</a>")), "{panel}");
-    // Four iterations failed, one of them during the warm-up.
+    // Every hundredth of the 400 iterations timed out, the first of these during the warm-up.
     assert!(
         panel.contains(
             "4 episodes of 100 steps began, 3 iterations failed, 1 iteration of the warm-up failed, points of "

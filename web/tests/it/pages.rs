@@ -125,6 +125,7 @@ async fn missing_page_is_an_error_page() {
 async fn unrecorded_events_are_shown_with_reason() {
     let (dashboard, mut site) = TestDashboard::with_pipelines(vec![TestPipeline::local()]).await;
     assert!(!dashboard.get("/runs/1").await.text().contains("of this run were not recorded"));
+    // Three gaps of 974 events.
     site.store_gaps(0, 3).await;
     let page = dashboard.get("/runs/1").await;
     let expected = "2,922 events of this run were not recorded: no room in the agent&#39;s spool (from ";

@@ -143,8 +143,9 @@ impl Configurations {
         }
     }
 
-    /// Gives the repeats of the chosen runs a separate line, next to the line of the other repeats of the same
-    /// configuration. Edges that were measured at the same time stay together.
+    /// Adds a column `repeats` that separates the repeats of the runs with the indexes `chosen` from the other repeats of
+    /// the same configuration, so that the comparison has a line for each of these two groups. All edges of a repeat get
+    /// the same label. No column is added if there are no other repeats.
     pub(super) fn separate_repeats(&mut self, runs: &[Loaded], chosen: &[usize]) {
         let repeat = |run: usize| runs[run].record.experiment.as_ref().map(|position| position.repeat);
         let label = |run: usize| {

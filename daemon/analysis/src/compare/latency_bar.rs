@@ -13,8 +13,8 @@ use crate::total_column::TotalColumn;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LatencyBar {
     /// Mean of each part per iteration, in the [order of all parts](crate::stage_split::part_order). The parts add up
-    /// to the total, unless the clocks show a stage as longer than it was. The late start is a separate part, and the
-    /// unattributed time without it is [`REST_OF_UNATTRIBUTED`]. In [`StageSplit`], the late start is a part of the
+    /// to the total, unless the clocks show a stage as longer than it was. The lateness is a separate part, and the
+    /// unattributed time without it is [`REST_OF_UNATTRIBUTED`]. In [`StageSplit`], the lateness is a part of the
     /// unattributed time instead.
     pub parts: Vec<(Name, f64)>,
     /// Mean of the column by which configurations are compared. If the configuration has no values of this column, the
@@ -50,14 +50,14 @@ impl LatencyBar {
             TotalColumn::SumOfStages if stage::UNATTRIBUTED == *name => Some((iterations, 0.0)),
             _ => latency_of(name).map(count_and_mean),
         });
-        let late_start = (Name::from_static(LATENESS), split.late_start);
-        let unattributed_name = if split.late_start > 0.0 {
+        let lateness = (Name::from_static(LATENESS), split.unattributed_lateness);
+        let unattributed_name = if split.unattributed_lateness > 0.0 {
             Name::from_static(REST_OF_UNATTRIBUTED)
         } else {
             stage::UNATTRIBUTED
         };
-        let unattributed = (unattributed_name, split.unattributed_without_late_start());
-        let outside_stages = [late_start, unattributed].into_iter().filter(|(_, seconds)| *seconds > 0.0);
+        let unattributed = (unattributed_name, split.unattributed_without_lateness());
+        let outside_stages = [lateness, unattributed].into_iter().filter(|(_, seconds)| *seconds > 0.0);
         // Without a measured total, the time outside of the stages is not known.
         let outside_stages = outside_stages.filter(|_| column == TotalColumn::Measured && total.is_some());
         let stages = split.parts.into_iter().filter(|(name, _)| *name != stage::UNATTRIBUTED);
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn late_start_is_separate_from_unattributed_time() {
+    fn lateness_is_separate_from_unattributed_time() {
         let nodes = [("total", 20.0), ("sensing", 12.0), ("lateness", 5.0)];
         let parts = [("sensing", 12.0), ("lateness", 5.0), (REST_OF_UNATTRIBUTED, 3.0)];
         assert_eq!(bar(TotalColumn::Measured, 0, &nodes), (owned(&parts), 20.0));

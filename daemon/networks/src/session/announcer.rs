@@ -17,9 +17,11 @@ impl Announcer {
         Self { shared }
     }
 
-    /// Sends the state of the cloud's clocks to all open sessions. In later acceptances, this state replaces
-    /// [`host_clock`](crate::SessionAccepted::host_clock), which the caller of
-    /// [`accept`](crate::OpenRequest::accept) may have read before this announcement.
+    /// Sends the state of the cloud's clocks to all open sessions.
+    ///
+    /// A session that is accepted later also gets this state. It replaces
+    /// [`host_clock`](crate::SessionAccepted::host_clock), because the caller of
+    /// [`accept`](crate::OpenRequest::accept) may have read that value before this announcement.
     ///
     /// Never waits. An open session whose connection takes no more bytes does not get this state.
     pub fn announce(&self, clock: PeerClock) {

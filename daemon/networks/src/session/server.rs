@@ -336,8 +336,8 @@ impl Server {
 
     /// Accepts a session that was asked for. Returns the message and its destination; `None` if the edge is gone.
     ///
-    /// The announced state of the clocks replaces the one in `accepted`, which the caller may have read before the
-    /// announcement.
+    /// The announced state of the clocks replaces the state in `accepted`, because the caller may have read that state
+    /// before the announcement.
     pub(crate) fn accept(
         &mut self,
         session: SessionId,

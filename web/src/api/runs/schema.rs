@@ -40,7 +40,7 @@ pub(crate) struct Run {
     /// Number of warm-up iterations.
     pub warm_up: u64,
     /// Number of starts of an open loop that were skipped because the pipeline was too far behind its schedule, without
-    /// warm-up. It does not depend on the outcome of the following iterations.
+    /// warm-up. Each iteration records the starts skipped before it. They count even if the iteration failed.
     pub skipped_starts: u64,
     /// Deadline of an iteration, seconds; null without a deadline.
     pub deadline_s: Option<f64>,

@@ -5,8 +5,8 @@ mod agent;
 mod backlog;
 mod clocks;
 mod episodes;
+mod overloaded;
 mod pipeline;
-mod skipping;
 mod tree;
 
 pub(crate) use agent::Agent;
@@ -20,6 +20,9 @@ use peernet_stream::{
     Incident, IncidentKind, Iteration, LiveUpdate, ModelMetrics, Outcome, PipelineLive, PipelineState,
     RunDescription, RunEnded, ToAggregator,
 };
+
+/// Number of iterations at the start of each run that are the warm-up.
+pub(crate) const WARM_UP_ITERATIONS: u64 = 20;
 
 /// The cameras' pipelines, and the rack that serves those of them that are remote.
 pub(crate) struct TestSite {
@@ -132,7 +135,12 @@ impl TestSite {
 
     /// Stores an experiment with a run of one pipeline for each element of `sizes`: the sample size, and the index of
     /// the configuration in the experiment's file. The upload time is proportional to the size.
-    pub(crate) async fn store_sizes(&mut self, index: usize, iterations: u64, sizes: &[(f64, Option<u32>)]) {
+    pub(crate) async fn store_run_of_each_size(
+        &mut self,
+        index: usize,
+        iterations: u64,
+        sizes: &[(f64, Option<u32>)],
+    ) {
         let (id, original) = (RunId::random().to_string(), self.pipelines[index].clone());
         for (bytes, configuration_index) in sizes {
             let pipeline = &mut self.pipelines[index];
@@ -158,7 +166,7 @@ impl TestSite {
 
     /// Stores an experiment with a configuration for each number of concurrent users. The first pipelines are the
     /// users. The more users there are, the longer they wait in the queue.
-    pub(crate) async fn store_users(&mut self, iterations: u64, numbers: &[usize]) {
+    pub(crate) async fn store_runs_with_users(&mut self, iterations: u64, numbers: &[usize]) {
         let (id, original) = (RunId::random().to_string(), self.pipelines.clone());
         for users in numbers {
             for (index, camera_pipeline) in original.iter().enumerate().take(*users) {
@@ -190,7 +198,7 @@ impl TestSite {
     }
 
     /// Stores an experiment of many configurations with long labels, and one run of each.
-    pub(crate) async fn store_grid(&mut self, iterations: u64, configurations: usize) {
+    pub(crate) async fn store_run_of_each_configuration(&mut self, iterations: u64, configurations: usize) {
         let id = RunId::random().to_string();
         for at in 0..configurations {
             let configuration = vec![
@@ -214,7 +222,7 @@ impl TestSite {
     }
 
     /// Stores an experiment of one configuration on the first pipeline, with one run for each end reason.
-    pub(crate) async fn store_attempts(&mut self, iterations: u64, reasons: &[&str]) {
+    pub(crate) async fn store_run_with_each_end_reason(&mut self, iterations: u64, reasons: &[&str]) {
         let id = RunId::random().to_string();
         for reason in reasons {
             let configuration = vec![("rate".to_owned(), "20 Hz".to_owned())];
@@ -243,7 +251,8 @@ impl TestSite {
         self.agents[index].wait_until_stored().await;
     }
 
-    /// Returns the events of a run that ends now. The last event is the end of the run.
+    /// Returns the events of a run that ends now. The first [`WARM_UP_ITERATIONS`] iterations are the warm-up. The last
+    /// event is the end of the run.
     fn run(
         &mut self,
         index: usize,
@@ -279,7 +288,7 @@ impl TestSite {
             };
             let stages = pipeline.draw(&mut self.random, number as f64 / iterations as f64);
             let tree = tree::build_tree(pipeline, &stages, (edge, rack), at, outcome == Outcome::Ok);
-            let warm_up = number <= 20;
+            let warm_up = number <= WARM_UP_ITERATIONS;
             events.push(Event::Iteration(Iteration {
                 run,
                 number,

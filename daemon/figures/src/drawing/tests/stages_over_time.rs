@@ -5,6 +5,7 @@ use peernet_analysis::slowness::BOTH_DIRECTIONS;
 use super::super::{OverTimeAxes, StageBucket, StagePart, StagesOverTime};
 use crate::plot::{Item, Path, Plot, Step};
 
+/// Returns a bucket that begins `begin` seconds after the start of the run and has a median total of `seconds`.
 fn bucket(begin: f64, seconds: f64) -> StageBucket {
     let part =
         |name: &str, share: f64| StagePart { name: name.to_owned(), seconds: seconds * share, bound: None };
@@ -12,6 +13,7 @@ fn bucket(begin: f64, seconds: f64) -> StageBucket {
     StageBucket { begin, median: seconds, p95: None, parts }
 }
 
+/// Returns a run of 10 s with buckets of 1 s.
 fn run(buckets: Vec<StageBucket>) -> StagesOverTime {
     StagesOverTime { length: 10.0, width: 1.0, buckets, ..StagesOverTime::default() }
 }
@@ -74,7 +76,8 @@ fn upload_and_sum_of_both_directions_have_separate_areas() {
 }
 
 #[test]
-fn line_of_single_bucket_is_as_long_as_bucket() {
+fn line_of_single_bucket_covers_bucket_within_run() {
+    // Returns the ends of the median's line, percent of the run.
     let ends = |run: &StagesOverTime| {
         let plot = plot_of(run);
         let median = path(&plot.items, "median").expect("a line").clone();
@@ -88,6 +91,7 @@ fn line_of_single_bucket_is_as_long_as_bucket() {
             .collect::<Vec<_>>()
     };
     assert_eq!(ends(&run(vec![bucket(4.0, 0.01)])), [40.0, 50.0]);
+    // The bucket lasts from -0.4 s to 0.6 s, and the run from 0 s to 1 s.
     assert_eq!(ends(&StagesOverTime { length: 1.0, ..run(vec![bucket(-0.4, 0.01)]) }), [0.0, 60.0]);
 }
 

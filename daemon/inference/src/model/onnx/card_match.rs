@@ -24,7 +24,7 @@ pub(super) enum MismatchError {
     /// The model takes a fixed number of samples, so that it cannot compute batches.
     #[error(
         "its input {0:?} takes one sample at a time; remove `batch`, or export the model with an open first dimension \
-         (dynamic_axes); the shape in the card, which is that of one sample, then begins with 1"
+         (dynamic_axes) and let the shape in the card begin with 1, the length of that dimension for one sample"
     )]
     FixedBatch(String),
 }

@@ -23,8 +23,9 @@ pub(super) struct TerminableRun {
 /// Conditions under which a run is terminated.
 struct Conditions {
     options: RunOptions,
-    /// Cancellation tokens of the requests. Without requests, only `stop` terminates the run.
+    /// Cancellation tokens of the requests.
     requests: Vec<CancellationToken>,
+    /// Cancelled when the model is to stop. Without requests, this alone terminates the run.
     stop: CancellationToken,
     clock: SharedClock,
     /// Time from which on the cancellation of one request terminates the run of all requests.

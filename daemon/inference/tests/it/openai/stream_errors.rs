@@ -62,6 +62,7 @@ fn answer_without_delta_fails_with_reason() {
 
 #[test]
 fn repeated_whole_answer_is_not_added_to_text() {
+    // PEERNet also reads an index that a server writes as a text.
     let chunk = json!({ "choices": [{ "index": "0", "delta": { "content": "A" } }] });
     let whole =
         json!({ "choices": [{ "index": 0, "message": { "content": "A" }, "finish_reason": "stop" }] });

@@ -64,9 +64,10 @@ pub(crate) struct ArrivalCounter {
     arrival_bits: Vec<u64>,
     /// Numbers below this one have been counted: they have arrived or are lost.
     counted_below: u64,
-    /// Numbers below this one were sent before `pending_since`. Those that are missing after [`LOSS_DELAY`] count as
-    /// lost.
+    /// The numbers from `counted_below` on that are below this one are pending: they were sent, and count as lost if they
+    /// are missing for [`LOSS_DELAY`].
     pending_below: u64,
+    /// Time since which these numbers are pending.
     pending_since: MonoTime,
     /// Count of the numbers from `counted_below` to `pending_below` that have arrived.
     arrived_pending: u64,

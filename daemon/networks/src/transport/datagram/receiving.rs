@@ -110,18 +110,19 @@ impl ReceivingHalf {
         Some(Packet::Progress { connection: self.connection, sequence, end })
     }
 
-    /// Handles the claim of a packet that the other end has sent all messages below `next`. `packet` identifies the
-    /// packet, so that a duplicate does not count as a second packet.
+    /// Handles a packet that says that the other end has sent all messages below `next`. This claim counts once a second
+    /// packet confirms it. `packet` identifies the packet, so that a duplicate does not count as a second packet.
     ///
     /// # Errors
-    /// If the number is too far above the settled messages. The next packet may confirm it.
+    /// If `next` is too far above the settled messages. The claim is nevertheless recorded and counts once it is
+    /// confirmed.
     pub(crate) fn note_sent(&mut self, next: u64, packet: u64, now: MonoTime) -> Result<(), FalseClaim> {
         self.record_claim(next, packet, now);
         let limit = self.reassembly.floor().saturating_add(MAX_SPAN);
         if next <= limit { Ok(()) } else { Err(FalseClaim::TooFarAhead) }
     }
 
-    /// Notes that a packet claims that all messages below `next` have been sent.
+    /// Records that a packet says that the other end has sent all messages below `next`.
     fn record_claim(&mut self, next: u64, packet: u64, now: MonoTime) {
         if let Some((confirmed, since)) = self.watermark.claim(next, packet, now) {
             self.reassembly.note_sent(confirmed, since);

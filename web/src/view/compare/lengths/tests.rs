@@ -92,7 +92,8 @@ fn cost_of_a_token_has_an_interval() {
 fn sentence_has_numbers_of_drawn_and_all_iterations() {
     let points = sample_answers(800);
     let mut one = answers_of_lengths(0, "tokens", &points);
-    let amount = |configuration: &Configuration, points: &[(f64, f64)], is_whole| {
+    // `is_whole` is `true` if `points` are all iterations that are still stored.
+    let iterations_sentence = |configuration: &Configuration, points: &[(f64, f64)], is_whole| {
         let found =
             lengths(&comparison(vec![configuration.clone()]), &answers_of_first(points.to_vec(), is_whole));
         found.expect("lengths").rows[0]
@@ -103,19 +104,22 @@ fn sentence_has_numbers_of_drawn_and_all_iterations() {
     };
     let some_text = |text: &str| Some(text.to_owned());
     assert_eq!(
-        amount(&one, &points[..200], false),
+        iterations_sentence(&one, &points[..200], false),
         some_text("200 of 800 iterations, evenly spread; histograms of all.")
     );
     one.runs[0].last_deleted_iteration = 300;
     assert_eq!(
-        amount(&one, &points[..200], false),
+        iterations_sentence(&one, &points[..200], false),
         some_text("200 of 800 iterations, evenly spread over what is still stored; histograms of all.")
     );
     assert_eq!(
-        amount(&one, &points[300..], true),
+        iterations_sentence(&one, &points[300..], true),
         some_text("500 iterations, all that are still stored; histograms of all 800.")
     );
-    assert_eq!(amount(&one, &[], true), some_text("No iteration is stored any more; histograms of all 800."));
+    assert_eq!(
+        iterations_sentence(&one, &[], true),
+        some_text("No iteration is stored any more; histograms of all 800.")
+    );
 }
 
 /// Returns the sentence about the slope for answers with these lengths in bytes and latencies in

@@ -22,8 +22,8 @@ struct Claim {
 }
 
 impl SentWatermark {
-    /// Handles the claim of a packet that all messages below `next` were sent. `packet` identifies the packet, so that
-    /// a duplicate does not count as a second packet. If the watermark moves, returns the new watermark and the time of
+    /// Handles a packet that says that all messages below `next` were sent. `packet` identifies the packet, so that a
+    /// duplicate does not count as a second packet. If the watermark moves, returns the new watermark and the time of
     /// the first claim.
     pub(super) fn claim(&mut self, next: u64, packet: u64, now: MonoTime) -> Option<(u64, MonoTime)> {
         if (next, packet) == (self.last_claim.next, self.last_claim.packet) {

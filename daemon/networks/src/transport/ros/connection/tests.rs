@@ -310,8 +310,8 @@ proptest! {
                 receiver.receive_payload(stamp, payload, time_at(0));
             }
         }
-        // A half is a companion or a payload that waits for its partner. After 40 s the time limit of all halves has
-        // passed. The heartbeat timeout must not end the connection before the halves expire.
+        // After 40 s the time limit of all companions and payloads that wait for each other has passed. The heartbeat
+        // timeout must not end the connection before that.
         receiver.heartbeats.note_received(time_at(40));
         receiver.tick(time_at(40));
         let (mut arrived, mut incomplete) = (0, 0);
@@ -348,8 +348,8 @@ proptest! {
                 let bytes: usize = frames.iter().map(Bytes::len).sum();
                 prop_assert!(bytes as u64 <= LIMITS.max_message_bytes, "{bytes} bytes");
             }
-            // One step may give up all halves. It causes few other events: it may deliver a message and end the
-            // connection.
+            // One step may give up all incomplete messages: companions that wait for their payload, and payloads that
+            // wait for their companion. It causes few other events: it may deliver a message and end the connection.
             prop_assert!(events <= LIMITS.max_incomplete + 3, "{events} events of one step");
             while receiver.next_notice(NOTICE_WALL, now).is_some() {}
         }
