@@ -37,18 +37,28 @@ pub fn is_warm_up(cell: &str) -> Option<bool> {
 pub fn ends_with_line(file: &mut (impl Read + Seek)) -> io::Result<bool> {
     // The length of a device such as /dev/full is 0, although reading it never ends.
     let length = file.seek(SeekFrom::End(0))?;
+    let mut last_byte = [0];
+    if length > 0 {
+        file.seek(SeekFrom::End(-1))?;
+        file.read_exact(&mut last_byte)?;
+    }
     file.rewind()?;
+    // Only a file that ends with a line feed is read whole, so that a sparse file of many terabytes is not.
+    if last_byte != *b"\n" {
+        return Ok(false);
+    }
     let mut reader = BufReader::with_capacity(BUFFER_BYTES, file.take(length));
-    let (mut is_quoted, mut last_byte) = (false, 0);
+    let mut is_quoted = false;
     loop {
         let bytes = reader.fill_buf()?;
-        let Some(last) = bytes.last() else { break };
-        last_byte = *last;
+        if bytes.is_empty() {
+            break;
+        }
         // A quote within a quoted cell is doubled, so that it changes nothing.
         bytes.iter().for_each(|byte| is_quoted ^= *byte == b'"');
         let count = bytes.len();
         reader.consume(count);
     }
     file.rewind()?;
-    Ok(last_byte == b'\n' && !is_quoted)
+    Ok(!is_quoted)
 }
