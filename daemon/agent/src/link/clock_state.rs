@@ -209,7 +209,7 @@ impl LinkClockState {
         count_probe(&mut self.current_second.probes, result);
         match result {
             ProbeResult::Answered(observation) => {
-                if self.learn(observation, now, &mut changes) {
+                if self.learn(Relation::learn, observation, now, &mut changes) {
                     self.current_second.add_round_trip(observation.exchange.round_trip());
                 }
             }
@@ -218,7 +218,7 @@ impl LinkClockState {
                 self.update_relation((*epoch, None), |relation| relation.restart_after_edge_step(*epoch));
             }
             ProbeResult::Refined(observation) => {
-                self.learn(observation, now, &mut changes);
+                self.learn(Relation::refine, observation, now, &mut changes);
             }
             ProbeResult::Sent | ProbeResult::Lost | ProbeResult::Late | ProbeResult::Refused(_) => {}
         }
@@ -315,15 +315,16 @@ impl LinkClockState {
         (describe_clock(self.edge.announcement()), describe_clock(self.cloud.announcement()))
     }
 
-    /// Adds an exchange to the relation. Returns whether the relation accepted the exchange.
+    /// Adds an exchange to the relation by `learn`. Returns whether the relation accepted the exchange.
     fn learn(
         &mut self,
+        learn: fn(&mut Relation, &ExchangeObservation) -> LearnResult,
         observation: &ExchangeObservation,
         now: Stamp,
         changes: &mut ClockStateChanges,
     ) -> bool {
         let learn_result =
-            self.update_relation(epochs_of(observation), |relation| relation.learn(observation));
+            self.update_relation(epochs_of(observation), |relation| learn(relation, observation));
         self.handle_learn_result(learn_result, observation, now, changes);
         !matches!(learn_result, LearnResult::Refused(_))
     }

@@ -117,7 +117,7 @@ impl ReflectorAnswers {
                 }
                 self.round_trips.push_back(observation.exchange.round_trip());
             }
-            ProbeResult::Refined(observation) => self.learn(observation),
+            ProbeResult::Refined(observation) => _ = self.relation.refine(observation),
             ProbeResult::Sent | ProbeResult::Lost | ProbeResult::Late | ProbeResult::Refused(_) => {}
         }
     }

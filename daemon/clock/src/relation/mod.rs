@@ -183,6 +183,11 @@ impl Relation {
         result
     }
 
+    /// Learns an exchange again, now with a better stamp of the answer's departure. The exchange counts once.
+    pub fn refine(&mut self, observation: &ExchangeObservation) -> LearnResult {
+        self.check_and_insert(observation)
+    }
+
     /// Starts a new band if `epoch` is higher than the last known epoch of the edge's clock, or is the first one.
     pub fn restart_after_edge_step(&mut self, epoch: u32) {
         if self.steps.update_edge_epoch(epoch) {

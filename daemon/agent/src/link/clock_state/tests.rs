@@ -121,6 +121,20 @@ fn nonempty_second_is_reported_once_when_over() {
 }
 
 #[test]
+fn probe_with_better_stamp_counts_as_one_exchange() {
+    let mut clock_state = clock_state();
+    let observation = exchange(100, 0);
+    let mut refined = observation;
+    refined.exchange.replied = refined.exchange.replied + Span::from_micros(500);
+    for result in [ProbeResult::Sent, ProbeResult::Answered(observation), ProbeResult::Refined(refined)] {
+        let _ = clock_state.handle_probe_result(&result, IS_AUTHENTICATED, now(200));
+    }
+    let sample = clock_state.latest_sample(&network(), now(200));
+    assert_eq!((sample.probes.answered, sample.exchanges.accepted), (1, 1));
+    assert_eq!((sample.upper, sample.lower), (Some(observation.exchange), Some(refined.exchange)));
+}
+
+#[test]
 fn step_of_cloud_begins_relation_period_and_is_reported() {
     let mut clock_state = clock_state();
     for sent in [0, 100, 200] {

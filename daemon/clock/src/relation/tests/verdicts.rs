@@ -123,9 +123,9 @@ fn exchange_with_better_stamp_counts_once() {
         let observation = host_clocks.trip(f64::from(n) * 20e9, 1e6, 1e5, 1e6).observation();
         let mut refined = observation;
         refined.exchange.replied = refined.exchange.replied + Span::from_micros(50);
-        for observation in [observation, refined] {
-            assert_eq!(relation.learn(&observation), LearnResult::Accepted);
-        }
+        assert_eq!(relation.learn(&observation), LearnResult::Accepted);
+        assert_eq!(relation.refine(&refined), LearnResult::Accepted);
+        assert_eq!(relation.exchange_counts().accepted, u64::from(n) + 1);
         last_return = observation.exchange.returned;
         let offset = relation.offset(last_return, WallTime::default()).expect("the clocks are related");
         assert_eq!((offset.exchanges, offset.verdict == Verdict::Stale), (u64::from(n) + 1, n < 2));
