@@ -277,8 +277,8 @@ impl LinkClockState {
     pub(super) fn advance_second(&mut self, now: Stamp) -> ClockStateChanges {
         let mut changes = ClockStateChanges::default();
         self.replace_void_period(now, &mut changes);
+        self.update_claims(now.raw);
         if now.wall.unix_seconds() != self.current_second.start_s {
-            self.update_claims(now.raw);
             changes.lost_proof = self.reports.report_ended_proof(now.raw);
             // If the clock was set back, the second is closed early. If it was set forward, the second is closed with
             // the state at its end.
@@ -459,7 +459,7 @@ impl LinkClockState {
     /// Passes the current claims of the time daemons to the relation.
     fn update_claims(&mut self, now: RawTime) {
         let limit = self.relation.settings().max_drift_ppm;
-        self.relation.set_claims(self.edge.claim(now, limit), self.cloud.claim(now, limit));
+        self.relation.set_claims(self.edge.claim(now, limit), self.cloud.claim(now, limit), now);
     }
 }
 

@@ -128,7 +128,10 @@ impl Relation {
             (band.interval, estimate)
         });
         let same_clock = self.same_clock.then_some((DelaySource::SameClock, Interval::exactly(Span::ZERO)));
-        let claimed_offset = || self.claims.offset().filter(|_| self.settings.trust_time_daemons);
+        let claimed_offset = || {
+            let offset = self.claims.offset_at(at, self.windows.limit());
+            offset.filter(|_| self.settings.trust_time_daemons)
+        };
         OffsetSources {
             band_offset,
             is_consistent: band.is_none_or(|band| band.is_consistent),

@@ -91,10 +91,11 @@ impl Relation {
         &self.settings
     }
 
-    /// Sets the current claims of the two hosts' time daemons; `None` for a host without a claim. A claim is used only
-    /// if the settings trust time daemons. It counts until the next call or until its clock is stepped.
-    pub fn set_claims(&mut self, edge: Option<ClockClaim>, cloud: Option<ClockClaim>) {
-        self.claims = Claims { edge, cloud };
+    /// Sets the claims of the two hosts' time daemons that hold at the time `at` of the edge's clock; `None` for a host
+    /// without a claim. A claim is used only if the settings trust time daemons. It counts until the next call or until
+    /// its clock is stepped, and at other times than `at` it is wider by the drift in between.
+    pub fn set_claims(&mut self, edge: Option<ClockClaim>, cloud: Option<ClockClaim>, at: RawTime) {
+        self.claims = Claims { edge, cloud, at };
     }
 
     /// Returns the offset at the time `at` of the edge's clock, which must lie in the window or shortly after it.

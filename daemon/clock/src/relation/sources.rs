@@ -3,19 +3,25 @@
 //! If two sources are right, the offset lies in the overlap of their intervals. If the intervals do not overlap, at
 //! least one source is wrong. The result is then marked as inconsistent; the sources are not averaged.
 
-use crate::{ClockClaim, DelaySource, Interval, Span};
+use crate::band::DriftLimit;
+use crate::{ClockClaim, DelaySource, Interval, RawTime, Span};
 
 /// Current claims of the two hosts' time daemons.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Claims {
     pub(super) edge: Option<ClockClaim>,
     pub(super) cloud: Option<ClockClaim>,
+    /// Time on the edge's clock at which the claims hold.
+    pub(super) at: RawTime,
 }
 
 impl Claims {
-    /// Returns the offset that follows from both claims together, and its source; `None` if a claim is missing.
-    pub(super) fn offset(&self) -> Option<(DelaySource, Interval)> {
-        Some(ClockClaim::offset(self.edge.as_ref()?, self.cloud.as_ref()?))
+    /// Returns the offset at a time that follows from both claims together, and its source; `None` if a claim is missing.
+    /// The interval contains the drift between the time of the claims and `at`.
+    pub(super) fn offset_at(&self, at: RawTime, limit: DriftLimit) -> Option<(DelaySource, Interval)> {
+        let (source, offset) = ClockClaim::offset(self.edge.as_ref()?, self.cloud.as_ref()?);
+        let drift = Span::from_nanos(limit.max_change_between(self.at.nanos(), at.nanos()));
+        Some((source, Interval { lo: offset.lo - drift, hi: offset.hi + drift }))
     }
 }
 

@@ -354,6 +354,27 @@ async fn earlier_delay_is_judged_by_its_own_claim() {
     assert_sound(&test_store, &simulated).await;
 }
 
+/// A delay without a clock sample near it is judged by the claim of a sample that is up to 50 s older. The clocks drift
+/// apart by 20 ppm, so the offset leaves the claimed interval within 10 s.
+#[tokio::test]
+async fn claim_of_distant_sample_is_widened_by_drift() {
+    let mut test_store = TestStore::new().await;
+    let simulated = simulate(&mut test_store, (5, 60, 5), |_, simulation| {
+        simulation.congestion = Span::from_millis(40);
+        let error = simulation.offset_within(200);
+        simulation.claim(Some(ClockClaim { source: DelaySource::Chrony, error }));
+    })
+    .await;
+    let delete = "DELETE FROM clock_sample \
+                  WHERE at_ns IN (SELECT at_ns FROM clock_sample ORDER BY at_ns LIMIT 50 OFFSET 10)";
+    sqlx::query(delete).execute(&mut test_store.second_connection().await).await.expect("changes");
+    let recomputed = recompute(&test_store).await;
+    assert!(recomputed.samples > 0);
+    assert_sound(&test_store, &simulated).await;
+    let (_, after) = judgements_of(&recomputed, "upload");
+    assert_eq!(verdict_count(after, Verdict::Inconsistent), 0, "{after:?}");
+}
+
 #[tokio::test]
 async fn link_over_other_network_is_not_used() {
     let mut test_store = TestStore::new().await;

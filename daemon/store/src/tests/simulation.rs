@@ -96,7 +96,7 @@ impl Simulation {
     /// Sets what the time daemons of both hosts claim. The edge claims no error, so the cloud's claim is about the offset.
     pub(super) fn claim(&mut self, claim: Option<ClockClaim>) {
         let edge_claim = claim.map(|claim| ClockClaim { error: Interval::exactly(Span::ZERO), ..claim });
-        self.relation.set_claims(edge_claim, claim);
+        self.relation.set_claims(edge_claim, claim, self.edge_stamp(self.now));
     }
 
     /// Simulates a second with ten probes and, if there is a run, ten iterations. Returns the iterations and the clock

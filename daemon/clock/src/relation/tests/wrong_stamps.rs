@@ -146,7 +146,7 @@ fn consistently_wrong_stamps_contradict_time_daemons_only() {
 
     let claimed_error = Interval { lo: Span::from_millis(-2), hi: Span::from_millis(2) };
     let claim = ClockClaim { source: DelaySource::Chrony, error: claimed_error };
-    relation.set_claims(Some(claim), Some(claim));
+    relation.set_claims(Some(claim), Some(claim), at(20));
     let offset = relation.offset(at(20), WallTime::default()).expect("the clocks are related");
     assert_eq!(offset.verdict, Verdict::Inconsistent);
     let trip = claimed_clocks.trip(20e9, 3e4, 1e5, 3e4);

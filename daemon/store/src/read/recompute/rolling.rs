@@ -72,8 +72,6 @@ pub(super) struct RollingRelation {
     /// Claims of the samples whose seconds end at most `MAX_DISORDER` before `latest`, or later, with the ends of these
     /// seconds in ascending order.
     claims: VecDeque<(RawTime, Claim)>,
-    /// The claim that the relation uses.
-    current_claim: Claim,
 }
 
 impl RollingRelation {
@@ -89,12 +87,12 @@ impl RollingRelation {
             read_until_ns: (at - EXCHANGE_RANGE - MAX_DISORDER).nanos(),
             is_complete: false,
             claims: VecDeque::new(),
-            current_claim: None,
         }
     }
 
     /// Returns the relation at a time; `None` if no sample was stored until shortly after this time. The relation has
     /// the claim of the first sample whose second ends at this time or later, or of the last sample if all end earlier.
+    /// The claim holds at the end of its second.
     pub(super) async fn at(
         &mut self,
         readers: &Readers,
@@ -119,16 +117,14 @@ impl RollingRelation {
         while self.claims.pop_front_if(|(end, _)| *end < oldest).is_some() {}
         let next_claim = self.claims.partition_point(|(end, _)| *end < at);
         let claim = self.claims.get(next_claim).or_else(|| self.claims.back());
-        if let (Some(relation), Some((_, claim))) = (&mut self.relation, claim)
-            && *claim != self.current_claim
-        {
-            self.current_claim = *claim;
+        if let (Some(relation), Some((end, claim))) = (&mut self.relation, claim) {
             let claim_with = |error: fn(Interval) -> Interval| {
                 claim.map(|(source, offset)| ClockClaim { source, error: error(offset) })
             };
             // A sample has one claim about the offset, but the relation takes a claim about each clock. The edge's
             // clock is declared exact, and the cloud's clock gets the whole interval.
-            relation.set_claims(claim_with(|_| Interval::exactly(Span::ZERO)), claim_with(|offset| offset));
+            let edge_claim = claim_with(|_| Interval::exactly(Span::ZERO));
+            relation.set_claims(edge_claim, claim_with(|offset| offset), *end);
         }
         Ok(self.relation.as_ref())
     }
