@@ -102,7 +102,7 @@ pub enum Verdict {
     /// There are no recent exchanges, or too few; or the newest exchanges contradict the others, and neither of the two
     /// groups is refuted yet.
     Stale,
-    /// The two clocks were never related.
+    /// The two clocks were never related, or no exchange bounds the offset at the time of the delay.
     Unsynchronised,
     /// A clock was stepped near this delay.
     Stepped,

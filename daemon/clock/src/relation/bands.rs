@@ -26,6 +26,9 @@ pub(super) struct Bands {
     retention: Span,
     current: Band,
     past_bands: VecDeque<PastBand>,
+    /// Time from which it is known which bands hold. Before this time no band bounds the offset. `None` if the
+    /// oldest band holds at any earlier time.
+    known_from: Option<RawTime>,
     shortest_round_trips: ShortestRoundTrips,
 }
 
@@ -56,6 +59,7 @@ impl Bands {
             retention,
             current: Band::new(drift, window_length, retention),
             past_bands: VecDeque::new(),
+            known_from: None,
             shortest_round_trips: ShortestRoundTrips::default(),
         }
     }
@@ -109,7 +113,9 @@ impl Bands {
             while self.past_bands.len() > MAX_PAST_BANDS
                 || self.past_bands.front().is_some_and(|past| past.next_holds_from < start)
             {
-                self.past_bands.pop_front();
+                let removed = self.past_bands.pop_front();
+                // The bands that stay do not hold at the time of the removed one.
+                self.known_from = removed.map(|past| past.next_holds_from).or(self.known_from);
             }
             self.shortest_round_trips.clear();
         }
@@ -118,13 +124,23 @@ impl Bands {
         suspected_jump.map(|jump| jump.movement)
     }
 
-    /// Replaces all bands by `band` after a step of a clock.
-    pub(super) fn restart(&mut self, band: Band) {
-        self.current = band;
+    /// Replaces all bands by one band without exchanges, after a step of a clock that a host reported.
+    pub(super) fn restart(&mut self) {
+        self.current = self.new_band();
         // A step makes all earlier bounds invalid. After a suspected jump, past bands stay valid, because the time of
         // the jump is known.
         self.past_bands.clear();
+        self.known_from = None;
         self.shortest_round_trips.clear();
+    }
+
+    /// Replaces all bands by one band, which has the exchanges of `band`, after a step that no host reported. The
+    /// first of these exchanges was sent at `first_sent`; which messages before it are from before the step, no epoch
+    /// shows.
+    pub(super) fn restart_at(&mut self, band: Band, first_sent: RawTime) {
+        self.restart();
+        self.current = band;
+        self.known_from = Some(first_sent);
     }
 
     /// Returns the interval at a time; `None` without an exchange that bounds the offset at this time.
@@ -175,9 +191,10 @@ impl Bands {
         let starts = past.clone().map(|past| Some(past.holds_until)).chain([None]);
         let ends = [None].into_iter().chain(past.clone().map(|past| Some(past.next_holds_from)));
         let bands = [&self.current].into_iter().chain(past.map(|past| &past.band));
+        let is_known = self.known_from.is_none_or(|known_from| known_from <= at);
         bands.zip(starts.zip(ends)).filter_map(move |(band, (start, end))| {
             let may_hold = start.is_none_or(|start| start < at) && end.is_none_or(|end| at < end);
-            may_hold.then_some(band)
+            (is_known && may_hold).then_some(band)
         })
     }
 }

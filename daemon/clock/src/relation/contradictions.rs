@@ -65,9 +65,14 @@ pub(super) struct SuspectExchanges {
 }
 
 impl SuspectExchanges {
-    /// Adds an exchange that contradicts the current band. If the exchange contradicts the earlier suspects, the exchange
-    /// replaces them. Returns the band of all suspects once they prove a step.
-    pub(super) fn add(&mut self, bounds: &Bounds, new_band: impl FnOnce() -> Band) -> Option<Band> {
+    /// Adds an exchange that contradicts the current band. If the exchange contradicts the earlier suspects, the
+    /// exchange replaces them. Once the suspects prove a step, returns the band of all suspects, and the time at which
+    /// the first of them was sent.
+    pub(super) fn add(
+        &mut self,
+        bounds: &Bounds,
+        new_band: impl FnOnce() -> Band,
+    ) -> Option<(Band, RawTime)> {
         let mut band = match self.band.take().filter(|band| band.contradiction(bounds).is_none()) {
             Some(band) => band,
             None => {
@@ -80,7 +85,8 @@ impl SuspectExchanges {
             band.insert(bounds);
         }
         if band.exchange_count() >= MIN_SUSPECTS_FOR_STEP {
-            return Some(band);
+            let first_sent = self.bounds.iter().map(Bounds::sent).min()?;
+            return Some((band, first_sent));
         }
         self.band = Some(band);
         None

@@ -265,13 +265,14 @@ impl Relation {
         at: RawTime,
         contradiction: Contradiction,
     ) -> bool {
-        let Some(band) = self.contradictions.suspects.add(bounds, || self.bands.new_band()) else {
+        let suspects = &mut self.contradictions.suspects;
+        let Some((band, first_sent)) = suspects.add(bounds, || self.bands.new_band()) else {
             return false;
         };
-        self.steps.stop_excluding();
+        self.steps.exclude_sent_before(first_sent);
         self.restart();
         self.contradictions.unannounced_steps.record(at, contradiction);
-        self.bands.restart(band);
+        self.bands.restart_at(band, first_sent);
         true
     }
 
@@ -303,7 +304,7 @@ impl Relation {
         // before the step.
         let Some(newest) = self.bands.current().newest_return() else { return };
         self.estimate_before_restart = Some(self.estimate_at(newest));
-        self.bands.restart(self.bands.new_band());
+        self.bands.restart();
         self.exchange_times.clear();
         self.exchange_counts.restarts += 1;
     }

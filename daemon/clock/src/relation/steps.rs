@@ -13,7 +13,7 @@ const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
 // wall clock and the monotonic clock.
 const MAX_EDGE_REACH: Span = Span::from_seconds(2);
 /// An exchange is excluded only if it was sent at most this long before the return of the exchange that reported a step
-/// of the cloud.
+/// of the cloud, or before the first exchange that shows a step that no host reported.
 // The time is long, because a step of the cloud does not change the edge's stamps, by which the reach is measured.
 const MAX_CLOUD_REACH: Span = Span::from_seconds(60);
 
@@ -124,9 +124,9 @@ impl StepTracker {
         }
     }
 
-    /// Ends the exclusion. Called when the exchanges themselves show the step, so that later exchanges started after
-    /// it.
-    pub(super) fn stop_excluding(&mut self) {
-        self.exclusion_rule = ExclusionRule::NoExchange;
+    /// Replaces the exclusion: excludes the exchanges that were sent before `time`. Called when the exchanges themselves
+    /// show a step; the first of them was sent at `time`.
+    pub(super) fn exclude_sent_before(&mut self, time: RawTime) {
+        self.exclusion_rule = ExclusionRule::SentBefore(time, MAX_CLOUD_REACH);
     }
 }

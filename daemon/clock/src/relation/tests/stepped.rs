@@ -190,3 +190,26 @@ fn lower_epoch_is_refused_until_restart_is_assumed() {
     assert!(matches!(learn_results[8], LearnResult::Restarted(_)), "{learn_results:?}");
     assert!(learn_results[9..].iter().all(|learn_result| *learn_result == LearnResult::Accepted));
 }
+
+/// A clock is set while the cloud computes an answer, and no host reports it. The exchanges that show the step end before
+/// this answer arrives.
+#[test]
+fn exchange_across_unannounced_step_is_refused() {
+    for host_clocks in [with_edge_step(STEP), with_cloud_step(-STEP)] {
+        let mut relation = relation_with_history(&host_clocks);
+        let trip = |t: f64, service: f64| host_clocks.trip(t * 1e9, 3e4, service, 3e4);
+        (1..=5).for_each(|n| _ = relation.learn(&trip(10.0 + f64::from(n) / 10.0, 1e5).observation()));
+        assert_eq!(relation.exchange_counts().restarts, 1);
+        let judged = relation.judge(&trip(9.9, 5e9).observation());
+        assert_eq!(judged.learn_result, LearnResult::Refused(Refusal::Stepped));
+        for delay in [judged.up, judged.down] {
+            assert_eq!((delay.value, delay.verdict), (None, Verdict::Stepped));
+        }
+        // The new window does not bound the offset before the step.
+        let before = trip(9.8, 1e5).exchange;
+        assert_eq!(relation.delay(Direction::Up, before.sent, before.received).bounds, None);
+        let after = trip(11.0, 1e5);
+        let delay = relation.delay(Direction::Up, after.exchange.sent, after.exchange.received);
+        assert!(contains(&delay, after.up), "{delay:?}");
+    }
+}

@@ -357,3 +357,24 @@ fn exchange_that_waited_evenly_does_not_hide_jump() {
     assert!((movement - jump).abs() < Span::from_millis(1), "{movement}");
     assert!(contains(&judged.up, next.up) && contains(&judged.down, next.down), "{judged:?}");
 }
+
+/// The cloud's clock jumps every three seconds. More windows end than are kept.
+#[test]
+fn kept_window_bounds_no_delay_of_removed_window() {
+    let clocks = drifting(0.0);
+    let jumps = (1..=20).map(|n| Span::from_seconds(3 * n));
+    let cloud = jumps.fold(clocks.cloud, |cloud, at| cloud.stepped(at, Span::from_millis(-15)));
+    let host_clocks = HostClocks { cloud, ..clocks };
+    let settings = RelationSettings { retention: Span::from_seconds(60), ..free_running_limit(200.0) };
+    let mut relation = Relation::new(settings);
+    let trip = |t: f64| host_clocks.trip(t * 1e9, 20e6, 1e5, 20e6);
+    (0..620).for_each(|n| _ = relation.learn(&trip(f64::from(n) / 10.0).observation()));
+    assert_eq!(relation.exchange_counts().restarts, 20);
+    for n in 0..20 {
+        let trip = trip(1.5 + 3.0 * f64::from(n));
+        let delay = relation.delay(Direction::Up, trip.exchange.sent, trip.exchange.received);
+        // Sixteen windows are kept besides the current one.
+        assert_eq!(delay.bounds.is_some(), n >= 4, "{n}: {delay:?}");
+        assert!(n < 4 || contains(&delay, trip.up), "{n}: {delay:?}");
+    }
+}
