@@ -200,13 +200,12 @@ impl Band {
         }
     }
 
-    /// Removes the bounds of exchanges after `end`. The estimate keeps its points of these exchanges, because it is not
-    /// a bound.
-    pub(crate) fn truncate(&mut self, end: RawTime) {
-        let end = end.nanos();
-        self.upper.truncate(end);
-        self.lower.truncate(end);
-        self.newest_exchanges.retain(|bounds| bounds.lower.x <= end);
+    /// Removes the bounds of exchanges after an exchange that was `sent` and `returned` at these times, also of exchanges
+    /// that were in flight together with it. The estimate keeps its points of these exchanges, because it is not a bound.
+    pub(crate) fn truncate(&mut self, sent: RawTime, returned: RawTime) {
+        self.upper.truncate(sent.nanos());
+        self.lower.truncate(returned.nanos());
+        self.newest_exchanges.retain(|bounds| bounds.lower.x <= returned.nanos());
         self.hulls = Hulls::default();
     }
 

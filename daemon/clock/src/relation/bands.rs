@@ -98,7 +98,7 @@ impl Bands {
             let new_band = self.new_band();
             let mut band = std::mem::replace(&mut self.current, new_band);
             // Exchanges that returned later may be from after the jump: their bounds can be too wide to show it.
-            band.truncate(returned);
+            band.truncate(sent, returned);
             // If the edge's own clock jumped back, the second exchange has the earlier stamps. Therefore the
             // minimum and the maximum are taken.
             let (holds_until, next_holds_from) = (sent.min(exchange.sent), returned.max(exchange.returned));

@@ -358,6 +358,26 @@ fn exchange_that_waited_evenly_does_not_hide_jump() {
     assert!(contains(&judged.up, next.up) && contains(&judged.down, next.down), "{judged:?}");
 }
 
+/// An exchange is in flight together with the last exchange before a jump, and its message arrives after the jump. Its
+/// answer waits, so that it does not show the jump.
+#[test]
+fn exchange_in_flight_at_jump_bounds_no_earlier_delay() {
+    let host_clocks = drifting(0.0);
+    let host_clocks = HostClocks {
+        cloud: host_clocks.cloud.stepped(Span::from_millis(29_545), Span::from_millis(-39)),
+        ..host_clocks
+    };
+    let mut relation = Relation::new(free_running_limit(200.0));
+    let unloaded_trip = |t: f64| host_clocks.trip(t * 1e9, 20e6, 1e5, 20e6);
+    (0..296).for_each(|n| _ = relation.learn(&unloaded_trip(f64::from(n) / 10.0).observation()));
+    let waited = host_clocks.trip(29.53e9, 20e6, 1e5, 60e6);
+    assert_eq!(relation.learn(&waited.observation()), LearnResult::Accepted);
+    assert!(matches!(relation.learn(&unloaded_trip(29.6).observation()), LearnResult::Jumped(_)));
+    let before = unloaded_trip(29.4);
+    let delay = relation.delay(Direction::Up, before.exchange.sent, before.exchange.received);
+    assert!(contains(&delay, before.up), "{delay:?}");
+}
+
 /// The cloud's clock jumps every three seconds. More windows end than are kept.
 #[test]
 fn kept_window_bounds_no_delay_of_removed_window() {
