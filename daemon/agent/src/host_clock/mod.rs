@@ -72,7 +72,10 @@ pub(crate) fn describe_clock(clock: &PeerClock) -> HostClock {
 }
 
 fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {
-    RawClock { epoch: clock.epoch(), wall_ahead: clock.wall_ahead(), clocksource }
+    // The epochs are read last. If a clock is disturbed in between, the new epoch voids the claims from before, which the
+    // difference from after the disturbance must not convert.
+    let wall_ahead = clock.wall_ahead();
+    RawClock { epoch: clock.epoch(), wall_ahead, clocksource }
 }
 
 /// Monitors the host's clocks until `stop` is cancelled, and publishes their state, which begins with
@@ -98,7 +101,7 @@ pub(crate) async fn run(
             ticks.tick().await;
             monitor.check(&incidents);
             checks = checks.wrapping_add(1);
-            let (wall_epoch, raw) = (clock.wall_epoch(), raw_clock(&clock, monitor.clocksource().to_owned()));
+            let (raw, wall_epoch) = (raw_clock(&clock, monitor.clocksource().to_owned()), clock.wall_epoch());
             publish.send_if_modified(|published| {
                 let is_disturbed = published.epoch != wall_epoch
                     || published.raw.as_ref().is_none_or(|published| published.epoch != raw.epoch);
@@ -127,6 +130,7 @@ pub(crate) async fn run(
             ticks.tick().await;
             let epochs = (clock.wall_epoch(), clock.epoch());
             let summary = sources.query().await;
+            let wall_ahead = clock.wall_ahead();
             // An answer from before a step says nothing about the clock after the step.
             if (clock.wall_epoch(), clock.epoch()) == epochs {
                 publish.send_if_modified(|published| {
@@ -138,7 +142,7 @@ pub(crate) async fn run(
                     published.claim = summary.claim;
                     published.text = summary.text;
                     if let Some(raw) = &mut published.raw {
-                        (raw.epoch, raw.wall_ahead) = (raw_epoch, clock.wall_ahead());
+                        (raw.epoch, raw.wall_ahead) = (raw_epoch, wall_ahead);
                     }
                     is_new
                 });
