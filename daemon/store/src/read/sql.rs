@@ -53,7 +53,7 @@ macro_rules! clock_columns {
 
 macro_rules! exchange_columns {
     () => {
-        "max_drift_ppm, upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
+        "at_ns, max_drift_ppm, upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
          lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
          offset_lo_ns, offset_hi_ns, offset_source, offset_sources, \
          (SELECT max_drift_change_ppm_per_s FROM clock_window WHERE link = ?1 AND window = ?2) AS max_drift_change_ppm_per_s"
@@ -362,8 +362,9 @@ statements! {
          ORDER BY at_ns LIMIT ?4");
     /// A page of the exchanges of one relation period of free-running clocks, in the order of the edge's raw clock,
     /// because the wall clock of the edge may have been set back within the relation period. Parameters as in
-    /// `CLOCK_EXCHANGES`.
+    /// `CLOCK_EXCHANGES`; the page begins after the sample with the raw time ?3 and the wall time ?5.
+    // The first comparison of `at_raw_ns` is needed to use the index.
     CLOCK_EXCHANGES_BY_RAW = concat!("SELECT at_raw_ns AS time_ns, ", exchange_columns!(),
-        " FROM clock_sample INDEXED BY clock_sample_by_raw WHERE link = ?1 AND window = ?2 AND at_raw_ns > ?3 \
-         AND max_drift_ppm IS NOT NULL ORDER BY at_raw_ns LIMIT ?4");
+        " FROM clock_sample INDEXED BY clock_sample_by_raw WHERE link = ?1 AND window = ?2 AND at_raw_ns >= ?3 \
+         AND (at_raw_ns > ?3 OR at_ns > ?5) AND max_drift_ppm IS NOT NULL ORDER BY at_raw_ns, at_ns LIMIT ?4");
 }

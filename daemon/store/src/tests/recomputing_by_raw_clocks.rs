@@ -125,6 +125,32 @@ async fn times_repeated_after_restart_are_not_rejudged() {
     }
 }
 
+/// More samples than a page have the same time of the edge's free-running clock. Only the last of them has exchanges that
+/// narrow the delays before it.
+#[tokio::test]
+async fn samples_with_same_raw_time_are_read_over_page_boundary() {
+    let mut test_store = TestStore::new().await;
+    simulate_with_clocks(&mut test_store, RelatedClocks::Raw, (5, 20, 0), |second, simulation| {
+        simulation.congestion = if second == 5 { Span::ZERO } else { Span::from_millis(40) };
+    })
+    .await;
+    let mut connection = test_store.second_connection().await;
+    for statement in [
+        "CREATE TEMP TABLE copy AS \
+         WITH RECURSIVE number (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM number WHERE n < 1000) \
+         SELECT sample.* FROM (SELECT * FROM clock_sample ORDER BY at_ns LIMIT 1 OFFSET 9) AS sample CROSS JOIN number",
+        "UPDATE copy SET at_ns = at_ns + rowid",
+        "INSERT INTO clock_sample SELECT * FROM copy",
+        "UPDATE clock_sample SET at_raw_ns = (SELECT at_raw_ns FROM copy LIMIT 1) \
+         WHERE at_ns = (SELECT at_ns FROM clock_sample ORDER BY at_ns LIMIT 1 OFFSET 1010)",
+    ] {
+        sqlx::query(statement).execute(&mut connection).await.expect("changes");
+    }
+    let recomputed = recompute(&test_store).await;
+    let (before, after) = judgements_of(&recomputed, "upload");
+    assert!(verdict_count(after, Verdict::Ok) > verdict_count(before, Verdict::Ok), "{before:?} {after:?}");
+}
+
 #[tokio::test]
 async fn relation_periods_of_other_clocks_or_boots_are_not_used() {
     for change in [

@@ -30,6 +30,8 @@ const PAGE: u32 = 1_000;
 struct Row {
     /// End of the sample's second, by the edge's related clock.
     time_ns: i64,
+    /// End of the sample's second, by the edge's wall clock.
+    at_ns: i64,
     max_drift_ppm: f64,
     max_drift_change_ppm_per_s: Option<f64>,
     // The exchange with the lowest upper bound of the offset in this second.
@@ -65,8 +67,9 @@ pub(super) struct RollingRelation {
     relation: Option<Relation>,
     /// Rows that were read but not learnt yet.
     unlearnt_rows: VecDeque<Row>,
-    /// Time of the last row that was read.
-    read_until_ns: i64,
+    /// Time of the last row that was read, by the edge's related clock and by its wall clock. Two rows may have the same
+    /// time of a free-running clock.
+    read_until_ns: (i64, i64),
     /// `true` if all rows were read.
     is_complete: bool,
     /// Claims of the samples whose seconds end at most `MAX_DISORDER` before `latest`, or later, with the ends of these
@@ -84,7 +87,7 @@ impl RollingRelation {
             latest: at,
             relation: None,
             unlearnt_rows: VecDeque::new(),
-            read_until_ns: (at - EXCHANGE_RANGE - MAX_DISORDER).nanos(),
+            read_until_ns: ((at - EXCHANGE_RANGE - MAX_DISORDER).nanos(), i64::MIN),
             is_complete: false,
             claims: VecDeque::new(),
         }
@@ -136,13 +139,14 @@ impl RollingRelation {
         let rows: Vec<Row> = sqlx::query_as(statement)
             .bind(self.key.0)
             .bind(self.key.1)
-            .bind(self.read_until_ns)
+            .bind(self.read_until_ns.0)
             .bind(PAGE)
+            .bind(self.read_until_ns.1)
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.error_for(WHAT))?;
         self.is_complete = rows.len() < PAGE as usize;
-        self.read_until_ns = rows.last().map_or(self.read_until_ns, |row| row.time_ns);
+        self.read_until_ns = rows.last().map_or(self.read_until_ns, |row| (row.time_ns, row.at_ns));
         self.unlearnt_rows.extend(rows);
         Ok(())
     }
