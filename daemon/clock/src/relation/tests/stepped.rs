@@ -205,7 +205,7 @@ fn exchange_across_unannounced_step_is_refused() {
         for delay in [judged.up, judged.down] {
             assert_eq!((delay.value, delay.verdict), (None, Verdict::Stepped));
         }
-        // The new window does not bound the offset before the step.
+        // The new band does not bound the offset before the step.
         let before = trip(9.8, 1e5).exchange;
         assert_eq!(relation.delay(Direction::Up, before.sent, before.received).bounds, None);
         let after = trip(11.0, 1e5);

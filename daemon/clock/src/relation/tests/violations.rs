@@ -378,9 +378,9 @@ fn exchange_in_flight_at_jump_bounds_no_earlier_delay() {
     assert!(contains(&delay, before.up), "{delay:?}");
 }
 
-/// The cloud's clock jumps every three seconds. More windows end than are kept.
+/// The cloud's clock jumps every three seconds. More bands end than are kept.
 #[test]
-fn kept_window_bounds_no_delay_of_removed_window() {
+fn kept_band_bounds_no_delay_of_removed_band() {
     let clocks = drifting(0.0);
     let jumps = (1..=20).map(|n| Span::from_seconds(3 * n));
     let cloud = jumps.fold(clocks.cloud, |cloud, at| cloud.stepped(at, Span::from_millis(-15)));
@@ -393,7 +393,7 @@ fn kept_window_bounds_no_delay_of_removed_window() {
     for n in 0..20 {
         let trip = trip(1.5 + 3.0 * f64::from(n));
         let delay = relation.delay(Direction::Up, trip.exchange.sent, trip.exchange.received);
-        // Sixteen windows are kept besides the current one.
+        // Sixteen bands are kept besides the current one.
         assert_eq!(delay.bounds.is_some(), n >= 4, "{n}: {delay:?}");
         assert!(n < 4 || contains(&delay, trip.up), "{n}: {delay:?}");
     }
