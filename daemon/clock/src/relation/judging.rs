@@ -129,7 +129,7 @@ impl Relation {
         });
         let same_clock = self.same_clock.then_some((DelaySource::SameClock, Interval::exactly(Span::ZERO)));
         let claimed_offset = || {
-            let offset = self.claims.offset_at(at, self.windows.limit());
+            let offset = self.claims.offset_at(at, self.bands.limit());
             offset.filter(|_| self.settings.trust_time_daemons)
         };
         OffsetSources {
