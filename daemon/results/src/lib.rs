@@ -22,7 +22,7 @@ mod writer;
 
 pub use cells::Header;
 pub use error::FolderError;
-pub use file_names::{DATA, RECORD};
+pub use file_names::{DATA, RECORD, SENSOR_STUDY};
 pub use finish::WrittenResults;
 pub use folder::ResultFolder;
 pub use preparation::Overwrite;

@@ -10,7 +10,7 @@ use peernet_analysis::figure_files::figure_files;
 use serde::{Deserialize, Serialize};
 
 use super::FolderError;
-use super::file_names::{DATA, RECORD, SUMMARIES};
+use super::file_names::{DATA, RECORD, SENSOR_STUDY, SUMMARIES};
 
 /// Treatment of a folder that is not empty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -76,10 +76,10 @@ fn lock(dir: &Path) -> Result<File, FolderError> {
     }
 }
 
-/// Returns the names of the files that an earlier run may have left in a folder: its results, and figures of any
-/// kind, which would show results that no longer exist.
+/// Returns the names of the files that an earlier run may have left in a folder: its results, the study of its sensor,
+/// and figures of any kind. The study and the figures would show results that no longer exist.
 pub(crate) fn replaced_files(dir: &Path) -> impl Iterator<Item = String> {
-    let results = [DATA, RECORD].into_iter().chain(SUMMARIES).map(str::to_owned);
+    let results = [DATA, RECORD, SENSOR_STUDY].into_iter().chain(SUMMARIES).map(str::to_owned);
     results.chain(figure_files(dir))
 }
 

@@ -38,6 +38,7 @@ use peernet_analysis::rows::Rows;
 use peernet_analysis::sensor_study::SensorStudy;
 use peernet_analysis::trust::{Report, TrustInput};
 use peernet_figures as figures;
+use peernet_results::SENSOR_STUDY;
 
 use crate::foreground::{AgentEnd, AgentResult, ReadyAgent};
 use recorder::RunRecorder;
@@ -158,7 +159,7 @@ fn write_sensor_study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<
         return Ok(None);
     }
     let Some(study) = SensorStudy::from_rows(rows) else { return Ok(None) };
-    let path = folder.join("sensor.txt");
+    let path = folder.join(SENSOR_STUDY);
     std::fs::write(&path, format!("{}\n", study.text().trim_end())).map_err(WriteError::at(&path))?;
     Ok(Some(path))
 }

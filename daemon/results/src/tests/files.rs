@@ -272,7 +272,7 @@ fn full_disk_is_reported_at_start() {
 fn existing_results_are_replaced_only_with_overwrite() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = folder.path();
-    for name in ["data.csv", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt"] {
+    for name in ["data.csv", "sensor.txt", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt"] {
         std::fs::write(at.join(name), "x").expect("writable");
     }
     let refused = ResultFolder::create(at, Overwrite::Refuse).expect_err("it is not empty").to_string();
@@ -282,8 +282,10 @@ fn existing_results_are_replaced_only_with_overwrite() {
     });
     assert_eq!(subfolders, [at.join("run-2"), at.join("run-3")]);
     ResultFolder::create(at, Overwrite::Replace).expect("results may be replaced");
-    let names = ["data.csv", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt", "run-2"];
-    assert_eq!(names.map(|name| at.join(name).exists()), [false, false, false, false, true, true]);
+    let remaining =
+        ["data.csv", "sensor.txt", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt", "run-2"]
+            .map(|name| at.join(name).exists());
+    assert_eq!(remaining, [false, false, false, false, false, true, true]);
     let file =
         ResultFolder::create(&at.join("notes.txt"), Overwrite::Replace).expect_err("a file").to_string();
     assert!(file.ends_with("notes.txt is not a folder"), "{file}");
