@@ -14,8 +14,9 @@ pub(super) struct FigureFolders {
 }
 
 impl FigureFolders {
-    /// Chooses the folders. Without `out`, the figures of a run go to the run's folder. With `out`, they go to `out`,
-    /// or to a subfolder of `out` for each run if there are several runs. `named` are the paths on the command line.
+    /// Chooses the folders. Without `out`, the figures of a run go to the [run's folder](separate_folders). With `out`,
+    /// they go to `out`, or to a subfolder of `out` for each run if there are several runs. `named` are the paths on the
+    /// command line.
     pub(super) fn choose(named: &[PathBuf], runs: &[Loaded], out: Option<&Path>) -> Self {
         let folders = || runs.iter().map(|run| run.folder.clone());
         match (out, named) {
@@ -37,7 +38,7 @@ impl FigureFolders {
                 // several runs go to the current folder, because the command line has several paths.
                 let only_folder = if runs.len() == 1 { folders().next() } else { None };
                 Self {
-                    runs: folders().collect(),
+                    runs: separate_folders(runs),
                     all_runs: current_folder_if_empty(only_folder.unwrap_or_default()),
                 }
             }
@@ -47,6 +48,39 @@ impl FigureFolders {
 
 fn current_folder_if_empty(path: PathBuf) -> PathBuf {
     if path == Path::new("") { PathBuf::from(".") } else { path }
+}
+
+/// Returns the folder of each run. If several files of rows are in one folder, each file without a record gets a
+/// subfolder with its name, so that its figures do not replace those of another file.
+fn separate_folders(runs: &[Loaded]) -> Vec<PathBuf> {
+    let location = |run: &Loaded| {
+        let folder = current_folder_if_empty(run.folder.clone());
+        folder.canonicalize().unwrap_or(folder)
+    };
+    let locations: Vec<PathBuf> = runs.iter().map(location).collect();
+    let mut folders: Vec<PathBuf> = Vec::new();
+    for (run, location) in runs.iter().zip(&locations) {
+        let is_shared = locations.iter().filter(|other| *other == location).count() > 1;
+        // The format of a record that does not exist is 0.
+        let folder = if is_shared && run.record.format == 0 {
+            let name = Path::new(&run.record.name).file_name().unwrap_or("run".as_ref()).to_string_lossy();
+            unique(&folders, |suffix| run.folder.join(format!("{name}{suffix}")))
+        } else {
+            run.folder.clone()
+        };
+        folders.push(folder);
+    }
+    folders
+}
+
+/// Returns the first name that is not taken: without a suffix, or with the suffix `-2`, `-3`, ….
+fn unique<T: PartialEq>(taken: &[T], with_suffix: impl Fn(&str) -> T) -> T {
+    let (mut name, mut number) = (with_suffix(""), 1);
+    while taken.contains(&name) {
+        number += 1;
+        name = with_suffix(&format!("-{number}"));
+    }
+    name
 }
 
 /// Returns a name for each folder: its path without the common beginning. The names are unique.
@@ -64,12 +98,7 @@ fn subfolder_names(folders: &[PathBuf]) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for parts in &all {
         let name = if parts.is_empty() { "run".to_owned() } else { parts[common..].join("-") };
-        let (mut unique_name, mut number) = (name.clone(), 1);
-        while names.contains(&unique_name) {
-            number += 1;
-            unique_name = format!("{name}-{number}");
-        }
-        names.push(unique_name);
+        names.push(unique(&names, |suffix| format!("{name}{suffix}")));
     }
     names
 }
@@ -102,6 +131,27 @@ mod tests {
         );
         assert_eq!(folders(&["x/a", "x/b"], &["x/a", "x/b"], None), (runs(&["x/a", "x/b"]), ".".into()));
         assert_eq!(folders(&["x/a/data.csv"], &["x/a"], None), (runs(&["x/a"]), "x/a".into()));
+    }
+
+    #[test]
+    fn files_of_one_folder_have_separate_figures() {
+        let run = |folder: &str, name: &str, format: u32| Loaded {
+            folder: PathBuf::from(folder),
+            record: RunRecord { name: name.to_owned(), format, ..RunRecord::default() },
+            rows: Rows::default(),
+        };
+        // As of x/data.csv with its record, x/run-7.csv, x/run-7.txt, ./run-8.csv, run-9.csv and y/run-7.csv.
+        let runs = [
+            run("x", "edge", 1),
+            run("x", "run-7", 0),
+            run("x", "run-7", 0),
+            run(".", "run-8", 0),
+            run("", "run-9", 0),
+            run("y", "run-7", 0),
+        ];
+        let named: Vec<PathBuf> = runs.iter().map(|run| run.folder.join("named")).collect();
+        let chosen = FigureFolders::choose(&named, &runs, None);
+        assert_eq!(chosen.runs, ["x", "x/run-7", "x/run-7-2", "./run-8", "run-9", "y"].map(PathBuf::from));
     }
 
     #[test]

@@ -26,8 +26,8 @@ pub(crate) struct Arguments {
     #[arg(long, value_enum, default_value_t = Kind::All)]
     kind: Kind,
     /// Folder for the figures. With several runs, each run gets a subfolder [default: figures of one run in the
-    /// run's folder; figures of several runs in the folder on the command line, or in the current folder if several
-    /// folders are given].
+    /// run's folder, or in a subfolder if several files of the folder are given; figures of several runs in the folder
+    /// on the command line, or in the current folder if several folders are given].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Column of data.csv, or name of a node (output-chunks), on the horizontal axis. For --kind length: the length
