@@ -7,6 +7,7 @@ use crate::output::print_to_stdout;
 use chrono::{DateTime, SecondsFormat};
 use peernet_analysis::table::text;
 use peernet_analysis::trust::MissingCount;
+use peernet_sample::printable_line;
 use peernet_statistics::number::{self, DurationFormat};
 use peernet_stream::PlacementKind;
 use serde::Deserialize;
@@ -136,14 +137,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
             "the last {WINDOW_S} s; missed: later than their deadline or failed; p50 and p95 are quantiles of the total, the stages are means"
         ));
         // Printed below the table: a reason is a sentence and would widen its column.
-        for pipeline in &pipelines {
-            if let Some(reason) = &pipeline.reason {
-                print_to_stdout(format_args!(
-                    "{}/{} is {}: {reason}",
-                    pipeline.host, pipeline.name, pipeline.state
-                ));
-            }
-        }
+        pipelines.iter().filter_map(describe_reason).for_each(print_to_stdout);
     }
     print_to_stdout("");
     let header = ["host", "state", "CPU %", "waiting", "lost"];
@@ -155,6 +149,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         ));
     }
     Ok(())
+}
+
+/// Returns the line with the reason for a pipeline's state, if there is one. Agents send the reason, so it may contain
+/// any characters.
+fn describe_reason(pipeline: &Pipeline) -> Option<String> {
+    let Pipeline { host, name, state, reason, .. } = pipeline;
+    Some(format!("{host}/{name} is {state}: {}", printable_line(reason.as_ref()?)))
 }
 
 fn pipeline_row(pipeline: &Pipeline, faulty_clocks: &FaultyClocks) -> Vec<String> {
@@ -239,6 +240,17 @@ mod tests {
     #[test]
     fn last_seen_time_is_shown_to_the_second() {
         assert_eq!(to_the_second("2026-11-20T22:41:07.123456789Z"), "2026-11-20T22:41:07Z");
+    }
+
+    #[test]
+    fn reason_cannot_control_terminal() {
+        let pipeline: Pipeline = serde_json::from_value(json!({
+            "host": "edge", "name": "p", "state": "waiting", "reason": "no\u{1b}[2J\nanswer", "windows": [],
+            "placement": { "kind": "remote", "peer": null, "address": null, "model": "m" },
+        }))
+        .expect("a pipeline");
+        assert_eq!(describe_reason(&pipeline).as_deref(), Some("edge/p is waiting: no [2J answer"));
+        assert_eq!(describe_reason(&Pipeline { reason: None, ..pipeline }), None);
     }
 
     #[test]
