@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use peernet_agent::RunningAgent;
 use peernet_analysis::calibration::Sample;
-use peernet_clock::{MonoTime, SharedClock, Span};
+use peernet_clock::{SharedClock, Span};
 use peernet_statistics::number::bytes;
 use peernet_stream::{ClockSample, Event, FaultyHost, HostClock, IncidentKind, Outcome};
 
@@ -38,7 +38,6 @@ pub(super) struct SweepObserver<'a> {
     clock: SharedClock,
     progress: SweepDisplay,
     pub(super) measurements: SweepMeasurements,
-    started_at: MonoTime,
     peer_wait: PeerWait,
     /// Kind of the incident at the first attempt to connect, if the peer was absent or refused the session.
     first_attempt_failure: Option<IncidentKind>,
@@ -58,7 +57,6 @@ impl<'a> SweepObserver<'a> {
             progress: SweepDisplay::new(plan, quiet, now),
             clock,
             measurements: SweepMeasurements::default(),
-            started_at: now,
             peer_wait: PeerWait::new(now),
             first_attempt_failure: None,
             tried_sizes: BTreeSet::new(),
@@ -171,8 +169,7 @@ impl RunObserver for SweepObserver<'_> {
         self.peer_wait.update(&activity, now);
         // An absent peer is waited for until shortly after the maximum duration of the sweep, but no longer than by other
         // commands.
-        let remaining =
-            self.started_at + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
+        let remaining = self.progress.time_limit() - self.peer_wait.last_present();
         let timeout = (remaining + MIN_ABSENCE_TIMEOUT).clamp(MIN_ABSENCE_TIMEOUT, PeerWait::DEFAULT_TIMEOUT);
         let name = self.measurements.cloud.as_deref();
         let trouble = name.and_then(|name| self.peer_wait.describe_trouble(name, wait_reason, now, timeout));

@@ -1,7 +1,7 @@
 //! Progress of the sweep.
 
 use peernet_analysis::calibration::{Sample, median_delay};
-use peernet_clock::{Direction, MonoTime};
+use peernet_clock::{Direction, MonoTime, Span};
 use peernet_statistics::number::{self, NONE, bytes, count, milliseconds};
 use peernet_statistics::{mean_rate, remaining_seconds};
 
@@ -46,6 +46,11 @@ impl SweepDisplay {
         self.measuring_since = now;
     }
 
+    /// Returns the time at which the maximum duration ends.
+    pub(super) fn time_limit(&self) -> MonoTime {
+        self.measuring_since + Span::from_seconds_f64(self.limits.max_seconds)
+    }
+
     /// Shows the state at `now`. If there is `trouble`, it replaces the state.
     pub(super) fn show(&mut self, samples: &[Sample], now: MonoTime, trouble: Option<String>) {
         let (limits, elapsed) = (&self.limits, (now - self.started_at).seconds());
@@ -87,4 +92,31 @@ impl SweepLimits {
 fn describe_median(samples: &[Sample], payload_bytes: u64) -> String {
     let median = median_delay(Direction::Up, samples, payload_bytes);
     median.map_or_else(|| NONE.to_owned(), |median| format!("{} ms", milliseconds(median)))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::super::Arguments;
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        arguments: Arguments,
+    }
+
+    #[test]
+    fn time_limit_counts_from_end_of_warm_up() {
+        let at = |seconds: i64| MonoTime::from_nanos(seconds * 1_000_000_000);
+        let line = Line::try_parse_from(["calibrate", "cloud", "--seconds", "120"]).expect("a command line");
+        let plan = Plan::new(&line.arguments).expect("the default sizes");
+        let quiet = true;
+        let mut display = SweepDisplay::new(&plan, quiet, at(0));
+        display.begin(at(5));
+        assert_eq!(display.time_limit(), at(125));
+        display.record_warm_up(at(70));
+        assert_eq!(display.time_limit(), at(190), "the agent counts the limit in the same way");
+    }
 }
