@@ -1,23 +1,35 @@
 //! Figures of the calibration of a link.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::of_messages::{LinkMessages, MessageSeries};
 use crate::render::export;
 use peernet_analysis::WriteError;
 use peernet_analysis::calibration::Study;
+use peernet_analysis::figure_files::FILE_ENDINGS;
 
 /// Draws the figures `latency` and `throughput` of a calibration into an existing folder, each as `.png`, `.svg`,
-/// `.pdf` and `-caption.txt`. Returns the paths of the files. A figure without data is left out.
+/// `.pdf` and `-caption.txt`. Returns the paths of the files. A figure without data is left out. Its files of an earlier
+/// calibration are then removed, because they would look like a part of this calibration.
 ///
 /// # Errors
-/// If a file cannot be written.
+/// If a file cannot be written or removed.
 pub fn draw_calibration(study: &Study, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let messages = messages(study);
     let mut files = Vec::new();
     for (stem, figure) in [("latency", messages.latency()), ("throughput", messages.throughput())] {
         if figure.series.iter().any(|series| !series.values.is_empty()) {
             files.extend(export::write(&figure.figure(), folder, stem)?);
+            continue;
+        }
+        for file in FILE_ENDINGS.map(|ending| folder.join(format!("{stem}{ending}"))) {
+            match std::fs::remove_file(&file) {
+                Err(error) if error.kind() != ErrorKind::NotFound => {
+                    return Err(WriteError::at(&file)(error));
+                }
+                _ => {}
+            }
         }
     }
     Ok(files)
@@ -111,5 +123,17 @@ mod tests {
             let dark = picture.pixels().filter(|pixel| pixel.0.iter().all(|channel| *channel < 0x40)).count();
             assert!(dark > 1_000, "{name} has no text: {dark} dark pixels");
         }
+    }
+
+    #[test]
+    fn calibration_without_delays_removes_earlier_figures() {
+        let folder = tempfile::tempdir().expect("a folder");
+        draw_calibration(&study(), folder.path()).expect("writable");
+        std::fs::write(folder.path().join("notes.txt"), "mine").expect("writable");
+        let without_delays = Study::new(Setting::default(), Vec::new(), &[]);
+        assert!(draw_calibration(&without_delays, folder.path()).expect("writable").is_empty());
+        let entries = std::fs::read_dir(folder.path()).expect("a folder");
+        let names: Vec<_> = entries.map(|entry| entry.expect("readable").file_name()).collect();
+        assert_eq!(names, ["notes.txt"]);
     }
 }
