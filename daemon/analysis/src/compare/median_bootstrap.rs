@@ -47,11 +47,13 @@ impl<'a> PooledValues<'a> {
 /// The ends of the interval are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994). Every run
 /// is resampled from its own blocks. The blocks have random lengths, whose mean [`blocks::length`] returns.
 ///
-/// To first order, the median of a resample depends only on the number of its values above the median of all values
-/// (Bahadur, *A note on quantiles in large samples*, Annals of Mathematical Statistics 37, 1966). If the resample has
-/// `excess` more such values than expected, its median is the quantile of all values at 0.5 + `excess` / n instead of
-/// at 0.5. The excess of a resample is the sum of the excesses of its blocks. The prefix sums of a run give the excess
-/// of a block without reading the block's values. The block length, too, is computed from the series of excesses.
+/// To first order, the median of a resample depends only on the numbers of its values above and below the median of all
+/// values (Bahadur, *A note on quantiles in large samples*, Annals of Mathematical Statistics 37, 1966). If the resample
+/// has `excess` more values above than expected, its median is the quantile of all values at 0.5 + `excess` / n instead
+/// of at 0.5. Values below move the median downwards in the same way. Both numbers are needed, because values may equal
+/// the median: if no value is above the median, the median of a resample can still be lower. The excess of a resample is
+/// the sum of the excesses of its blocks. The prefix sums of a run give the excess of a block without reading the
+/// block's values. The block length, too, is computed from the series of excesses.
 pub(super) fn median_difference(a: &PooledValues<'_>, b: &PooledValues<'_>, seed: u64) -> Option<Difference> {
     difference_from_resamples(a, b, seed, RESAMPLES)
 }
@@ -80,11 +82,13 @@ struct Resampler<'a> {
     runs: Vec<RunExcesses>,
 }
 
-/// Excesses of the pieces of a run, stored as prefix sums. The excess of a piece is the number of its values above the
-/// median of all values, minus the expected number of such values.
+/// Numbers of values above and below the median of all values, each minus the expected number.
+type Excesses = [f64; 2];
+
+/// Excesses of the pieces of a run, stored as prefix sums.
 struct RunExcesses {
     /// Sums of the excesses of the first 0, 1, 2, … pieces.
-    sums: Vec<f64>,
+    sums: Vec<Excesses>,
     /// Mean length of a block, in pieces.
     mean_block_length: f64,
 }
@@ -93,18 +97,25 @@ impl<'a> Resampler<'a> {
     fn new(pooled: &'a PooledValues<'_>) -> Option<Self> {
         let PooledValues { runs, sorted } = pooled;
         let median = pooled.median()?;
+        let below = sorted.values().partition_point(|value| *value < median);
         let above = sorted.len() - sorted.values().partition_point(|value| *value <= median);
-        let expected_share = above as f64 / sorted.len() as f64;
-        let excess = |value: &f64| f64::from(u8::from(*value > median)) - expected_share;
+        let expected_shares = [above, below].map(|count| count as f64 / sorted.len() as f64);
+        let excesses = |value: &f64| {
+            let is_counted = [*value > median, *value < median].map(|counts| f64::from(u8::from(counts)));
+            [is_counted[0] - expected_shares[0], is_counted[1] - expected_shares[1]]
+        };
         let run = |values: &Vec<f64>| {
             let pieces = values.chunks(values.len().div_ceil(MAX_PIECES));
-            let pieces: Vec<f64> = pieces.map(|piece| piece.iter().map(excess).sum()).collect();
-            let mut sums = vec![0.0];
-            sums.extend(pieces.iter().scan(0.0, |sum, piece| {
-                *sum += piece;
+            let pieces: Vec<Excesses> =
+                pieces.map(|piece| piece.iter().map(excesses).fold([0.0; 2], add)).collect();
+            let mut sums = vec![[0.0; 2]];
+            sums.extend(pieces.iter().scan([0.0; 2], |sum, piece| {
+                *sum = add(*sum, *piece);
                 Some(*sum)
             }));
-            RunExcesses { sums, mean_block_length: blocks::length(&pieces) }
+            // If no value equals the median, both excesses of a piece have the same size and different signs.
+            let shifts: Vec<f64> = pieces.iter().map(|[above, below]| (above - below) / 2.0).collect();
+            RunExcesses { sums, mean_block_length: blocks::length(&shifts) }
         };
         let runs = runs.iter().filter(|values| !values.is_empty()).map(run).collect();
         Some(Self { sorted, median, runs })
@@ -112,12 +123,22 @@ impl<'a> Resampler<'a> {
 
     /// Returns the median of one resample.
     fn draw(&self, random: &mut StdRng) -> f64 {
-        let mut excess = 0.0;
+        let mut excesses = [0.0; 2];
         for run in &self.runs {
-            run.draw_blocks(random, |from, to| excess += run.sums[to] - run.sums[from]);
+            run.draw_blocks(random, |from, to| {
+                excesses = add(excesses, run.sums[to]);
+                excesses = add(excesses, run.sums[from].map(|sum| -sum));
+            });
         }
-        self.sorted.quantile(0.5 + excess / self.sorted.len() as f64).unwrap_or(self.median)
+        let [above, below] = excesses.map(|excess| excess / self.sorted.len() as f64);
+        let quantile = |share: f64| self.sorted.quantile(share).unwrap_or(self.median);
+        let raised = quantile(0.5 + above);
+        if raised > self.median { raised } else { quantile(0.5 - below).min(self.median) }
     }
+}
+
+fn add(a: Excesses, b: Excesses) -> Excesses {
+    [a[0] + b[0], a[1] + b[1]]
 }
 
 impl RunExcesses {
@@ -202,6 +223,21 @@ mod tests {
         // If all values are equal, every resample has the same median, whether the number of values is even or odd.
         let same = difference(&[vec![2.0; 40]], &[vec![3.5; 31]], 1).expect("values");
         assert_eq!((same.value, same.interval, same.is_distinct()), (1.5, Some((1.5, 1.5)), Some(true)));
+    }
+
+    #[test]
+    fn median_among_equal_values_can_move_to_both_sides() {
+        // 46 of 100 values are 1 and 54 are 2, so that the median of many resamples is 1.
+        let noise = autocorrelated_values(0.0, 100, 0.0, 1);
+        let mut sorted = noise.clone();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let values: Vec<f64> = noise.iter().map(|x| if *x < sorted[46] { 1.0 } else { 2.0 }).collect();
+        let mirrored: Vec<f64> = values.iter().map(|value| 3.0 - value).collect();
+        let from_zero = |values: Vec<f64>| difference(&[vec![0.0; 100]], &[values], 1).expect("values");
+        let (found, found_mirrored) = (from_zero(values), from_zero(mirrored));
+        assert_eq!((found.value, found_mirrored.value), (2.0, 1.0));
+        assert_eq!(found.interval, Some((1.0, 2.0)));
+        assert_eq!(found_mirrored.interval, Some((1.0, 2.0)));
     }
 
     #[test]
