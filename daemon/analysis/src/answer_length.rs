@@ -223,6 +223,19 @@ mod tests {
     }
 
     #[test]
+    fn slope_is_insignificant_if_most_latencies_are_equal() {
+        // One answer took longer or shorter than all others, so nearly all slopes are 0.
+        let iterations = |last: f64| -> Vec<(f64, f64)> {
+            (1..=60).map(|n| (f64::from(n), if n == 60 { last } else { 0.1 })).collect()
+        };
+        for last in [0.2, 0.05] {
+            let growth = Growth::from_iterations(&iterations(last)).expect("60 lengths");
+            assert_eq!((growth.fit.slope.value, growth.interval), (0.0, (0.0, 0.0)));
+            assert_eq!(growth.line(), Err(NoLine::InsignificantSlope(60)));
+        }
+    }
+
+    #[test]
     fn slope_unit_follows_from_name_of_length() {
         assert_eq!(slope_unit("inference_output-tokens"), ("token".to_owned(), 1.0));
         assert_eq!(slope_unit("download-bytes"), ("kB".to_owned(), 1e3));
