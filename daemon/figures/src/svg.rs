@@ -232,8 +232,8 @@ pub(crate) fn append_number(out: &mut String, value: f64, decimals: usize) {
     }
 }
 
-/// Appends text with its markup characters escaped. Control characters become spaces, because an SVG with control
-/// characters is not valid XML.
+/// Appends text with its markup characters escaped. Control characters and the noncharacters U+FFFE and U+FFFF become
+/// spaces, because an SVG with these characters is not valid XML (W3C, *XML 1.0*, 2.2).
 fn append_escaped(out: &mut String, text: &str) {
     for character in printable_line(text).chars() {
         match character {
@@ -241,6 +241,7 @@ fn append_escaped(out: &mut String, text: &str) {
             '<' => out.push_str("&lt;"),
             '>' => out.push_str("&gt;"),
             '"' => out.push_str("&quot;"),
+            '\u{fffe}' | '\u{ffff}' => out.push(' '),
             other => out.push(other),
         }
     }

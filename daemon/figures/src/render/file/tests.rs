@@ -95,6 +95,14 @@ fn picture_grows_with_fixed_height_of_plot() {
 }
 
 #[test]
+fn name_with_invalid_xml_characters_is_drawn() {
+    let figure = Figure { title: "a\u{fffe}b\u{ffff}c\u{7}d".to_owned(), ..figure() };
+    let svg = svg(&figure);
+    assert!(svg.contains(">a b c d · n"), "{svg}");
+    ParsedFigure::of(&svg).expect("a valid SVG");
+}
+
+#[test]
 fn png_states_resolution_and_pdf_contains_font() {
     let parsed = ParsedFigure::of(&svg(&figure())).expect("an SVG");
     let pixels = parsed.pixels().expect("drawn");
