@@ -108,7 +108,11 @@ fn draw_x_axis(svg: &mut Writer, plot: &Plot, area: &Area) {
     if !plot.x.title.is_empty() {
         let label_lines = if ticks.is_empty() { 0 } else { x_label_lines(plot) };
         let baseline = bottom + LABEL_DISTANCE + LINE * label_lines as f64;
+        // A wide title is moved so that it stays in the picture, and shortened if it is wider than the picture.
+        let title = shorten(&plot.x.full_title(), TEXT, WIDTH - 2.0 * EDGE);
+        let half_width = width(&title, TEXT) / 2.0;
         let middle = area.left + area.width / 2.0;
-        text(svg, &plot.x.full_title(), (middle, baseline), (TEXT, INK_2.light, Anchor::Middle));
+        let middle = middle.min(WIDTH - EDGE - half_width).max(EDGE + half_width);
+        text(svg, &title, (middle, baseline), (TEXT, INK_2.light, Anchor::Middle));
     }
 }

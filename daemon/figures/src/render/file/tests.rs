@@ -103,6 +103,33 @@ fn name_with_invalid_xml_characters_is_drawn() {
 }
 
 #[test]
+fn long_title_of_horizontal_axis_stays_in_picture() {
+    // Returns the title and the two ends of its line.
+    let drawn = |title: &str| {
+        let mut figure = figure();
+        title.clone_into(&mut figure.plots[0].x.title);
+        // The middle of the plot is to the left of the middle of the picture.
+        figure.plots[0].free_right = 100.0;
+        let svg = svg(&figure);
+        let element = svg.split("<text ").find(|text| text.contains(">Inference")).expect("a title");
+        let middle = element.split('"').nth(1).and_then(|x| x.parse::<f64>().ok()).expect("a number");
+        let text = element.split(['>', '<']).nth(1).expect("a text").to_owned();
+        let half_width = crate::text::width(&text, TEXT) / 2.0;
+        (text, middle - half_width, middle + half_width)
+    };
+    let nested = format!("Inference {}, ms", "postprocessing ".repeat(9));
+    let (text, left, right) = drawn(&nested);
+    assert!(text.contains('…') && text.ends_with(", ms"), "{text}");
+    assert!(left >= 0.0 && right <= WIDTH, "{left} {right}");
+    // This title is narrower than the picture, but wider than twice the distance from the middle of the plot to the
+    // left edge of the picture.
+    let title = format!("Inference {}, ms", "n".repeat(34));
+    let (text, left, right) = drawn(&title);
+    assert_eq!(text, title);
+    assert!(left >= 0.0 && right <= WIDTH, "{left} {right}");
+}
+
+#[test]
 fn png_states_resolution_and_pdf_contains_font() {
     let parsed = ParsedFigure::of(&svg(&figure())).expect("an SVG");
     let pixels = parsed.pixels().expect("drawn");
