@@ -62,8 +62,8 @@ pub mod writing {
     pub use crate::readers::Readers;
     pub use crate::retention::StepResult;
     pub use crate::write::{
-        CommitError, CommitResult, ConnectionSample, FormerFiles, Introduction, PendingIncidents, RunName,
-        Streams, UnstorableBatch, Work, Writer,
+        CommitError, CommitResult, ConnectionSample, FormerFiles, Introduction, LiveRunDescription,
+        PendingIncidents, Streams, UnstorableBatch, Work, Writer,
     };
 }
 

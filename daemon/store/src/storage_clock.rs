@@ -73,6 +73,7 @@ impl StorageClock {
 pub(super) async fn wall_at_last_commit(
     connection: &mut SqliteConnection,
 ) -> Result<Option<WallTime>, sqlx::Error> {
+    // The outer `None` means no row, and the inner `None` means a row without a time.
     let wall: Option<Option<i64>> =
         sqlx::query_scalar("SELECT wall_ns FROM storage_clock").fetch_optional(connection).await?;
     Ok(wall.flatten().map(WallTime::from_unix_nanos))

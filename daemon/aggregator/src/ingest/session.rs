@@ -19,7 +19,7 @@ use super::hosts::{Hosts, Newcomer};
 use super::queue::{AdmittedWork, Queue};
 use super::routes::{Admission, Routes};
 use crate::live::LiveEvent;
-use peernet_store::writing::{CommitResult, RunName, StoredState, Streams, UnstorableBatch, Work};
+use peernet_store::writing::{CommitResult, LiveRunDescription, StoredState, Streams, UnstorableBatch, Work};
 
 /// Time without messages after which a host loses its session and has to send its hello again.
 const SESSION_TIMEOUT: Span = Span::from_seconds(60);
@@ -89,7 +89,7 @@ impl IngestSession {
                 if self.has_session(from, update.host)
                     && self.receiving.handle_live(update.host, now.mono).is_none()
                 {
-                    self.name_runs(&update, now.mono);
+                    self.describe_runs(&update, now.mono);
                     self.output.announce(LiveEvent::Update(Box::new(update)));
                 }
             }
@@ -116,9 +116,10 @@ impl IngestSession {
         }
     }
 
-    /// Stores the names of runs whose start is not in this database: the start was acknowledged while another database
-    /// was in use, so the agent does not send it again. Live updates contain the names.
-    fn name_runs(&mut self, update: &LiveUpdate, now: MonoTime) {
+    /// Stores the pipelines and placements of runs whose start is not in this database: the start was acknowledged while
+    /// another database was in use, so the agent does not send it again. Live updates contain the pipeline and the
+    /// placement.
+    fn describe_runs(&mut self, update: &LiveUpdate, now: MonoTime) {
         if !self.store.has_runs_without_start() {
             return;
         }
@@ -129,9 +130,9 @@ impl IngestSession {
             // If the queue is full, a later update is used.
             let Some(slot) = self.queue.reserve(0) else { return };
             let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());
-            let name = RunName { host, run, pipeline, placement };
-            slot.fill(AdmittedWork::Work(Work::Name(Box::new(name))), now);
-            self.store.record_name(update.host, run);
+            let description = LiveRunDescription { host, run, pipeline, placement };
+            slot.fill(AdmittedWork::Work(Work::LiveDescription(Box::new(description))), now);
+            self.store.record_description(update.host, run);
         }
     }
 

@@ -82,10 +82,12 @@ impl PageStatistics {
     }
 }
 
-/// Writes the roll-ups of a run for the buckets without deleted nodes. `first_complete_s` is the second before which
-/// nodes are deleted. `progress` is called after each page with the number of its iterations that statistics include.
+/// Adds the stored nodes of a run to `rollups`, and writes them. `first_complete_s` is the second before which the nodes
+/// of the run are deleted; `None` if none is deleted. The caller restricts `rollups` to buckets of which no node is
+/// deleted ([`Rollups::with_scope`]). `progress` is called after each page with the number of its iterations that
+/// statistics include.
 ///
-/// Verdicts are counted over the whole run, so they are written only if no node of the run is deleted.
+/// Verdicts are counted over the whole run, so they are written only if `first_complete_s` is `None`.
 pub(super) async fn write_rollups(
     connection: &mut SqliteConnection,
     run: i64,

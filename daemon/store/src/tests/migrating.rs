@@ -10,7 +10,7 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
 use super::clocks::sample;
 use super::retention::{day, run_until_done};
-use super::rollups::{assert_same, table};
+use super::rollups::{assert_same, read_rollups};
 use super::{NODES_PER_ITERATION, TestStore, database, generate, open};
 use crate::retention::Retention;
 use crate::types::{IterationFilter, RunFilter};
@@ -103,7 +103,7 @@ async fn database_without_experiments_is_migrated_unchanged() {
         test_store.store.run(1).await.expect("answers"),
         test_store.store.statistics_of(1).await.expect("answers").stages,
     );
-    let original_rollups = table(&mut test_store.second_connection().await).await;
+    let original_rollups = read_rollups(&mut test_store.second_connection().await).await;
     let path = copy_to_version(&test_store, 5).await;
     let mut connection = reopen(&mut test_store, &path).await;
     let migrated = (
@@ -111,7 +111,7 @@ async fn database_without_experiments_is_migrated_unchanged() {
         test_store.store.statistics_of(1).await.expect("answers").stages,
     );
     assert_eq!(migrated, expected);
-    assert_same(&table(&mut connection).await, &original_rollups);
+    assert_same(&read_rollups(&mut connection).await, &original_rollups);
     test_store.store_run(20).await;
     assert_eq!(test_store.store.runs(&RunFilter::default()).await.expect("answers").len(), 2);
 }
@@ -146,7 +146,7 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
         let expected = page_content(&test_store).await;
         let links = test_store.store.links().await.expect("answers");
         let recomputed = test_store.store.recompute(1).await.expect("answers").expect("exists");
-        let original_rollups = table(&mut test_store.second_connection().await).await;
+        let original_rollups = read_rollups(&mut test_store.second_connection().await).await;
         let path = copy_to_version(&test_store, version).await;
 
         let mut connection = reopen(&mut test_store, &path).await;
@@ -154,7 +154,7 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
         assert_eq!(test_store.count("SELECT count(*) FROM node").await, 1_000 * NODES_PER_ITERATION);
         // The migration makes coarser roll-ups from the stored roll-ups. It cannot make finer roll-ups, those of 1 s.
         let coarser = original_rollups.into_iter().filter(|((_, width_s, ..), _)| *width_s != 1).collect();
-        assert_same(&table(&mut connection).await, &coarser);
+        assert_same(&read_rollups(&mut connection).await, &coarser);
         assert_eq!(test_store.count("SELECT count(*) FROM rollup_debt").await, 0);
         let minutes = test_store.store.series(1, &[stage::TOTAL], 4).await.expect("answers");
         assert_eq!((minutes.bucket_s, minutes.stages[0].points.len()), (60, 4));
@@ -183,8 +183,8 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
         let links = test_store.store.links().await.expect("answers");
         assert_eq!((links.len(), links[0].last), (1, generate::at(1.0)));
         // The migration runs once: opening the file again changes no roll-up.
-        let migrated_rollups = table(&mut connection).await;
+        let migrated_rollups = read_rollups(&mut connection).await;
         reopen(&mut test_store, &path).await;
-        assert_same(&table(&mut connection).await, &migrated_rollups);
+        assert_same(&read_rollups(&mut connection).await, &migrated_rollups);
     }
 }

@@ -6,7 +6,7 @@ use peernet_stream::{Event, Iteration, Outcome};
 use sqlx::Connection;
 
 use super::generate::{self, Numbers};
-use super::rollups::{assert_same, table};
+use super::rollups::{assert_same, read_rollups};
 use super::{NOW, TestStore};
 use crate::rebuild::{Rebuilt, rebuild};
 
@@ -66,7 +66,7 @@ async fn rebuilt_statistics_equal_incremental_statistics() {
         let verdicts = "SELECT run, name, verdict, count FROM verdict_count ORDER BY run, name, verdict";
         let verdict_counts: Vec<(i64, i64, i64, i64)> =
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
-        let incremental = table(&mut connection).await;
+        let incremental = read_rollups(&mut connection).await;
         assert!(
             incremental.len() > 10_000 && verdict_counts.len() == 4,
             "{} {verdict_counts:?}",
@@ -85,7 +85,7 @@ async fn rebuilt_statistics_equal_incremental_statistics() {
         let rebuilt = rebuild(&mut connection, None, |progress| progress_reports.push(*progress))
             .await
             .expect("rebuilds");
-        assert_same(&table(&mut connection).await, &incremental);
+        assert_same(&read_rollups(&mut connection).await, &incremental);
         let rebuilt_verdict_counts: Vec<(i64, i64, i64, i64)> =
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
         assert_eq!(rebuilt_verdict_counts, verdict_counts);
@@ -100,12 +100,12 @@ async fn rebuilt_statistics_equal_incremental_statistics() {
 async fn rebuild_of_one_run_changes_no_other_run() {
     let test_store = store_with_random_arrivals(9).await;
     let mut connection = test_store.second_connection().await;
-    let incremental = table(&mut connection).await;
+    let incremental = read_rollups(&mut connection).await;
     sqlx::query("DELETE FROM rollup").execute(&mut connection).await.expect("empties");
     let rebuilt = rebuild(&mut connection, Some(2), |_| {}).await.expect("rebuilds");
     assert_eq!((rebuilt.runs, rebuilt.partly_rebuilt_runs), (1, 0));
     let rollups_of_second_run = incremental.into_iter().filter(|((run, ..), _)| *run == 2).collect();
-    assert_same(&table(&mut connection).await, &rollups_of_second_run);
+    assert_same(&read_rollups(&mut connection).await, &rollups_of_second_run);
     let rebuilt = rebuild(&mut connection, Some(3), |_| {}).await.expect("finds no run");
     assert_eq!(rebuilt, Rebuilt::default());
 }
@@ -129,9 +129,9 @@ async fn extreme_values_are_stored_outside_statistics() {
     assert_eq!((range.statistics.count, range.statistics.mean, range.statistics.max), (2, 2.0, 3.0));
 
     let mut connection = test_store.second_connection().await;
-    let incremental = table(&mut connection).await;
+    let incremental = read_rollups(&mut connection).await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
-    assert_same(&incremental, &table(&mut connection).await);
+    assert_same(&incremental, &read_rollups(&mut connection).await);
 }
 
 /// An earlier version included numbers close to infinity in statistics.

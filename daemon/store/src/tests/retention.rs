@@ -7,7 +7,7 @@ use sqlx::SqliteConnection;
 
 use super::clocks::sample;
 use super::generate::{self, Numbers};
-use super::rollups::{assert_same, table};
+use super::rollups::{assert_same, read_rollups};
 use super::{NODES_PER_ITERATION, NOW, TestStore};
 use crate::maintenance::{Examination, examine};
 use crate::rebuild::rebuild;
@@ -140,7 +140,7 @@ pub(super) fn short_retention() -> RetentionConfig {
 async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     let (test_store, _) = store_two_runs().await;
     let mut connection = test_store.second_connection().await;
-    let before = table(&mut connection).await;
+    let before = read_rollups(&mut connection).await;
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
     let mut retention = Retention::new(short_retention());
     run_until_done(&mut retention, &mut connection, day(4.0)).await;
@@ -153,7 +153,7 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
         60 => 3 * 86_400,
         _ => 1_000 * 86_400,
     };
-    let remaining = table(&mut connection).await;
+    let remaining = read_rollups(&mut connection).await;
     let must_stay = |((run, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
         *run == 2 || *width_s == 0 || bucket_s + width_s > now_s - period_s(*width_s)
     };

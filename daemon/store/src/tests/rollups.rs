@@ -14,7 +14,7 @@ use crate::rollups::{Quantity, Rollups, WHOLE_RUN, WIDTHS_S, bucket};
 pub(super) type Key = (i64, i64, i64, i64, i64);
 
 /// Reads the whole table `rollup`.
-pub(super) async fn table(connection: &mut SqliteConnection) -> BTreeMap<Key, Summary> {
+pub(super) async fn read_rollups(connection: &mut SqliteConnection) -> BTreeMap<Key, Summary> {
     type Row = (i64, i64, i64, i64, i64, i64, f64, f64, f64, f64, Vec<u8>);
     let rows: Vec<Row> = sqlx::query_as(
         "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch FROM rollup",
@@ -129,7 +129,7 @@ async fn run_actions(actions: Vec<Action>) {
             Action::Evict => rollups.shrink_to(rollups.bytes() / 2),
         }
     }
-    assert_same(&table(&mut connection).await, &expected);
+    assert_same(&read_rollups(&mut connection).await, &expected);
     let verdicts: i64 = sqlx::query_scalar("SELECT coalesce(sum(count), 0) FROM verdict_count")
         .fetch_one(&mut connection)
         .await

@@ -4,7 +4,7 @@ use peernet_logger::RunId;
 use peernet_stream::{BatchHead, EndReason, Event, RunEnded, codec};
 
 use super::{NOW, STAMP, TestStore, Work, generate, open};
-use crate::write::{RunName, UnstorableBatch, read_host_counts, read_runs_without_start};
+use crate::write::{LiveRunDescription, UnstorableBatch, read_host_counts, read_runs_without_start};
 
 const END_WITHOUT_REPORT: &str = "the agent ended without saying so";
 
@@ -91,7 +91,7 @@ async fn new_run_of_pipeline_ends_previous_one() {
 }
 
 #[tokio::test]
-async fn run_without_start_is_named_once_by_own_host() {
+async fn run_without_start_is_described_once_by_own_host() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
     let events = iterations(&test_store, run, 4..=6);
@@ -100,20 +100,26 @@ async fn run_without_start_is_named_once_by_own_host() {
     let mut connection = crate::database::open(&test_store.path).await.expect("opens");
     assert_eq!(read_runs_without_start(&mut connection, 10).await.expect("reads"), [(test_store.edge, run)]);
 
-    let name = |host, pipeline: &str| {
+    let description = |host, pipeline: &str| {
         let pipeline = pipeline.parse().expect("a name");
-        Work::Name(Box::new(RunName { host, run, pipeline, placement: generate::remote() }))
+        Work::LiveDescription(Box::new(LiveRunDescription {
+            host,
+            run,
+            pipeline,
+            placement: generate::remote(),
+        }))
     };
-    let (name_by_other_host, first_name) = (name(test_store.cloud, "stolen"), name(test_store.edge, "line"));
-    let (second_name, unknown_run) = (name(test_store.edge, "later"), RunId::random());
-    let name_of_unknown_run = Work::Name(Box::new(RunName {
+    let by_other_host = description(test_store.cloud, "stolen");
+    let first = description(test_store.edge, "line");
+    let (second, unknown_run) = (description(test_store.edge, "later"), RunId::random());
+    let of_unknown_run = Work::LiveDescription(Box::new(LiveRunDescription {
         host: test_store.edge,
         run: unknown_run,
         pipeline: "line".parse().expect("a name"),
         placement: generate::remote(),
     }));
-    test_store.commit(&[name_by_other_host, first_name]).await;
-    test_store.commit(&[second_name, name_of_unknown_run]).await;
+    test_store.commit(&[by_other_host, first]).await;
+    test_store.commit(&[second, of_unknown_run]).await;
     let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((detail.summary.pipeline.as_str(), &detail.summary.placement), ("line", &generate::remote()));
     assert_eq!(test_store.count("SELECT count(*) FROM run").await, 1);

@@ -8,7 +8,7 @@ use peernet_stream::{
     STREAM_VERSIONS, StreamId, StreamRecord,
 };
 
-use super::rollups::{assert_same, table};
+use super::rollups::{assert_same, read_rollups};
 use super::{NOW, STAMP, TestStore, Work, generate, hello, open};
 use crate::rebuild::rebuild;
 use crate::stored::StoredCounts;
@@ -159,9 +159,9 @@ async fn iterations_repeated_in_another_stream_are_left_out() {
     let verdicts = "SELECT run, name, verdict, count FROM verdict_count ORDER BY run, name, verdict";
     let verdict_counts: Vec<(i64, i64, i64, i64)> =
         sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
-    let incremental = table(&mut connection).await;
+    let incremental = read_rollups(&mut connection).await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
-    assert_same(&table(&mut connection).await, &incremental);
+    assert_same(&read_rollups(&mut connection).await, &incremental);
     let rebuilt_verdict_counts: Vec<(i64, i64, i64, i64)> =
         sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
     assert_eq!(rebuilt_verdict_counts, verdict_counts);

@@ -9,7 +9,7 @@ use peernet_stream::{HostDescription, RunDescription, RunEnded};
 use serde::Serialize;
 use sqlx::{FromRow, SqliteConnection};
 
-use super::{Refusal, RunName};
+use super::{LiveRunDescription, Refusal};
 use crate::stored::{CountColumns, StoredCounts, gap_columns};
 
 /// Maximum number of runs in the cache. When it is reached, all cached runs are discarded. A run is read again when it
@@ -238,18 +238,19 @@ impl Entities {
         Ok((self.remember(reporter, run.run, KnownRun { number, uuid }), pipeline))
     }
 
-    /// Stores a run's pipeline and placement from a live update. The description in the run's start event takes
-    /// precedence, whether it arrived before or arrives later.
-    pub(super) async fn name_run(
+    /// Stores a run's pipeline and placement from a live update. The run's start event takes precedence,
+    /// whether it arrived before or arrives later.
+    pub(super) async fn describe_run(
         &mut self,
         connection: &mut SqliteConnection,
-        name: &RunName,
+        description: &LiveRunDescription,
         now: WallTime,
     ) -> Result<(), Refusal> {
-        let reporter = Reporter { id: name.host, row: self.host(connection, name.host, now).await? };
-        let Some(known) = self.find_run(connection, reporter, name.run).await? else { return Ok(()) };
-        let pipeline = pipeline(connection, reporter.row, name.pipeline.as_str()).await?;
-        let placement = &name.placement;
+        let reporter =
+            Reporter { id: description.host, row: self.host(connection, description.host, now).await? };
+        let Some(known) = self.find_run(connection, reporter, description.run).await? else { return Ok(()) };
+        let pipeline = pipeline(connection, reporter.row, description.pipeline.as_str()).await?;
+        let placement = &description.placement;
         // The condition on `version` leaves a run unchanged whose start event has arrived. The condition on `model`
         // leaves a run unchanged that already has its pipeline and placement from a live update.
         sqlx::query(

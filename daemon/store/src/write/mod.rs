@@ -41,7 +41,7 @@ pub(crate) use self::secrets::read_host_secrets;
 pub use self::streams::Streams;
 use self::transaction::Staging;
 pub(crate) use self::work::Refusal;
-pub use self::work::{Introduction, RunName, UnstorableBatch, Work};
+pub use self::work::{Introduction, LiveRunDescription, UnstorableBatch, Work};
 use super::foreign_log::assign_id;
 use super::limits::BUSY_TIMEOUT;
 use super::retention::{self, Retention, StepResult};
@@ -297,7 +297,7 @@ impl Writer {
 
     /// Handles a part with a single piece of work that was refused because of `reason`. If some iterations of a refused
     /// batch are already stored, its other iterations are stored. Otherwise the batch is quarantined. For missing
-    /// batches, the mark advances without a gap. A message, such as a hello, is dropped.
+    /// batches, the mark advances past them and no gap is stored. A message, such as a hello, is dropped.
     async fn store_refused_part(
         &mut self,
         part: &[Work],

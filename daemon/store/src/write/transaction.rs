@@ -88,7 +88,10 @@ impl Staging {
                     (head, None)
                 }
                 // Only batches are quarantined. Another message that the database refused is dropped.
-                (Work::Hello(_) | Work::Goodbye(_) | Work::Secret(_) | Work::Name(_), Some(reason)) => {
+                (
+                    Work::Hello(_) | Work::Goodbye(_) | Work::Secret(_) | Work::LiveDescription(_),
+                    Some(reason),
+                ) => {
                     tracing::error!(
                         reason,
                         "the database refused a message of a host: the message is dropped, the batches are stored"
@@ -110,8 +113,8 @@ impl Staging {
                     committed.secrets.push((*host, secrets::read_host_secret(connection, *host).await?));
                     continue;
                 }
-                (Work::Name(name), None) => {
-                    self.entities.name_run(connection, name, now).await?;
+                (Work::LiveDescription(description), None) => {
+                    self.entities.describe_run(connection, description, now).await?;
                     continue;
                 }
             };

@@ -16,8 +16,9 @@ pub enum Work {
     Hello(Box<Introduction>),
     /// A host said goodbye, so its runs have ended. Events in its spool may still follow.
     Goodbye(HostId),
-    /// The name of a run, from a live update. The store has iterations of this run, but its start has not arrived yet.
-    Name(Box<RunName>),
+    /// Pipeline and placement of a run, from a live update. The store has iterations of this run, but its start has not
+    /// arrived yet.
+    LiveDescription(Box<LiveRunDescription>),
     /// A batch of events.
     Batch(Box<PreparedBatch>),
     /// A batch that can never be stored. It is quarantined as it arrived.
@@ -62,9 +63,9 @@ pub struct UnstorableBatch {
     pub reason: String,
 }
 
-/// Name and placement of a run, from a live update.
+/// Pipeline and placement of a run, from a live update.
 #[derive(Clone, Debug)]
-pub struct RunName {
+pub struct LiveRunDescription {
     /// The host of the run.
     pub host: HostId,
     /// The run.
@@ -93,9 +94,9 @@ impl Work {
         }
     }
 
-    /// Returns the weight of the work, which is about its number of tree nodes (rows of the table
-    /// `node`): for a batch, 1 plus the numbers of its steps and nodes; for other work, 1. The sizes of
-    /// commits are limited by weight.
+    /// Returns the weight of the work, by which the sizes of commits are limited. The weight of a batch is 1 plus the
+    /// number of its tree nodes (rows of the table `node`), of the runs of its iterations, and of its other events. The
+    /// weight of other work is 1.
     pub fn weight(&self) -> usize {
         if let Self::Batch(batch) = self { batch.weight() } else { 1 }
     }

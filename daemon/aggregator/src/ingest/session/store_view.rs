@@ -35,18 +35,18 @@ impl StoreView {
         self.is_open = false;
     }
 
-    /// Returns whether any run without a start event waits for its name.
+    /// Returns whether any run without a start event waits for its description.
     pub(super) fn has_runs_without_start(&self) -> bool {
         !self.runs_without_start.is_empty()
     }
 
-    /// Returns whether this run has no start event and waits for its name.
+    /// Returns whether this run has no start event and waits for its description.
     pub(super) fn is_without_start(&self, host: HostId, run: RunId) -> bool {
         self.runs_without_start.contains(&(host, run))
     }
 
-    /// Records that the run was named.
-    pub(super) fn record_name(&mut self, host: HostId, run: RunId) {
+    /// Records that the run was described.
+    pub(super) fn record_description(&mut self, host: HostId, run: RunId) {
         self.runs_without_start.remove(&(host, run));
     }
 
