@@ -128,9 +128,9 @@ impl Verdict {
         verdicts.into_iter().max_by_key(|verdict| verdict.severity())
     }
 
-    /// Returns the summary verdict of many delays: the worst verdict V such that at least a twentieth of the delays
-    /// have the verdict V or a worse verdict. `counts` has the number of delays for each verdict. `None` without
-    /// delays.
+    /// Returns the summary verdict of many delays, which is the 95th percentile of their verdicts from the best to the
+    /// worst: at least a twentieth of the delays have this verdict or a worse verdict. `counts` has the number of delays
+    /// for each verdict. `None` without delays.
     // A few bad delays must not hide that all others are good, and many bad delays must not be hidden by good ones.
     pub fn summarise(counts: impl IntoIterator<Item = (Self, u64)>) -> Option<Self> {
         let mut counts: Vec<(Self, u64)> = counts.into_iter().filter(|(_, count)| *count > 0).collect();

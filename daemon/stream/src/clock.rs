@@ -106,7 +106,8 @@ pub struct DelaySecond {
     /// Median of the delays that have a value, with the medians of their lower and of their upper bounds; `None` if no
     /// delay has a value. Agents before 0.3.0 send the bounds of the median delay.
     pub median: Option<DelayPoint>,
-    /// Worst verdict such that at least a twentieth of the judged delays have this verdict or a worse verdict.
+    /// 95th percentile of the verdicts, from the best to the worst: at least a twentieth of the judged delays have this
+    /// verdict or a worse verdict.
     pub verdict: Verdict,
 }
 

@@ -18,10 +18,11 @@ use crate::state::App;
 use crate::view::chip::Chip;
 use crate::view::compare::{
     Address, Axes, BoxRow, CompareSelection, Comparison, Configuration, DifferenceRow, Differences,
-    Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, OverTime, PairwiseRow, PayloadPlots,
-    PlaceComparison, QualityPlot, RunMeans, Setting, StackRow, StageDifference, Table, UsersTable, answers,
-    boxes, caveats, commands, distributions, lengths, load_comparison, measured_users, over_time, pairwise,
-    payload, place_comparisons, qualities, run_means, run_time_series, stacks, title, unknown_labels, users,
+    Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, ModelByPlace, OverTime, PairwiseRow,
+    PayloadPlots, QualityPlot, RunMeans, Setting, StackRow, StageDifference, Table, UsersTable, answers,
+    boxes, caveats, commands, distributions, lengths, load_comparison, measured_users, models_by_place,
+    over_time, pairwise, payload, qualities, run_means, run_time_series, stacks, title, unknown_labels,
+    users,
 };
 
 /// Registration of this page.
@@ -73,8 +74,9 @@ struct Compare {
     distributions: Option<Distributions>,
     /// Each run over time.
     over_time: Option<OverTime>,
-    place_comparisons: Vec<PlaceComparison>,
-    place_axes: Axes,
+    /// Inference of each model that ran at several places, such as on board and in the cloud.
+    models_by_place: Vec<ModelByPlace>,
+    models_by_place_axes: Axes,
     baseline: Baseline,
     /// Settings that do not distinguish configurations.
     settings: Vec<Setting>,
@@ -166,7 +168,7 @@ fn assemble(
     let best = differences.ranking.as_ref().map(|ranking| ranking.best);
     let (stacks, axes) = stacks(comparison, best);
     let (boxes, boxes_axes) = boxes(comparison);
-    let (place_comparisons, place_axes) = place_comparisons(comparison);
+    let (models_by_place, models_by_place_axes) = models_by_place(comparison);
     let (runs, stored_runs) = (comparison.run_count(), comparison.runs().count());
     let crumb = match &comparison.experiment {
         Some((name, _)) => format!("experiment {name}"),
@@ -201,8 +203,8 @@ fn assemble(
         boxes_axes,
         distributions,
         over_time: None,
-        place_comparisons,
-        place_axes,
+        models_by_place,
+        models_by_place_axes,
         baseline: Baseline::of(comparison, &differences),
         settings: comparison.settings.clone(),
         names: comparison.configurations.iter().map(|one| one.name.clone()).collect(),

@@ -23,7 +23,7 @@ struct ActionLine<'a> {
     answer: Value,
 }
 
-/// A line of feedback. The controller did not report a value whose key is missing or `null`.
+/// A line of feedback. A missing key or `null` means that the controller did not report this value.
 // The line is not read as a `Value`, which would accept a key that occurs twice.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -56,16 +56,17 @@ pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> ClaimSummary
     let join_texts = |reports: &mut dyn Iterator<Item = &SourceReport>| {
         reports.map(|report| report.text.as_str()).collect::<Vec<_>>().join("; ")
     };
-    let narrowest_claim = claims.iter().min_by_key(|(_, error)| error.width());
-    let intersection = claims.iter().map(|(_, error)| Some(*error));
-    let intersection = intersection.reduce(|a, b| a?.intersection(b?));
-    let (Some((narrowest_claim, _)), Some(intersection)) = (narrowest_claim, intersection) else {
+    let Some((narrowest_report, narrowest_error)) = claims.iter().min_by_key(|(_, error)| error.width())
+    else {
         let text = match reports {
             [] => "no source of claims is configured".to_owned(),
             reports => join_texts(&mut reports.iter()),
         };
         return ClaimSummary { text, ..ClaimSummary::default() };
     };
+    // `None` if the claims contradict each other.
+    let intersection =
+        claims.iter().try_fold(*narrowest_error, |common, (_, error)| common.intersection(*error));
     let Some(error) = intersection else {
         let descriptions: Vec<String> = claims
             .iter()
@@ -75,7 +76,7 @@ pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> ClaimSummary
         return ClaimSummary { claim: None, text, is_contradictory: true };
     };
     ClaimSummary {
-        claim: Some(ClockClaim { source: narrowest_claim.source, error }),
+        claim: Some(ClockClaim { source: narrowest_report.source, error }),
         text: join_texts(&mut claims.iter().map(|(report, _)| *report)),
         is_contradictory: false,
     }

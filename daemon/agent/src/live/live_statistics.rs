@@ -6,7 +6,7 @@ use peernet_clock::MonoTime;
 use peernet_logger::{RunId, Slug, Tree};
 use peernet_stream::{Outcome, PipelineLive, PipelineState, Placement};
 
-use super::ring::{Ring, SentSeconds};
+use super::ring::{Ring, SecondVersions};
 
 /// Live state of a pipeline. The pipeline's task updates the state; locks are held for microseconds.
 #[derive(Debug)]
@@ -65,9 +65,9 @@ impl PipelineLiveState {
         self.lock().ring.record(unix_second, outcome, warm_up, tree);
     }
 
-    fn live(&self) -> (PipelineLive, SentSeconds) {
+    fn live(&self) -> (PipelineLive, SecondVersions) {
         let fields = self.lock();
-        let (seconds, sent_seconds) = fields.ring.changed_seconds();
+        let (seconds, versions) = fields.ring.changed_seconds();
         let live = PipelineLive {
             pipeline: self.pipeline.clone(),
             state: fields.state.clone(),
@@ -76,7 +76,7 @@ impl PipelineLiveState {
             load: self.load.clone(),
             seconds,
         };
-        (live, sent_seconds)
+        (live, versions)
     }
 
     fn lock(&self) -> MutexGuard<'_, LiveFields> {
@@ -90,14 +90,14 @@ impl PipelineLiveState {
 #[derive(Clone, Debug)]
 pub(crate) struct LiveStatistics(Arc<[Arc<PipelineLiveState>]>);
 
-/// Seconds that an update contains; passed to [`LiveStatistics::mark_sent`] once the update is sent.
+/// Seconds of each pipeline in an update; passed to [`LiveStatistics::mark_sent`] once the update is sent.
 #[derive(Debug)]
-pub(crate) struct Receipt(Vec<SentSeconds>);
+pub(crate) struct Receipt(Vec<SecondVersions>);
 
 impl Receipt {
     /// Keeps the newest `max_seconds` seconds of each pipeline: the other seconds were not sent.
     pub(crate) fn truncate(&mut self, max_seconds: usize) {
-        self.0.iter_mut().for_each(|sent_seconds| sent_seconds.truncate(max_seconds));
+        self.0.iter_mut().for_each(|versions| versions.truncate(max_seconds));
     }
 }
 
@@ -109,8 +109,8 @@ impl LiveStatistics {
     /// Returns every pipeline with the seconds that changed since they were last marked as sent, and a receipt for
     /// them.
     pub(crate) fn snapshot(&self) -> (Vec<PipelineLive>, Receipt) {
-        let (pipelines, sent_seconds) = self.0.iter().map(|live_state| live_state.live()).unzip();
-        (pipelines, Receipt(sent_seconds))
+        let (pipelines, versions) = self.0.iter().map(|live_state| live_state.live()).unzip();
+        (pipelines, Receipt(versions))
     }
 
     /// Returns the time since which a pipeline waits for its sensor; `None` if it does not wait.
@@ -120,8 +120,8 @@ impl LiveStatistics {
 
     /// Marks the seconds of a receipt as sent.
     pub(crate) fn mark_sent(&self, receipt: &Receipt) {
-        for (live_state, sent_seconds) in self.0.iter().zip(&receipt.0) {
-            live_state.lock().ring.mark_sent(sent_seconds);
+        for (live_state, versions) in self.0.iter().zip(&receipt.0) {
+            live_state.lock().ring.mark_sent(versions);
         }
     }
 

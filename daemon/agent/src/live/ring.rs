@@ -23,11 +23,12 @@ pub(super) struct Ring {
     version: u64,
 }
 
-/// Seconds of a ring that are in an update, newest first: (start in Unix time, version).
+/// The seconds in an update with their versions, newest first: (start in Unix time, version). The seconds are marked as
+/// sent with these versions once the update is sent.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct SentSeconds(Vec<(i64, u64)>);
+pub(crate) struct SecondVersions(Vec<(i64, u64)>);
 
-impl SentSeconds {
+impl SecondVersions {
     /// Keeps the newest `max_seconds` seconds.
     pub(super) fn truncate(&mut self, max_seconds: usize) {
         self.0.truncate(max_seconds);
@@ -73,21 +74,21 @@ impl Ring {
         &mut self.seconds[index]
     }
 
-    /// Returns the seconds that changed since they were last sent, newest first.
-    pub(super) fn changed_seconds(&self) -> (Vec<Second>, SentSeconds) {
+    /// Returns the seconds that changed since they were last sent, newest first, and their versions.
+    pub(super) fn changed_seconds(&self) -> (Vec<Second>, SecondVersions) {
         let changed_seconds = self
             .seconds
             .iter()
             .rev()
             .filter(|second| second.version > second.sent_version)
             .take(MAX_SENT_SECONDS);
-        let (seconds, sent) =
+        let (seconds, versions) =
             changed_seconds.map(|second| (second.to_message(), (second.at, second.version))).unzip();
-        (seconds, SentSeconds(sent))
+        (seconds, SecondVersions(versions))
     }
 
     /// Marks the seconds of an update as sent.
-    pub(super) fn mark_sent(&mut self, sent: &SentSeconds) {
+    pub(super) fn mark_sent(&mut self, sent: &SecondVersions) {
         for (at, version) in &sent.0 {
             // A second that changed after the update was made has a larger version and is sent again.
             if let Some(second) = self.seconds.iter_mut().find(|second| second.at == *at) {

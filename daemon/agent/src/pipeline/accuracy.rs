@@ -19,8 +19,9 @@ const SEGMENTED_IOU: Name = Name::from_static(SEGMENTATION_SCORE);
 /// Records the accuracy of an answer to a sample with the label `label`: `mean-iou` of a segmentation, `map-50` and
 /// `mean-iou` of a detection, `top-1` and `top-5` of a classification.
 ///
-/// Records nothing if the label expects another form of answer, or if the model marked a class of the label as unknown
-/// (`unknown-label`). If a mask contains a class that the model does not have, records `unknown-label` only.
+/// No accuracy is recorded if the label expects another form of answer, or if the model does not have the class of the
+/// label. `unknown-label` shows the second case. The model has recorded it already, unless the label is a mask, which
+/// the model does not receive; then it is recorded here.
 ///
 /// # Errors
 /// When the mask of the picture cannot be read. Nothing is recorded then.

@@ -140,11 +140,14 @@ impl Runner {
                 LoopEnd::Broken(error) => (EndReason::Failed(error.to_string()), Err(error.into())),
             };
             self.end_run(run.as_mut(), reason);
-            // An iteration records the skipped starts before it. No iteration follows the last skipped starts, so they
-            // are logged.
+            // An iteration records how many starts of iterations were skipped before it. No iteration follows the last
+            // skipped starts, so they are logged.
             if resources.schedule.unreported_skips() > 0 {
-                let (pipeline, starts) = (&self.config.name, resources.schedule.unreported_skips());
-                tracing::warn!(%pipeline, starts, "the last starts before the end were skipped");
+                let (pipeline, skipped) = (&self.config.name, resources.schedule.unreported_skips());
+                tracing::warn!(
+                    %pipeline, skipped,
+                    "the last iterations that were due before the run ended were skipped"
+                );
             }
             placement.close(planned_iterations).await;
             return result;

@@ -233,7 +233,7 @@ async fn unknown_model_is_refused_with_list_of_models() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn wrong_device_is_refused_with_models_device() {
+async fn refusal_of_wrong_device_names_device_of_model() {
     let port = free_port();
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
     let tables = edge(port, "slow").replace("model = 'slow'", "model = 'slow', device = 'cuda:0'");

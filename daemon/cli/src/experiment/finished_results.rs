@@ -62,9 +62,9 @@ pub(crate) fn load_finished_results(folder: &Path) -> Result<RunRecord, Unusable
     }
 }
 
-/// Returns the status of a run by its recorded status and its results. A run in progress is finished if its results
-/// show that it was measured to its end. The results decide, as they do for the aggregator: the program may have been
-/// killed before it recorded the end of the run.
+/// Returns the status of a run by its recorded status and its results. If a run is recorded as in progress, but its
+/// results show that it was measured to its end, the returned status is [`RunStatus::Finished`]. The results decide, as
+/// they do for the aggregator: the program may have been killed before it recorded the end of the run.
 pub(crate) fn status_by_results(recorded: RunStatus, run_dir: &Path, users: u32) -> RunStatus {
     let is_measured = || result_dirs(run_dir, users).all(|folder| load_finished_results(&folder).is_ok());
     if recorded == RunStatus::Running && is_measured() { RunStatus::Finished } else { recorded }

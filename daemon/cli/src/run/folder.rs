@@ -168,8 +168,8 @@ fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
     entries.filter(|entry| is_draft(&entry.file_name())).map(|entry| entry.path())
 }
 
-/// Reads the record in a folder; `None` if there is no record. A run in progress is finished if its results show that it
-/// was measured to its end.
+/// Reads the record in a folder; `None` if there is no record. [`status_by_results`] determines the status of each run from
+/// the recorded status and the results.
 ///
 /// # Errors
 /// When it cannot be read (exit code 65).

@@ -7,7 +7,8 @@
 //! - between two points of one side, a ≤ q ≤ b, the chord of ψ is above ψ: θ(q) ≤ [(b−q)·U_a + (q−a)·U_b] / (b−a) +
 //!   κ(q−a)(b−q)/2;
 //! - beyond two points, one of each side, a < b ≤ q, the chord of φ from a to q is below φ(b): θ(q) ≤ U_b +
-//!   (q−b)·(U_b − L_a) / (b−a) + κ(q−a)(q−b)/2, and likewise before them.
+//!   (q−b)·(U_b − L_a) / (b−a) + κ(q−a)(q−b)/2. A symmetric bound holds before both
+//!   points, q ≤ a.
 //!
 //! Convex hulls select the two points that bound θ(q) best: for the chord of ψ, the hull of the points (x, U + κx²/2);
 //! for the chord of φ, the hull of the points (x, U − κx²/2) and the hull of the points (x, L − κx²/2). Lower points

@@ -172,7 +172,8 @@ pub enum ProgramCallError {
     },
     /// The sum of the reported stages is longer than the whole call.
     #[error(
-        "the stages that it reported add up to {stages:?}, but it replied within {call:?}; report seconds with at least six decimals"
+        "the stages that it reported add up to {stages:?}, but it replied within {call:?}; if the program \
+         rounds its durations up, let it report seconds with at least six decimals"
     )]
     StagesTooLong {
         /// Sum of the stages.
@@ -182,7 +183,8 @@ pub enum ProgramCallError {
     },
     /// A reported stage is longer than the whole call.
     #[error(
-        "the stage {name} that it reported takes {stage:?}, but it replied within {call:?}; report seconds with at least six decimals"
+        "the stage {name} that it reported takes {stage:?}, but it replied within {call:?}; if the program \
+         rounds its durations up, let it report seconds with at least six decimals"
     )]
     StageTooLong {
         /// Name of the stage.

@@ -18,7 +18,7 @@ fn tree(nodes: &[(&str, Option<f64>)]) -> Tree {
     tree
 }
 
-fn table(rows: &[Tree]) -> String {
+fn csv(rows: &[Tree]) -> String {
     let mut out = Vec::new();
     write(&mut out, rows.iter().enumerate().map(|(index, tree)| (index as u64 + 1, tree)))
         .expect("writing to memory succeeds");
@@ -37,7 +37,7 @@ fn nested_names_are_joined_and_values_of_parents_get_suffix() {
         ("download", Some(3.0)),
     ])];
     assert_eq!(
-        table(&rows),
+        csv(&rows),
         "iteration,sensing,inference_val,inference_pre,model_layer_one,download\n1,0.5,2,0.25,0.0000001,3\n"
     );
 }
@@ -50,7 +50,7 @@ fn columns_of_later_rows_keep_their_order() {
         tree(&[("c", Some(3.0)), ("c/deep", Some(5.0))]),
         tree(&[]),
     ];
-    assert_eq!(table(&rows), "iteration,a,b,c_val,c_deep,d\n1,1,,3,,\n2,1,2,3,,4\n3,,,3,5,\n4,,,,,\n");
+    assert_eq!(csv(&rows), "iteration,a,b,c_val,c_deep,d\n1,1,,3,,\n2,1,2,3,,4\n3,,,3,5,\n4,,,,,\n");
 }
 
 #[test]
@@ -63,13 +63,13 @@ fn column_names_are_unique() {
         ("tool", Some(3.0)),
         ("tool", Some(4.0)),
     ])];
-    assert_eq!(table(&rows), "iteration,iteration_2,a_b,a_b_2,tool,tool_2\n1,0,1,2,3,4\n");
+    assert_eq!(csv(&rows), "iteration,iteration_2,a_b,a_b_2,tool,tool_2\n1,0,1,2,3,4\n");
 }
 
 #[test]
 fn special_characters_in_names_are_quoted() {
     let rows = [tree(&[("force, \"left\"", Some(1.0))])];
-    assert_eq!(table(&rows), "iteration,\"force, \"\"left\"\"\"\n1,1\n");
+    assert_eq!(csv(&rows), "iteration,\"force, \"\"left\"\"\"\n1,1\n");
 }
 
 proptest! {
@@ -89,7 +89,7 @@ proptest! {
                 tree
             })
             .collect();
-        let text = table(&trees);
+        let text = csv(&trees);
         let mut reader = ::csv::Reader::from_reader(text.as_bytes());
         let headers = reader.headers().expect("a header").clone();
         prop_assert_eq!(headers.iter().collect::<HashSet<_>>().len(), headers.len());

@@ -31,7 +31,7 @@ pub(crate) use gather::{CompareSelection, MAX_EXPERIMENT_RUNS, load_comparison};
 pub(crate) use lengths::{Lengths, answers, lengths};
 pub(crate) use pairwise::{PairwiseRow, pairwise};
 pub(crate) use payload::{PayloadPlots, payload};
-pub(crate) use pictures::{Axes, PlaceComparison, StackRow, place_comparisons, stacks};
+pub(crate) use pictures::{Axes, ModelByPlace, StackRow, models_by_place, stacks};
 pub(crate) use qualities::{QualityPlot, qualities};
 pub(crate) use series::{OverTime, over_time, run_time_series};
 pub(crate) use spread::{BoxRow, boxes};

@@ -48,8 +48,8 @@ impl Axes {
     }
 }
 
-/// A model that ran at several places.
-pub(crate) struct PlaceComparison {
+/// A model that ran at several places, with its inference at each place.
+pub(crate) struct ModelByPlace {
     pub model: String,
     pub places: Vec<PlaceRow>,
 }
@@ -148,7 +148,7 @@ fn routes(runs: &[&RunSummary]) -> String {
 /// Returns the models that ran at several places, such as on board and in the cloud. Only the inference is compared, on
 /// one scale. All runs of a model at one place are combined. Repeats of one configuration may be at several places, such
 /// as on two devices.
-pub(crate) fn place_comparisons(comparison: &Comparison) -> (Vec<PlaceComparison>, Axes) {
+pub(crate) fn models_by_place(comparison: &Comparison) -> (Vec<ModelByPlace>, Axes) {
     let runs = comparison.configurations.iter().flat_map(|one| one.runs.iter().map(move |run| (one, run)));
     let measured: Vec<MeasuredRun<'_>> = runs
         .filter_map(|(configuration, run)| {
@@ -173,11 +173,11 @@ pub(crate) fn place_comparisons(comparison: &Comparison) -> (Vec<PlaceComparison
         .collect();
     let upper_ends = rows.iter().flat_map(|(_, places)| places).map(|place| place.quartiles.largest_drawn());
     let scale = Scale::up_to(upper_ends.fold(0.0, f64::max) * 1e3, TICKS);
-    let place_comparison = |(model, places): &(&String, Vec<PlaceValues<'_>>)| PlaceComparison {
+    let model_by_place = |(model, places): &(&String, Vec<PlaceValues<'_>>)| ModelByPlace {
         model: (*model).clone(),
         places: places.iter().map(|place| place.row(&scale)).collect(),
     };
-    (rows.iter().map(place_comparison).collect(), Axes::of(&scale))
+    (rows.iter().map(model_by_place).collect(), Axes::of(&scale))
 }
 
 /// A run with values of the inference.

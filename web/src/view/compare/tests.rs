@@ -371,7 +371,7 @@ fn inference_of_model_is_compared_between_places() {
         configuration(1, PlacementKind::Local, 2.0, 1e3),
         configuration(2, PlacementKind::Remote, 3.0, 1e6),
     ]);
-    let (models, _) = place_comparisons(&mixed);
+    let (models, _) = models_by_place(&mixed);
     let names: Vec<&str> = models[0].places.iter().map(|place| place.configuration.as_str()).collect();
     assert_eq!(
         (models.len(), names),
@@ -384,14 +384,14 @@ fn inference_of_model_is_compared_between_places() {
         many.runs.push(RunSummary { host_name: samples::slug(&format!("user-{user}")), ..run.clone() });
     }
     let users = comparison(vec![configuration(0, PlacementKind::Local, 1.0, 1e3), many]);
-    let (several_users, _) = place_comparisons(&users);
+    let (several_users, _) = models_by_place(&users);
     assert!(
         several_users[0].places[1].place.starts_with("cloud: user-1, user-2, user-10 → "),
         "{}",
         several_users[0].places[1].place
     );
     let one_place = comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
-    assert!(place_comparisons(&one_place).0.is_empty());
+    assert!(models_by_place(&one_place).0.is_empty());
 }
 
 #[test]
@@ -412,7 +412,7 @@ fn repeats_on_two_devices_are_two_places() {
     });
     let in_figure = ModelPlaces::new(&placed.collect::<Vec<_>>()).places;
     assert_eq!(in_figure, ["local", "cloud, cuda:0", "cloud, cpu"]);
-    let (models, _) = place_comparisons(&repeats);
+    let (models, _) = models_by_place(&repeats);
     let places = models[0].places.iter().map(|row| row.place.split(": ").next().unwrap_or_default());
     assert_eq!(places.collect::<Vec<_>>(), in_figure);
     let configurations = models[0].places.iter().map(|row| row.configuration.as_str());

@@ -110,8 +110,13 @@ fn meter_has_minimum_and_maximum_length() {
         other => panic!("{other:?}"),
     };
     assert_eq!([0.0, 0.001, 0.5, 7.0, f64::NAN].map(width), [0.0, 0.02, 0.5, 1.0, 0.0]);
-    let share = page::picture(&share_bar("upload", 1.0), "sharebar", "");
-    assert!(share.contains("width=\"72%\"") && share.contains("x=\"74%\""), "{share}");
+}
+
+#[test]
+fn full_share_bar_leaves_room_for_its_number() {
+    let bar = page::picture(&share_bar("upload", 1.0), "sharebar", "");
+    // The bar of the share 1 ends at 72 % of the picture. The number begins 2 % of the picture after the bar.
+    assert!(bar.contains("width=\"72%\"") && bar.contains("x=\"74%\""), "{bar}");
 }
 
 #[test]

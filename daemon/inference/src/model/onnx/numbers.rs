@@ -40,6 +40,7 @@ impl Element for f32 {
     }
 
     fn is_nan(self) -> bool {
+        // The type's own function, which Rust prefers to this function of the trait.
         Self::is_nan(self)
     }
 }
@@ -58,10 +59,13 @@ impl Element for f64 {
     }
 
     fn is_nan(self) -> bool {
+        // The type's own function, which Rust prefers to this function of the trait.
         Self::is_nan(self)
     }
 }
 
+// Each call below calls the function of the type `f16` itself, because Rust prefers a type's own function to a function
+// of a trait that has the same name.
 impl Element for f16 {
     fn from_f32(number: f32) -> Self {
         Self::from_f32(number)

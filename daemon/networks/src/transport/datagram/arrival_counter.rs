@@ -10,7 +10,7 @@ mod gap_check;
 use peernet_clock::{MonoTime, Span};
 
 pub(super) use self::gap_check::MAX_GAP;
-use self::gap_check::{GapCheck, NextNumber};
+use self::gap_check::{GapCheck, NewNumber};
 use crate::statistics::DatagramStatistics;
 
 /// Shortest time after which a missing number counts as lost. The longest is about twice that, because the wait for a
@@ -99,7 +99,7 @@ impl ArrivalCounter {
         let distance = self.distance_to(number);
         if distance >= 0 {
             let number = self.next_number + distance.unsigned_abs();
-            self.record_if_plausible(NextNumber { number, has_arrived: true }, now);
+            self.record_if_plausible(NewNumber { number, has_arrived: true }, now);
             return;
         }
         let Some(number) = self.next_number.checked_add_signed(distance) else { return };
@@ -125,31 +125,31 @@ impl ArrivalCounter {
         self.count_losses(now);
         // The distance is negative if an older heartbeat arrives late.
         let number = self.next_number + self.distance_to(next).max(0).unsigned_abs();
-        self.record_if_plausible(NextNumber { number, has_arrived: false }, now);
+        self.record_if_plausible(NewNumber { number, has_arrived: false }, now);
     }
 
     /// Records a number if it is plausible. If it confirms the number of a datagram beyond a gap, this datagram is
     /// counted now, because it was not counted when it arrived.
-    fn record_if_plausible(&mut self, candidate: NextNumber, now: MonoTime) {
+    fn record_if_plausible(&mut self, candidate: NewNumber, now: MonoTime) {
         let Some(confirmed) = self.gap_check.check(self.next_number, candidate, now) else { return };
-        match confirmed.filter(|next_number| next_number.has_arrived) {
+        match confirmed.filter(|earlier| earlier.has_arrived) {
             Some(earlier) if earlier.number < candidate.number => {
-                self.record_next(earlier);
-                self.record_next(candidate);
+                self.record_new(earlier);
+                self.record_new(candidate);
             }
             Some(overtaking) => {
                 // Numbers are recorded in ascending order. The candidate has the lower number, or reports the same
                 // number.
-                self.record_next(candidate);
-                self.record_next(overtaking);
+                self.record_new(candidate);
+                self.record_new(overtaking);
                 self.totals.reordered += u64::from(candidate.has_arrived);
             }
-            None => self.record_next(candidate),
+            None => self.record_new(candidate),
         }
     }
 
-    /// Records a number that is the next number or above it.
-    fn record_next(&mut self, NextNumber { number, has_arrived }: NextNumber) {
+    /// Records a plausible number.
+    fn record_new(&mut self, NewNumber { number, has_arrived }: NewNumber) {
         if has_arrived {
             self.advance(number + 1 - self.next_number);
             self.set_arrived(number);

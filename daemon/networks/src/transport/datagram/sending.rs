@@ -19,8 +19,8 @@ use super::packet_writer::PacketWriter;
 use super::window::SendWindow;
 use crate::transport::{Frames, MessageLoss, SendFailure};
 
-/// Largest message without a tag that is retransmitted when it is lost. All messages but requests and whole answers
-/// have no tag. Bytes.
+/// Largest message that is retransmitted when it is lost, bytes. Requests and whole answers, which have a tag, are never
+/// retransmitted, whatever their size; the other messages have no tag.
 const MAX_RETRANSMITTED_BYTES: u32 = 64 * 1024;
 
 /// Maximum number of bytes of datagrams that are sent together.
@@ -95,7 +95,7 @@ impl SendingHalf {
     }
 
     fn enqueue(&mut self, frames: Frames, tag: u64, deadline: Option<MonoTime>) -> Result<(), SendFailure> {
-        // Messages without a tag are retransmitted: all but requests and whole answers.
+        // Only messages without a tag are retransmitted. Requests and whole answers have a tag.
         let retransmission = (tag == 0).then(|| frames.clone());
         let message = OutgoingMessage::new(frames, self.outstanding.next_sequence(), tag, deadline)
             .map_err(|error| SendFailure::Gone(error.to_string()))?;
@@ -226,8 +226,9 @@ impl SendingHalf {
     }
 
     /// Handles the report of a lost message. `received` of its fragments arrived. `lost_datagrams` is the number of
-    /// lost datagrams that the other end has reported. Returns the tag and the number of fragments for the answer, and
-    /// the loss for the layer above; `None` if the layer above is not informed.
+    /// lost datagrams that the other end has reported. Returns the tag and the number of fragments of the message, with
+    /// which the report is acknowledged ([`Packet::LostAck`](super::packet::Packet::LostAck)), and the loss for the layer
+    /// above; `None` if the layer above is not informed.
     ///
     /// # Errors
     /// If the message was not sent, or has fewer fragments than are reported as received.
@@ -242,7 +243,7 @@ impl SendingHalf {
         if sequence > current || (sequence == current && offset == 0) {
             return Err(FalseClaim::UnsentMessage);
         }
-        // If the message is settled or too old, the answer only makes the other end stop its reports.
+        // If the message is settled or too old, the acknowledgement only makes the other end stop its reports.
         let Some(message) = self.outstanding.get_mut(sequence) else { return Ok((0, 0, None)) };
         let (tag, fragments) = (message.tag, message.fragments);
         if received > fragments {

@@ -16,14 +16,14 @@ const MAX_DATAGRAMS_PER_MILLISECOND: u64 = 4_000;
 #[derive(Debug)]
 pub(super) struct GapCheck {
     /// Last number that was not plausible. The next packet may confirm it.
-    suspect: Option<NextNumber>,
+    suspect: Option<NewNumber>,
     /// Time of the last plausible number.
     accepted_at: MonoTime,
 }
 
-/// A number that is not below the number that is expected next.
+/// Number of a datagram that is newer than all datagrams known to have been sent: the expected number, or a larger one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct NextNumber {
+pub(super) struct NewNumber {
     pub(super) number: u64,
     /// `true` if a datagram with this number arrived, `false` if the other end only reported it.
     pub(super) has_arrived: bool,
@@ -34,16 +34,16 @@ impl GapCheck {
         Self { suspect: None, accepted_at: now }
     }
 
-    /// Checks a number. All numbers below `next` are known to have been sent. Returns `None` if the number is not
-    /// plausible yet. Otherwise returns `Some` with the earlier number that this number confirms, or with `None` if it
-    /// confirms none.
+    /// Checks a number. `expected` is the lowest number that is not known to have been sent. Returns `None` if the number
+    /// is not plausible yet. Otherwise returns `Some` with the earlier number that this number confirms, or with `None`
+    /// if it confirms none.
     pub(super) fn check(
         &mut self,
-        next: u64,
-        candidate: NextNumber,
+        expected: u64,
+        candidate: NewNumber,
         now: MonoTime,
-    ) -> Option<Option<NextNumber>> {
-        let gap = candidate.number - next;
+    ) -> Option<Option<NewNumber>> {
+        let gap = candidate.number - expected;
         if gap <= MAX_GAP {
             (self.suspect, self.accepted_at) = (None, now);
             return Some(None);
@@ -61,7 +61,7 @@ impl GapCheck {
     }
 }
 
-impl NextNumber {
+impl NewNumber {
     /// Returns whether this number confirms an earlier one that was not plausible.
     fn confirms(&self, suspect: &Self) -> bool {
         let distance = suspect.number.abs_diff(self.number);
@@ -82,8 +82,8 @@ mod tests {
         MonoTime::default() + Span::from_millis(millis)
     }
 
-    fn datagram(number: u64) -> NextNumber {
-        NextNumber { number, has_arrived: true }
+    fn datagram(number: u64) -> NewNumber {
+        NewNumber { number, has_arrived: true }
     }
 
     #[test]
@@ -104,7 +104,7 @@ mod tests {
             None,
             "the arrival of number 6 discarded the suspect 1,000"
         );
-        let reported = NextNumber { number: 1_001, has_arrived: false };
+        let reported = NewNumber { number: 1_001, has_arrived: false };
         assert_eq!(check.check(7, reported, at(2)), Some(Some(datagram(1_001))));
     }
 
