@@ -14,34 +14,36 @@ pub(super) struct FrameFragments {
     stamp: Time,
     /// Time at which the newest fragment arrived.
     received_at: MonoTime,
-    bytes: BytesMut,
+    /// `None` if a fragment exceeded a limit. The message is then lost.
+    bytes: Option<BytesMut>,
     reserved: Reservation,
 }
 
 impl FrameFragments {
-    /// Appends a fragment. Earlier fragments are dropped if they belong to another message. Returns `None` if the
-    /// fragments exceed a limit; the message is then lost.
+    /// Appends a fragment. Earlier fragments are dropped if they belong to another message. If the fragments exceed a
+    /// limit, their bytes are dropped and the message is lost.
     pub(super) fn with_fragment(
         fragments: Option<Self>,
         (fragment, now): (&MessageInfo, MonoTime),
         budget: &Arc<MemoryBudget>,
         max_bytes: u64,
-    ) -> Option<Self> {
+    ) -> Self {
         let new_fragments = || Self {
             stamp: fragment.header.stamp,
             received_at: now,
-            bytes: BytesMut::new(),
+            bytes: Some(BytesMut::new()),
             reserved: Reservation::empty(budget),
         };
         let mut fragments =
             fragments.filter(|fragments| fragments.belong_to(fragment)).unwrap_or_else(new_fragments);
-        let length = (fragments.bytes.len() + fragment.frames.len()) as u64;
-        if length > max_bytes || fragments.reserved.resize(budget, length).is_err() {
-            return None;
-        }
-        fragments.bytes.extend_from_slice(&fragment.frames);
         fragments.received_at = now;
-        Some(fragments)
+        let Some(bytes) = &mut fragments.bytes else { return fragments };
+        let length = (bytes.len() + fragment.frames.len()) as u64;
+        if length > max_bytes || fragments.reserved.resize(budget, length).is_err() {
+            return Self { bytes: None, reserved: Reservation::empty(budget), ..fragments };
+        }
+        bytes.extend_from_slice(&fragment.frames);
+        fragments
     }
 
     /// Returns whether no fragment arrived for `time_limit`.
@@ -55,10 +57,12 @@ impl FrameFragments {
         self.stamp == info.header.stamp
     }
 
-    /// Returns all frames of the message. `last` are the frames of the last companion, which have the remaining bytes.
-    pub(super) fn join(mut self, last: &Bytes) -> Bytes {
-        self.bytes.extend_from_slice(last);
-        self.bytes.freeze()
+    /// Returns all frames of the message; `None` if the message is lost. `last` are the frames of the last companion,
+    /// which have the remaining bytes.
+    pub(super) fn join(self, last: &Bytes) -> Option<Bytes> {
+        let mut bytes = self.bytes?;
+        bytes.extend_from_slice(last);
+        Some(bytes.freeze())
     }
 }
 
@@ -92,39 +96,33 @@ mod tests {
         let fragments =
             FrameFragments::with_fragment(None, (&fragment(1, b"abc"), MonoTime::default()), &budget, 10);
         let fragments = FrameFragments::with_fragment(
-            fragments,
+            Some(fragments),
             (&fragment(1, b"def"), MonoTime::default()),
             &budget,
             10,
-        )
-        .expect("fits");
+        );
         assert!(fragments.belong_to(&fragment(1, b"")) && !fragments.belong_to(&fragment(2, b"")));
         assert_eq!(budget.reserved_bytes(), 6);
-        assert_eq!(fragments.join(&frames), "abcdefg");
+        assert_eq!(fragments.join(&frames).as_deref(), Some(&b"abcdefg"[..]));
         assert_eq!(budget.reserved_bytes(), 0);
     }
 
     #[test]
     fn fragments_of_another_message_or_beyond_limit_are_dropped() {
         let budget = MemoryBudget::new(5);
-        let fragments =
-            FrameFragments::with_fragment(None, (&fragment(1, b"abc"), MonoTime::default()), &budget, 10);
-        let fragments =
-            FrameFragments::with_fragment(fragments, (&fragment(2, b"de"), MonoTime::default()), &budget, 10);
+        let append = |fragments, fragment: &MessageInfo, max_bytes| {
+            FrameFragments::with_fragment(fragments, (fragment, MonoTime::default()), &budget, max_bytes)
+        };
+        let fragments = append(None, &fragment(1, b"abc"), 10);
+        let fragments = append(Some(fragments), &fragment(2, b"de"), 10);
         assert_eq!(budget.reserved_bytes(), 2);
-        assert!(
-            FrameFragments::with_fragment(
-                fragments,
-                (&fragment(2, b"fghi"), MonoTime::default()),
-                &budget,
-                10
-            )
-            .is_none()
-        );
-        assert!(
-            FrameFragments::with_fragment(None, (&fragment(3, b"abc"), MonoTime::default()), &budget, 2)
-                .is_none()
-        );
+        let mut fragments = append(Some(fragments), &fragment(2, b"fghi"), 10);
+        assert_eq!(budget.reserved_bytes(), 0);
+        // A later fragment of a lost message takes no memory.
+        fragments = append(Some(fragments), &fragment(2, b"j"), 10);
+        assert_eq!(budget.reserved_bytes(), 0);
+        assert_eq!(fragments.join(&Bytes::new()), None);
+        assert_eq!(append(None, &fragment(3, b"abc"), 2).join(&Bytes::new()), None);
         assert_eq!(budget.reserved_bytes(), 0);
     }
 }

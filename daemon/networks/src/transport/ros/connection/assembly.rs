@@ -11,7 +11,7 @@ use super::events::{Event, EventQueue};
 use crate::transport::MessageLoss;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::ros::fragments::FrameFragments;
-use crate::transport::ros::frames;
+use crate::transport::ros::frames::{self, FramesError};
 use crate::transport::ros::pairing::{MessageHalf, Pairing, request_number};
 
 /// Memory of a message about the session that waits, in addition to the bytes that the peer sent: more than a companion
@@ -60,12 +60,12 @@ impl MessageAssembly {
     /// Handles a fragment of a message.
     pub(super) fn receive_fragment(&mut self, fragment: &MessageInfo, now: MonoTime) {
         let earlier_fragments = self.fragments.take();
-        self.fragments = FrameFragments::with_fragment(
+        self.fragments = Some(FrameFragments::with_fragment(
             earlier_fragments,
             (fragment, now),
             &self.budget,
             self.max_message_bytes,
-        );
+        ));
     }
 
     /// Handles the companion of a message.
@@ -77,15 +77,27 @@ impl MessageAssembly {
     ) {
         // Fragments of another message are dropped: companions arrive in order, so the last companion of that message
         // does not arrive any more. The memory of the whole message is reserved below.
+        let mut has_lost_fragments = false;
         if let Some(fragments) = self.fragments.take().filter(|fragments| fragments.belong_to(&companion)) {
-            companion.frames = fragments.join(&companion.frames);
-        }
-        if let Err(problem) = frames::check_lengths(&companion, self.max_message_bytes) {
-            events.push(Event::InvalidData(problem.to_string()));
-            return;
+            match fragments.join(&companion.frames) {
+                Some(frames) => companion.frames = frames,
+                None => has_lost_fragments = true,
+            }
         }
         // A loss counts the companion and the payload as two fragments, of which the companion has arrived.
         let loss = MessageLoss { tag: request_number(&companion), received: 1, total: 2 };
+        match frames::check_lengths(&companion, self.max_message_bytes) {
+            Ok(()) => {}
+            // Memory was short for the fragments, which is no fault of the peer.
+            Err(FramesError::Lengths) if has_lost_fragments => {
+                events.push_incomplete(vec![loss]);
+                return;
+            }
+            Err(problem) => {
+                events.push(Event::InvalidData(problem.to_string()));
+                return;
+            }
+        }
         // The peer chooses the length of the reason, which a companion with frames does not need.
         let length = companion.frames.len() + companion.reason.len();
         let Some(mut reserved) = self.reserve(length) else {

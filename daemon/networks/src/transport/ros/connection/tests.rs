@@ -189,6 +189,24 @@ fn fragments_are_assembled_and_unfinished_messages_dropped() {
     );
 }
 
+#[test]
+fn message_whose_fragments_exceed_budget_is_lost_and_peer_is_notified() {
+    // The first fragment fits into the memory, and the second does not.
+    let (mut sender, budget) = (new_connection(), MemoryBudget::new(5));
+    let mut receiver = Connection::new("ab".into(), LIMITS, Arc::clone(&budget), MonoTime::default());
+    let (mut info, _) = message(&mut sender, 7, 10);
+    for frames in crate::transport::ros::fragments::split_into_fragments(&mut info.frames, 4) {
+        let fragment = MessageInfo { frames, ..sender.new_fragment(&mut info) };
+        receiver.receive_companion(fragment, time_at(0));
+    }
+    receiver.receive_companion(info, time_at(0));
+    let event = receiver.next_event();
+    assert!(matches!(&event, Some(Event::IncomingLost(loss)) if loss.tag == Some(7)), "{event:?}");
+    let notice = receiver.next_notice(NOTICE_WALL, time_at(0)).expect("the sender is notified");
+    assert_eq!((notice.kind, notice.request), (MessageInfo::LOST, 7));
+    assert_eq!(budget.reserved_bytes(), 0);
+}
+
 /// Input from a peer that violates the protocol.
 #[derive(Clone, Debug)]
 enum Step {
