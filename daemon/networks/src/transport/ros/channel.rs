@@ -151,12 +151,31 @@ impl Channel {
         if state.is_closed() {
             return Err(gone_failure("the connection is closed".into()));
         }
-        let mut companion = state.new_companion(MessageInfo::DATA, departure, self.now());
+        let mut companion = state.new_data_companion(departure);
         companion.request = options.tag.unwrap_or(MessageInfo::NO_REQUEST);
+        let first_number = companion.sequence;
+        let sent = self.send_companion(&mut state, companion, (message, payload_header), peer);
+        match sent {
+            // The peer would count the numbers of companions that were never sent as lost.
+            Err(SendFailure::Full) => state.take_back_numbers(first_number),
+            Ok(()) | Err(SendFailure::Gone(_)) => state.note_sent(self.now()),
+        }
+        sent
+    }
+
+    /// Publishes a message whose companion has no frames yet.
+    fn send_companion(
+        &self,
+        state: &mut Connection,
+        mut companion: MessageInfo,
+        (message, payload_header): (&[Bytes], Option<PayloadHeader>),
+        peer: &RemoteNode,
+    ) -> Result<(), SendFailure> {
+        let gone_failure = |reason: String| SendFailure::Gone(reason);
         let has_payload = match (&payload_header, message.get(PAYLOAD_FRAME)) {
             (Some(payload_header), Some(data)) => {
                 let payload = Payload { header: &companion.header, part: &payload_header.part, data };
-                self.publish_payload(&mut state, &payload, peer)?
+                self.publish_payload(state, &payload, peer)?
             }
             _ => false,
         };
@@ -263,4 +282,43 @@ fn read_payload_header(header: &Bytes) -> Option<PayloadHeader> {
     };
     let part = sample.parts.into_iter().next()?;
     Some(PayloadHeader { part, departure: departure?.sent.unix_nanos() })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::SocketAddr;
+
+    use peernet_clock::{ClockIdentity, ManualClock, WallTime};
+
+    use super::*;
+    use crate::transport::ros::interface::test_node::TestNode;
+
+    #[test]
+    fn message_that_the_queue_refuses_takes_no_number_and_replaces_no_heartbeat() {
+        let node = TestNode::default();
+        let identity = ClockIdentity::new("boot", "system");
+        let clock: SharedClock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), identity));
+        let channel = Channel::new(
+            (Arc::new(node.clone()), clock),
+            "ab".into(),
+            &SessionSettings::default(),
+            MemoryBudget::new(1_000),
+            (Box::new(node.clone()), "/line/request".into()),
+        );
+        let address = SocketAddr::from(([192, 0, 2, 1], 1));
+        channel.set_peer(RemoteNode { node: "/cloud".into(), local: address, remote: address });
+        let send = || channel.send(&[Bytes::from_static(b"header")], SendOptions::default());
+        send().expect("the queue is empty");
+        let next_heartbeat = channel.lock().next_timer();
+        node.set_full(true);
+        for _ in 0..3 {
+            let refused = send();
+            assert!(matches!(refused, Err(SendFailure::Full)), "{refused:?}");
+        }
+        assert_eq!(channel.lock().next_timer(), next_heartbeat, "a refused message replaces no heartbeat");
+        node.set_full(false);
+        send().expect("the queue has space again");
+        let next = channel.lock().new_companion(MessageInfo::HEARTBEAT, 0, MonoTime::default());
+        assert_eq!(next.sequence, 2, "the peer counts a gap in the numbers as lost messages");
+    }
 }

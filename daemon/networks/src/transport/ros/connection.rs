@@ -130,6 +130,22 @@ impl Connection {
         self.outgoing.new_fragment(message)
     }
 
+    /// Creates the companion of a message with frames that departs at `wall`, in nanoseconds since the Unix epoch. The
+    /// caller must call [`note_sent`](Self::note_sent) or [`take_back_numbers`](Self::take_back_numbers) next.
+    pub(super) fn new_data_companion(&mut self, wall: i64) -> MessageInfo {
+        self.outgoing.new_companion(MessageInfo::DATA, wall)
+    }
+
+    /// Notes that a message was sent, which replaces the next heartbeat.
+    pub(super) fn note_sent(&mut self, now: MonoTime) {
+        self.heartbeats.note_sent(now);
+    }
+
+    /// Takes back the numbers from `first` on, whose companions were not sent.
+    pub(super) fn take_back_numbers(&mut self, first: u64) {
+        self.outgoing.take_back_numbers(first);
+    }
+
     /// Handles a companion of this connection.
     pub(super) fn receive_companion(&mut self, info: MessageInfo, now: MonoTime) {
         if self.is_closed() {

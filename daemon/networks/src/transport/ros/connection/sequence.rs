@@ -50,6 +50,12 @@ impl OutgoingSequence {
         }
     }
 
+    /// Takes back the numbers from `first` on, whose companions were not sent. Their stamps are not used again, because
+    /// the payload of a message may have been sent without its companion.
+    pub(super) fn take_back_numbers(&mut self, first: u64) {
+        self.next_number = first;
+    }
+
     fn next_number(&mut self) -> u64 {
         let number = self.next_number;
         self.next_number += 1;

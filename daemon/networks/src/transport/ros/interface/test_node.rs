@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use futures::FutureExt;
@@ -19,6 +19,8 @@ pub(in crate::transport::ros) const RECEIVE_BUFFER_BYTES: usize = 10;
 #[derive(Clone, Debug, Default)]
 pub(in crate::transport::ros) struct TestNode {
     published: Arc<AtomicUsize>,
+    /// `true` if the queues of the topics are full.
+    is_full: Arc<AtomicBool>,
     /// Readable names of other nodes, by identifier.
     readable_names: BTreeMap<String, String>,
 }
@@ -27,6 +29,11 @@ impl TestNode {
     /// Returns the number of messages that were published.
     pub(in crate::transport::ros) fn published_count(&self) -> usize {
         self.published.load(Ordering::Relaxed)
+    }
+
+    /// Sets whether the queues of the topics are full.
+    pub(in crate::transport::ros) fn set_full(&self, is_full: bool) {
+        self.is_full.store(is_full, Ordering::Relaxed);
     }
 
     /// Sets the readable name of another node.
@@ -45,6 +52,9 @@ impl SessionPublisher for TestNode {
     }
 
     fn publish_fragments(&self, _node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
+        if self.is_full.load(Ordering::Relaxed) {
+            return Ok(Delivery::Full);
+        }
         self.published.fetch_add(fragments.len(), Ordering::Relaxed);
         Ok(Delivery::Accepted)
     }
