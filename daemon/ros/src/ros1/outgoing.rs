@@ -170,6 +170,12 @@ impl OutgoingConnection {
         OfferOutcome::Accepted
     }
 
+    /// Returns whether the queue is too full for a message of `length` bytes.
+    pub(super) fn is_full(&self, length: usize) -> bool {
+        let queue = self.queue();
+        !queue.is_closed && !self.limits.accepts(queue.messages.len(), queue.bytes, length)
+    }
+
     /// Waits until the queue has accepted a message. Returns `false` if the connection has ended instead.
     pub(super) async fn offer_until_accepted(&self, message: &EncodedMessage, prefix: [u8; 4]) -> bool {
         loop {

@@ -109,6 +109,13 @@ impl Publisher {
         Ok(delivery)
     }
 
+    /// Returns whether the queue for the subscriber of one node is too full for a message of `length` bytes.
+    pub fn is_full_for(&self, node: &str, length: usize) -> bool {
+        // The list is copied, so that the topic is not locked while messages are written to sockets.
+        let connections = self.topic.state().connections.clone();
+        connections.iter().any(|connection| *connection.subscriber == *node && connection.is_full(length))
+    }
+
     /// Publishes a message and waits until each subscriber's queue has accepted it. Nothing is dropped while a
     /// subscriber is connected, and the slowest subscriber determines the rate.
     ///

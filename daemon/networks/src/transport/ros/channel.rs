@@ -15,7 +15,7 @@ use super::connection_clock::ConnectionClock;
 use super::fragments;
 use super::frames::{self, PAYLOAD_FRAME};
 use super::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher};
-use super::limits::{connection_limits, queue_limits};
+use super::limits::{INFO_OVERHEAD_BYTES, connection_limits, queue_limits};
 use super::payload::PayloadType;
 use super::payload_topic::{MASTER_RETRY_INTERVAL, Payload, PayloadTopic, describe_open_failure};
 use crate::SessionSettings;
@@ -174,6 +174,11 @@ impl Channel {
         let gone_failure = |reason: String| SendFailure::Gone(reason);
         let has_payload = match (&payload_header, message.get(PAYLOAD_FRAME)) {
             (Some(payload_header), Some(data)) => {
+                // Otherwise each attempt to send the message would publish the payload again.
+                let frame_bytes = message.iter().map(Bytes::len).sum::<usize>() - data.len();
+                if self.companion_publisher.is_full(&peer.node, frame_bytes + INFO_OVERHEAD_BYTES) {
+                    return Err(SendFailure::Full);
+                }
                 let payload = Payload { header: &companion.header, part: &payload_header.part, data };
                 self.publish_payload(state, &payload, peer)?
             }
@@ -289,13 +294,14 @@ mod tests {
     use std::net::SocketAddr;
 
     use peernet_clock::{ClockIdentity, ManualClock, WallTime};
+    use peernet_sample::MediaType;
 
     use super::*;
+    use crate::message::{Departure, Request, SampleHeader, SessionId};
     use crate::transport::ros::interface::test_node::TestNode;
 
-    #[test]
-    fn message_that_the_queue_refuses_takes_no_number_and_replaces_no_heartbeat() {
-        let node = TestNode::default();
+    /// Returns a channel with a peer. `companions` publishes the companions, and `node` publishes all else.
+    fn new_channel(node: &TestNode, companions: &TestNode) -> Channel {
         let identity = ClockIdentity::new("boot", "system");
         let clock: SharedClock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), identity));
         let channel = Channel::new(
@@ -303,10 +309,17 @@ mod tests {
             "ab".into(),
             &SessionSettings::default(),
             MemoryBudget::new(1_000),
-            (Box::new(node.clone()), "/line/request".into()),
+            (Box::new(companions.clone()), "/line/request".into()),
         );
         let address = SocketAddr::from(([192, 0, 2, 1], 1));
         channel.set_peer(RemoteNode { node: "/cloud".into(), local: address, remote: address });
+        channel
+    }
+
+    #[test]
+    fn message_that_the_queue_refuses_takes_no_number_and_replaces_no_heartbeat() {
+        let node = TestNode::default();
+        let channel = new_channel(&node, &node);
         let send = || channel.send(&[Bytes::from_static(b"header")], SendOptions::default());
         send().expect("the queue is empty");
         let next_heartbeat = channel.lock().next_timer();
@@ -320,5 +333,36 @@ mod tests {
         send().expect("the queue has space again");
         let next = channel.lock().new_companion(MessageInfo::HEARTBEAT, 0, MonoTime::default());
         assert_eq!(next.sequence, 2, "the peer counts a gap in the numbers as lost messages");
+    }
+
+    #[tokio::test]
+    async fn payload_is_not_published_while_queue_of_companions_is_full() {
+        let (node, companions) = (TestNode::default(), TestNode::default());
+        let channel = new_channel(&node, &companions);
+        let departure = Departure {
+            sent: WallTime::default(),
+            sent_since_anchor: Default::default(),
+            epoch: 0,
+            sent_raw: None,
+        };
+        let parts = vec![Description::unshaped(MediaType::Jpeg)];
+        let sample = SampleHeader { parts, source: String::new(), label: None };
+        let request = Request { session: SessionId::random(), request: 1, departure, sample };
+        let header = Header::Request(request).encode().expect("is short");
+        let message = [header, Bytes::from_static(b"tree"), Bytes::from_static(b"jpg")];
+        let send = || channel.send(&message, SendOptions::default());
+        // The first payload opens the topic.
+        send().expect("the queue is empty");
+        let payload_type = channel.wait_for_payload_type().await;
+        channel.open_payload_topic(payload_type).await;
+        companions.set_full(true);
+        for _ in 0..3 {
+            let refused = send();
+            assert!(matches!(refused, Err(SendFailure::Full)), "{refused:?}");
+        }
+        assert_eq!(node.published_count(), 0, "the message was refused, so its payload is not published");
+        companions.set_full(false);
+        send().expect("the queue has space again");
+        assert_eq!((node.published_count(), companions.published_count()), (1, 2));
     }
 }

@@ -186,6 +186,9 @@ pub(super) trait SessionPublisher: Debug + Send + Sync {
     /// outcome for the subscriber of `node`.
     fn publish_fragments(&self, node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure>;
 
+    /// Returns whether the queue for the subscriber of `node` is too full for a message of `length` bytes.
+    fn is_full(&self, node: &str, length: usize) -> bool;
+
     /// Returns why `node` receives nothing although it subscribes to the topic, with advice; `None` if no reason is
     /// known.
     fn describe_mismatch(&self, node: &str) -> Option<String>;

@@ -221,6 +221,10 @@ impl SessionPublisher for Publisher {
         Ok(Delivery::Accepted)
     }
 
+    fn is_full(&self, node: &str, length: usize) -> bool {
+        self.is_full_for(node, length)
+    }
+
     // There is never a mismatch here: the master and the headers of connections detect such problems earlier.
     fn describe_mismatch(&self, _node: &str) -> Option<String> {
         None

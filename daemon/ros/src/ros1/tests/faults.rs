@@ -111,6 +111,7 @@ async fn publisher_with_full_queue_drops_and_counts() {
     assert!(dropped > 10, "{counts:?}");
     assert_eq!((counts.offered, counts.dropped, counts.waiting), (50, dropped as u64, 4));
     assert_eq!(counts.offered, counts.sent + counts.dropped + counts.lost + counts.waiting);
+    assert!(publisher.is_full_for("/silent", 1) && !publisher.is_full_for("/other", 1));
     // When the subscriber disconnects, the waiting messages are lost and counted.
     drop(stream);
     within(async {

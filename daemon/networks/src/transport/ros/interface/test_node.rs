@@ -59,6 +59,10 @@ impl SessionPublisher for TestNode {
         Ok(Delivery::Accepted)
     }
 
+    fn is_full(&self, _node: &str, _length: usize) -> bool {
+        self.is_full.load(Ordering::Relaxed)
+    }
+
     fn describe_mismatch(&self, node: &str) -> Option<String> {
         Some(format!("the QoS of {node} does not fit"))
     }

@@ -87,9 +87,7 @@ impl Ros2SessionPublisher {
             return Err(failure.clone());
         }
         let bytes: usize = messages.iter().map(EncodedMessage::len).sum();
-        let is_empty = queue.messages.is_empty() && !queue.is_busy;
-        // One message alone always fits, whatever the limit.
-        if !is_empty && queue.bytes.saturating_add(bytes) > queue.max_bytes {
+        if queue.is_full(bytes) {
             return Ok(Delivery::Full);
         }
         for message in messages {
@@ -103,6 +101,14 @@ impl Ros2SessionPublisher {
             state.queue_changed.notify_one();
         }
         Ok(Delivery::Accepted)
+    }
+}
+
+impl Queue {
+    /// Returns whether the queue is too full for messages of `bytes` bytes. One message alone always fits.
+    fn is_full(&self, bytes: usize) -> bool {
+        let is_empty = self.messages.is_empty() && !self.is_busy;
+        !is_empty && self.bytes.saturating_add(bytes) > self.max_bytes
     }
 }
 
@@ -222,6 +228,10 @@ impl SessionPublisher for Ros2SessionPublisher {
     // noticed by the end of that node's own topics.
     fn publish_fragments(&self, _node: &str, fragments: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         self.offer(fragments)
+    }
+
+    fn is_full(&self, _node: &str, length: usize) -> bool {
+        self.state.queue().is_full(length)
     }
 
     fn describe_mismatch(&self, node: &str) -> Option<String> {
