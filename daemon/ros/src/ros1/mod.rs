@@ -43,7 +43,7 @@ mod socket;
 mod subscriber;
 pub mod tcpros;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 pub mod xmlrpc;
 
 pub use environment::{Environment, EnvironmentError, RpcUri};

@@ -80,8 +80,11 @@ pub(super) async fn open_on_ros1<T>(
         }
     }
     let node = Node::new(environment, &node_name(), SharedClock::clone(clock)).await?;
-    let endpoint = open(&node).await?;
+    let opened = open(&node).await;
     let shared_node = Arc::new(SharedNode { environment: environment.clone(), node: Some(node) });
+    // The master may know the node although opening failed, such as if its answer came too late. The node is unregistered
+    // when `shared_node` is dropped.
+    let endpoint = opened?;
     nodes.push(Arc::downgrade(&shared_node));
     Ok((endpoint, shared_node))
 }
@@ -134,7 +137,9 @@ fn base_name() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ros1::NodeName;
+    use crate::messages::StringMessage;
+    use crate::ros1::tests::{TestMaster, clock, environment, within};
+    use crate::ros1::{NodeName, PublisherOptions, TopicType};
 
     #[test]
     fn names_of_nodes_are_allowed_and_differ() {
@@ -144,5 +149,18 @@ mod tests {
             NodeName::new("/", &name).unwrap();
             assert!(!name.contains("__"), "{name}");
         }
+    }
+
+    #[tokio::test]
+    async fn node_is_unregistered_if_its_topic_cannot_be_opened() {
+        let master = TestMaster::start().await;
+        let open = async |node: &Node| {
+            let kind = TopicType::from_message::<StringMessage>();
+            let _registered = node.publish("/t", kind, PublisherOptions::default()).await?;
+            // A wildcard cannot be published.
+            node.publish("/u", TopicType::any(), PublisherOptions::default()).await
+        };
+        open_on_ros1(&environment(&master.uri()), &clock(), open).await.expect_err("is a wildcard");
+        within(master.wait_until(|master| master.publishers("/t").is_empty())).await;
     }
 }

@@ -25,7 +25,7 @@ struct State {
 
 /// A master on its own port.
 #[derive(Debug)]
-pub(super) struct TestMaster {
+pub(crate) struct TestMaster {
     address: SocketAddr,
     stop: CancellationToken,
     server: Option<tokio::task::JoinHandle<()>>,
@@ -34,7 +34,7 @@ pub(super) struct TestMaster {
 }
 
 impl TestMaster {
-    pub(super) async fn start() -> Self {
+    pub(crate) async fn start() -> Self {
         let address = SocketAddr::from(([127, 0, 0, 1], 0));
         let mut master = Self {
             address,
@@ -47,7 +47,7 @@ impl TestMaster {
         master
     }
 
-    pub(super) fn uri(&self) -> String {
+    pub(crate) fn uri(&self) -> String {
         format!("http://{}", self.address)
     }
 
@@ -80,7 +80,7 @@ impl TestMaster {
     }
 
     /// Returns the nodes that publish a topic.
-    pub(super) fn publishers(&self, topic: &str) -> Vec<String> {
+    pub(crate) fn publishers(&self, topic: &str) -> Vec<String> {
         self.state().publishers.get(topic).map(|nodes| nodes.keys().cloned().collect()).unwrap_or_default()
     }
 
@@ -95,7 +95,7 @@ impl TestMaster {
     }
 
     /// Waits until a condition holds. The condition is checked after each call.
-    pub(super) async fn wait_until(&self, condition: impl Fn(&Self) -> bool) {
+    pub(crate) async fn wait_until(&self, condition: impl Fn(&Self) -> bool) {
         let mut changes = self.changes.subscribe();
         while !condition(self) {
             changes.changed().await.unwrap();

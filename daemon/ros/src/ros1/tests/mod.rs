@@ -11,18 +11,18 @@ use std::time::Duration;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 
-use self::master::TestMaster;
+pub(crate) use self::master::TestMaster;
 pub(in crate::ros1) use self::memory::TestLimit;
 use super::{Environment, Node, RpcUri};
 
 /// Longest wait for an event that a test expects.
 const TIME_LIMIT: Duration = Duration::from_secs(30);
 
-fn clock() -> SharedClock {
+pub(crate) fn clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("boot", "clock")))
 }
 
-fn environment(uri: &str) -> Environment {
+pub(crate) fn environment(uri: &str) -> Environment {
     Environment {
         master: RpcUri::parse(uri).unwrap(),
         advertised_host: Some("127.0.0.1".to_owned()),
@@ -35,6 +35,6 @@ async fn node(master: &TestMaster, name: &str) -> Node {
 }
 
 /// Awaits a future that must end within [`TIME_LIMIT`].
-async fn within<T>(future: impl Future<Output = T>) -> T {
+pub(crate) async fn within<T>(future: impl Future<Output = T>) -> T {
     tokio::time::timeout(TIME_LIMIT, future).await.expect("it happens in time")
 }
