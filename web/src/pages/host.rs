@@ -17,6 +17,7 @@ use super::shell::Shell;
 use super::{Page, Update, page, path};
 use crate::error::WebError;
 use crate::state::{App, AppState};
+use crate::view::clock_fault::FaultyClocks;
 use crate::view::events::{self, Events};
 use crate::view::hosts::{HostLine, clock_words, hardware_name};
 use crate::view::link::Subject;
@@ -172,6 +173,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
         (true, 0, others) => format!("{name} serves {} of other hosts", counted(others as u64, "pipeline")),
         (true, own, others) => format!("{name} runs {own} and serves {others}"),
     };
+    let faulty_clocks = FaultyClocks::of(snapshot);
     let aggregator_clock = app.clock.identity();
     let (clock, relation) = clock_words(&description.clock, aggregator_clock, host.clock_ahead);
     let memory = host
@@ -195,7 +197,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             .filter(|fact| !fact.is_empty())
             .collect(),
         links: links(snapshot, &name),
-        line: HostLine::new(host, aggregator_clock, app.zone),
+        line: HostLine::new(host, &faulty_clocks, aggregator_clock, app.zone),
         agent: agent(description),
         hardware: hardware(description),
         clock: vec![
@@ -206,7 +208,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             ("Clock interruptions", interruption_count_text(&host.clock)),
             (
                 "Clock fault",
-                host.clock.faults.as_ref().map_or_else(|| "none".to_owned(), ToString::to_string),
+                faulty_clocks.0.get(&name).cloned().unwrap_or_else(|| "none reported".to_owned()),
             ),
             ("Boot id", description.clock.boot.to_string()),
             ("Clock name", description.clock.clock.to_string()),

@@ -17,7 +17,7 @@ use crate::error::WebError;
 use crate::parameters::Parameters;
 use crate::state::{App, AppState};
 use crate::view::chip::Chip;
-use crate::view::clock_fault::{self, FaultyClocks};
+use crate::view::clock_fault::FaultyClocks;
 use crate::view::incidents::IncidentLine;
 use crate::view::link::basis;
 use crate::view::link::chart::{OffsetView, tracks};
@@ -312,7 +312,7 @@ pub(super) fn link_page(
         |range: Range, offset: OffsetView| format!("?range={}&offset={}", range.query_value(), offset.word());
     let shell = Shell::new(app, snapshot, "/links", subject.route());
     let topic = format!("{TOPIC}/{name}/{}/{}", query.range.query_value(), query.offset.word());
-    let has_clock_fault = FaultyClocks::of(snapshot).concerns(&[&subject.edge, &subject.cloud]);
+    let faulty_clocks = FaultyClocks::of(snapshot);
     Link {
         shell: if subject.live.is_some() { shell.live(topic) } else { shell },
         edge: subject.edge.clone(),
@@ -320,7 +320,7 @@ pub(super) fn link_page(
         title: title(subject, app.zone),
         facts: facts(subject, snapshot),
         pipelines: subject.pipelines(),
-        clock_fault: has_clock_fault.then_some(clock_fault::CHIP),
+        clock_fault: faulty_clocks.chip(&[&subject.edge, &subject.cloud]),
         same_clock: subject.same_clock(),
         heading: query.range.heading(),
         ranges: Range::ALL
@@ -341,7 +341,7 @@ pub(super) fn link_page(
         traffic: TrafficRow::all(snapshot, subject),
         directions: connections::rows(subject),
         connections: connections::routes(subject),
-        hosts: panels::hosts(subject),
+        hosts: panels::hosts(subject, &faulty_clocks),
         exchanges: panels::exchanges(subject),
         incidents: IncidentLine::all(&link_incidents[..link_incidents.len().min(MAX_INCIDENTS)], app.zone),
         name,

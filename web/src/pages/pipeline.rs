@@ -26,7 +26,7 @@ use crate::parameters::Parameters;
 use crate::picture::Picture;
 use crate::state::{App, AppState};
 use crate::view::chart::{ChartCard, IncidentMark};
-use crate::view::clock_fault::{self, FaultyClocks};
+use crate::view::clock_fault::FaultyClocks;
 use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
 use crate::view::notes::Note;
@@ -259,7 +259,6 @@ fn pipeline_page(
     let charts = vec![ChartCard::new(pipeline, snapshot, app.zone)];
     let link = link::href_of_placement(snapshot, &host, placement);
     let cloud = placement.peer.as_ref().map_or("", Slug::as_str);
-    let has_clock_fault = FaultyClocks::of(snapshot).concerns(&[&host, cloud]);
     // The page needs no link to itself.
     let href = "";
     Ok(PipelinePage {
@@ -267,7 +266,7 @@ fn pipeline_page(
             .live(format!("{TOPIC}/{host}/{}/{seconds}", pipeline.pipeline)),
         title: title(pipeline, &stack),
         chip: state_chip(&pipeline.state),
-        clock_fault: has_clock_fault.then_some(clock_fault::CHIP),
+        clock_fault: FaultyClocks::of(snapshot).chip(&[&host, cloud]),
         notes: Note::delay_notes(pipeline.pipeline.as_str(), href, link.as_deref(), &window.bounds, |name| {
             window.value(name).copied()
         }),

@@ -405,17 +405,20 @@ async fn clock_fault_is_shown_on_every_page_it_concerns() {
         "{html}"
     );
     let (app, _folder) = samples::app().await;
-    for update in [
-        pipeline::update(&app, &live_state, "cam-1/line/10"),
-        host::update(&app, &live_state, "cam-1"),
-        hosts::update(&app, &live_state),
-        links::update(&app, &live_state),
-        link::update(&app, &live_state, "cam-1~rack-a/10min/removed").await,
-    ] {
-        let html: String = update.expect("renders").parts.into_iter().map(|(_, html)| html).collect();
-        assert!(html.contains("#i-clock-fault"), "{html}");
+    for connected in [true, false] {
+        std::sync::Arc::make_mut(&mut live_state.hosts[0]).connected = connected;
+        for update in [
+            pipeline::update(&app, &live_state, "cam-1/line/10"),
+            host::update(&app, &live_state, "cam-1"),
+            hosts::update(&app, &live_state),
+            links::update(&app, &live_state),
+            link::update(&app, &live_state, "cam-1~rack-a/10min/removed").await,
+        ] {
+            let html: String = update.expect("renders").parts.into_iter().map(|(_, html)| html).collect();
+            assert_eq!(html.contains("#i-clock-fault"), connected, "{html}");
+            assert!(connected || !html.contains("+1000 ms"), "{html}");
+        }
     }
-    std::sync::Arc::make_mut(&mut live_state.hosts[0]).connected = false;
     let html = overview_of(&live_state, Vec::new()).await;
     assert!(!html.contains("made wrong on purpose"), "{html}");
 }

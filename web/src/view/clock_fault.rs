@@ -42,9 +42,9 @@ impl FaultyClocks {
         self.0.iter().map(sentence).collect()
     }
 
-    /// Returns whether a host with one of these names has a clock fault.
-    pub(crate) fn concerns(&self, names: &[&str]) -> bool {
-        names.iter().any(|name| self.0.contains_key(*name))
+    /// Returns the chip if a host with one of these names has a clock fault.
+    pub(crate) fn chip(&self, names: &[&str]) -> Option<Chip> {
+        names.iter().any(|name| self.0.contains_key(*name)).then_some(CHIP)
     }
 }
 

@@ -7,7 +7,7 @@ use peernet_statistics::number::{NONE, SPACE, count, fixed, gigabytes, long_dura
 use peernet_stream::{Hardware, HostMetrics};
 
 use super::chip::{Chip, Tone};
-use super::clock_fault;
+use super::clock_fault::FaultyClocks;
 use super::events::{self, FAR_BEHIND, Remark};
 use super::link::panels::describe_synchronisation;
 use crate::picture::Picture;
@@ -157,11 +157,18 @@ impl HostLine {
         ours: &ClockIdentity,
         zone: Zone,
     ) -> (Vec<Self>, Vec<Self>) {
-        let lines = snapshot.hosts.iter().take(limit).map(|host| Self::new(host, ours, zone));
+        let faulty_clocks = FaultyClocks::of(snapshot);
+        let lines = snapshot.hosts.iter().take(limit);
+        let lines = lines.map(|host| Self::new(host, &faulty_clocks, ours, zone));
         lines.partition(|line| line.ended.is_none())
     }
 
-    pub(crate) fn new(host: &HostSnapshot, ours: &ClockIdentity, zone: Zone) -> Self {
+    pub(crate) fn new(
+        host: &HostSnapshot,
+        faulty_clocks: &FaultyClocks,
+        ours: &ClockIdentity,
+        zone: Zone,
+    ) -> Self {
         let name = host.description.name.to_string();
         let metrics = &host.metrics;
         let (clock, clock_title) = clock_words(&host.description.clock, ours, host.clock_ahead);
@@ -198,7 +205,7 @@ impl HostLine {
             behind: host.behind.map_or_else(|| "0".to_owned(), |behind| fixed(behind.seconds(), 1)),
             clock,
             clock_title: format!("{clock_title}; {}", describe_synchronisation(&host.clock)),
-            clock_fault: host.clock.faults.as_ref().map(|_| clock_fault::CHIP),
+            clock_fault: faulty_clocks.chip(&[&name]),
             name,
         }
     }

@@ -30,7 +30,7 @@ pub(crate) struct HostClock {
     pub text: String,
     /// Number of steps, excessive drifts and suspensions of the clock that were detected since the agent started.
     pub epoch: u32,
-    /// Clock fault injected on purpose; null without one.
+    /// Clock fault injected on purpose, as last reported; null without one.
     #[serde(rename = "rehearsal")]
     pub clock_fault: Option<ClockFault>,
     /// Clock source of the kernel, such as `tsc`; null if not reported. In a virtual machine, any source other than

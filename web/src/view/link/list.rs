@@ -6,7 +6,7 @@ use peernet_statistics::number::{self, bound_ms, offset_ms, percent, trip_ms};
 use peernet_store::LinkRow;
 
 use super::super::chip::Chip;
-use super::super::clock_fault::{self, FaultyClocks};
+use super::super::clock_fault::FaultyClocks;
 use super::super::pipeline_table::Cell;
 use super::stats::ppm;
 use super::time_series::live_probes;
@@ -63,7 +63,6 @@ impl LinkLine {
         let verdict = subject.verdict();
         let offset = subject.offset();
         let (probes, newest_trip) = live_probes(&link.history, subject.end);
-        let has_clock_fault = faulty_clocks.concerns(&[&subject.edge, &subject.cloud]);
         let why = missing_offset_reason(&subject);
         let clock_cell = |value: Result<String, &str>| match value {
             _ if subject.same_clock() => {
@@ -81,7 +80,7 @@ impl LinkLine {
                 (verdict, _) => verdict.map_or("", super::super::clocks::meaning),
             },
             away: (!link.connected).then(|| zone.moment(link.last_seen)),
-            clock_fault: has_clock_fault.then_some(clock_fault::CHIP),
+            clock_fault: faulty_clocks.chip(&[&subject.edge, &subject.cloud]),
             network: link.live.network().to_string(),
             bound: clock_cell(subject.bound().map(bound_ms).ok_or(why)),
             offset: clock_cell(

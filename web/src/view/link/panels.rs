@@ -5,6 +5,7 @@ use peernet_clock::Verdict;
 use peernet_statistics::number::{self, NONE, SPACE, bound, count, offset_ms, rate, trip_ms};
 use peernet_stream::{HostClock, ProbeCounts, Probing};
 
+use super::super::clock_fault::FaultyClocks;
 use super::time_series::LinkTimeSeries;
 use super::{CONTRADICTION, Subject, estimate_and_max_error};
 
@@ -62,7 +63,7 @@ pub(crate) fn describe_synchronisation(clock: &HostClock) -> String {
 }
 
 /// Returns the rows of both hosts; empty for a link that is not in the live state.
-pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
+pub(crate) fn hosts(subject: &Subject<'_>, faulty_clocks: &FaultyClocks) -> Vec<HostRow> {
     let Some(link) = subject.live else { return Vec::new() };
     let row = |name: &str, role, clock: Option<&HostClock>| HostRow {
         name: name.to_owned(),
@@ -71,7 +72,7 @@ pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
         text: clock.map_or_else(|| "has not reported yet".to_owned(), describe_synchronisation),
         claims: clock.map_or_else(|| NONE.to_owned(), reported_error_bounds),
         steps: clock.map_or_else(|| NONE.to_owned(), |clock| count(clock.epoch.into())),
-        clock_fault: clock.and_then(|clock| clock.faults.as_ref()).map(ToString::to_string),
+        clock_fault: faulty_clocks.0.get(name).cloned(),
     };
     vec![
         row(&subject.edge, "edge", link.live.edge.as_ref()),
