@@ -15,6 +15,7 @@ describe("failures", () => {
     const title = page.locator("h1"), figures = page.locator("#part-now");
     const pastTitle = /running at \d\d:\d\d:\d\d$/;
     assert.doesNotMatch(await title.innerText(), pastTitle);
+    await page.waitForFunction(() => /^last report \d+\.\d\s?s ago$/.test(document.getElementById("livelag").textContent));
     await page.route("**/api/v1/live*", (route) => route.abort());
     // A page that returns from the back-forward cache opens its stream again, which now fails.
     await page.evaluate(() => dispatchEvent(new PageTransitionEvent("pageshow", { persisted: true })));

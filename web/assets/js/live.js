@@ -125,7 +125,7 @@
     const silent = (performance.now() - lastEventAt) / 1000;
     let text = "";
     if (isDisconnected) text = `last data ${Math.round(silent)}\u202fs ago`;
-    else if (status && status.behind_s != null) text = `${NUMBERS.fixed(status.behind_s, 1)}\u202fs behind`;
+    else if (status && status.behind_s != null) text = `last report ${NUMBERS.fixed(status.behind_s, 1)}\u202fs ago`;
     if ($("livelag").textContent !== text) $("livelag").textContent = text;
   }
   // Injected clock faults are shown on every page while they last.
