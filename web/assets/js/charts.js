@@ -136,16 +136,8 @@ const PEER = (() => {
   }
 
   // --- marks on the time axis: a dashed line across the plot with a sign above it; a gap is a hatched span
-  // The path of a sign lies in a square of 12 × 12 units.
-  const SIGNS = {
-    model: "M6 1.2 10.4 3.6v4.8L6 10.8 1.6 8.4V3.6zM1.6 3.6 6 6l4.4-2.4M6 6v4.8",
-    reconnect: "M10.3 5A4.5 4.5 0 1 0 10 8M10.5 1.8V5H7.3",
-    stepped: "M1 9.5h5v-7h5",
-    gap: "M1 6h2.2M8.8 6H11M4.2 2.5v7M7.8 2.5v7",
-    failed: "m2.6 2.6 6.8 6.8M9.4 2.6 2.6 9.4",
-    unsynchronised: "M6 1.4a4.6 4.6 0 1 0 0 9.2 4.6 4.6 0 0 0 0-9.2M2.8 9.2 9.2 2.8",
-    run: "M3 1.8v8.4L10 6z",
-  };
+  // Returns the path of an icon of the page. The path lies in a square of 12 × 12 units.
+  const iconPath = (name) => document.querySelector(`#i-${name} path`).getAttribute("d");
   // Gaps that are closer than this, px, are drawn as one, and so are crosses of failed iterations.
   const TOUCHING = 6;
   // Returns the visible gaps in pixels. Neighbours closer than TOUCHING px are merged. If `commonText` is given, it is
@@ -186,7 +178,7 @@ const PEER = (() => {
         }
         const from = api.coord([api.value(0), 0])[0];
         if (from < area.x || from > area.x + area.width) return null;
-        const sign = { type: "path", x: from - 6 * unit, y: plots[0][0] - 14 * unit, scaleX: unit, scaleY: unit, shape: { pathData: SIGNS[kind] || SIGNS.run }, style: { fill: "none", stroke: ink, lineWidth: 1.3, strokeNoScale: true } };
+        const sign = { type: "path", x: from - 6 * unit, y: plots[0][0] - 14 * unit, scaleX: unit, scaleY: unit, shape: { pathData: iconPath(kind) }, style: { fill: "none", stroke: ink, lineWidth: 1.3, strokeNoScale: true } };
         return { type: "group", children: dash(from).concat([sign]) };
       },
     };
@@ -207,7 +199,7 @@ const PEER = (() => {
         // Crosses that would overlap are drawn as one.
         if (from - (params.context.cross ?? -Infinity) < TOUCHING) return null;
         params.context.cross = from;
-        return { type: "path", x: from - 6 * size, y: top - 13 * size, scaleX: size, scaleY: size, shape: { pathData: SIGNS.failed }, style: { fill: "none", stroke: bad, lineWidth: 1.5, strokeNoScale: true } };
+        return { type: "path", x: from - 6 * size, y: top - 13 * size, scaleX: size, scaleY: size, shape: { pathData: iconPath("failed") }, style: { fill: "none", stroke: bad, lineWidth: 1.5, strokeNoScale: true } };
       },
     };
   }
