@@ -308,13 +308,13 @@ statements! {
     NEWEST_ASSUMED_PERIOD = "SELECT 0 AS cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, \
                              claims_trusted, probes_authenticated FROM clock_window WHERE link = ?1 ORDER BY id DESC LIMIT 1";
     /// The edge and the network of a run, which together select the run's links. A run that names no network has the
-    /// default network. ?1 run.
-    RUN_LINKS = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network FROM run \
+    /// default network. ?1 run, ?2 default network.
+    RUN_LINKS = "SELECT pipeline.host, coalesce(run.network, ?2) AS network FROM run \
                  JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
     /// The edge, the network and the model of a run, the starts of its first and last iterations, and its earliest and
     /// latest minutes with successful iterations. The minutes are needed because the first iteration does not have the
-    /// earliest start if the edge's clock was set back. ?1 run.
-    RUN_EXTENT = "SELECT pipeline.host, coalesce(run.network, 'zmq-tcp') AS network, run.model, \
+    /// earliest start if the edge's clock was set back. ?1 run, ?2 default network.
+    RUN_EXTENT = "SELECT pipeline.host, coalesce(run.network, ?2) AS network, run.model, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number LIMIT 1) AS first_ns, \
                   (SELECT started_ns FROM iteration WHERE run = ?1 ORDER BY number DESC LIMIT 1) AS last_ns, \
                   (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60) AS first_s, \

@@ -98,7 +98,8 @@ fn link_key(link: &LinkSnapshot) -> LinkKey {
 pub(crate) fn no_link(link_name: &str) -> WebError {
     WebError::NotFound(format!(
         "no link {link_name} has ever been reported to this aggregator; a link is named EDGE~CLOUD, or EDGE~CLOUD~NETWORK where the network \
-         is not zmq-tcp"
+         is not {}",
+        NetworkName::default()
     ))
 }
 

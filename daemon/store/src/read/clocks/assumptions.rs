@@ -1,6 +1,7 @@
 //! Assumptions behind the bounds of one-way delays, as the relation periods of links store them.
 
 use peernet_clock::{RelatedClocks, Span, WallTime};
+use peernet_stream::NetworkName;
 use sqlx::FromRow;
 
 use super::WHAT;
@@ -54,6 +55,7 @@ impl PeriodAssumptions {
     ) -> Result<Self, StoreError> {
         let edge_and_network: Option<(i64, String)> = sqlx::query_as(sql::RUN_LINKS)
             .bind(run)
+            .bind(NetworkName::default().as_str())
             .fetch_optional(&readers.pool())
             .await
             .map_err(readers.error_for(WHAT))?;

@@ -12,6 +12,7 @@ mod rolling;
 use peernet_analysis::transfer::DirectionNodes;
 use peernet_clock::{DelaySource, Direction, OneWayDelay, RawTime, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{RawStamps, Slug, stage};
+use peernet_stream::NetworkName;
 use sqlx::FromRow;
 
 use self::clouds::{Clouds, EdgeTime};
@@ -127,6 +128,7 @@ pub(crate) async fn rejudge_delays(
 ) -> Result<Option<u64>, StoreError> {
     let run_context: Option<RunContext> = sqlx::query_as(sql::RUN_EXTENT)
         .bind(run)
+        .bind(NetworkName::default().as_str())
         .fetch_optional(&readers.pool())
         .await
         .map_err(readers.error_for(WHAT))?;
