@@ -68,7 +68,7 @@
     for (const list of Object.values(card.means)) { grow(list, length); list[at] ??= null; }
     for (const [direction, sent] of [["up", second.transfers.upload], ["down", second.transfers.download]]) {
       grow(card.transfers[direction], length);
-      card.transfers[direction][at] = sent?.seconds > 0 ? [sent.timed_bytes, sent.seconds * 1e6] : null;
+      card.transfers[direction][at] = sent?.timed_bytes > 0 && sent.seconds > 0 ? [sent.timed_bytes, sent.seconds * 1e6] : null;
     }
     const extra = card.n.length - MAX_SECONDS;
     if (extra > 0) {
