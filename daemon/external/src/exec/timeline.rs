@@ -4,8 +4,8 @@ use peernet_clock::{MonoTime, Span};
 
 use super::{ProgramCall, ProgramCallError};
 
-/// Stages of a model that count towards the sum of the stages.
-const SUMMED_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
+/// Stages of a model. They count towards the sum of the stages. Only models may report them, and only as durations.
+pub(super) const MODEL_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 /// Stage for the time that is not spent in the program: sending the request and receiving the reply.
 const IPC: &str = "ipc";
 /// Node that takes the place of `ipc` in the first reply after a restart; it includes the start of the program.
@@ -73,7 +73,7 @@ impl ProgramCall {
     /// [`ProgramCallError::StagesTooLong`] if the stages add up to more than the whole call.
     pub fn stages(&self) -> Result<Vec<TimedStage>, ProgramCallError> {
         let timed_stage = |name: &str, from, to| TimedStage { name: name.to_owned(), from, to };
-        let is_summed = |name: &String| SUMMED_STAGES.contains(&name.as_str());
+        let is_summed = |name: &String| MODEL_STAGES.contains(&name.as_str());
         let summed = self.notes.stages.iter().filter(|(name, _)| is_summed(name));
         let reported_sum: Span = summed.map(|(_, span)| *span).sum();
         if reported_sum > self.max_plausible_duration() {

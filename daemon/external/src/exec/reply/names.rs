@@ -1,5 +1,6 @@
 //! Names that a program must not use for its stages and values.
 
+use super::super::timeline::MODEL_STAGES;
 use super::{FramingError, REWARD_FORM, SUCCESS_FORM};
 
 /// Names of nodes that PEERNet itself records, and of the columns that every `data.csv` has. Programs must not use them.
@@ -78,8 +79,6 @@ const RESERVED_NAMES: [&str; 69] = [
 /// Reserved names for which an actuator writes a separate line, and the form of this line.
 const FEEDBACK_FORMS: [(&str, &str); 3] =
     [("reward", REWARD_FORM), ("success", SUCCESS_FORM), ("episode-ended", "episode-ended")];
-/// Stages of a model. Only models may report them, and only as durations.
-const MODEL_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 
 /// Returns `name` if programs may use it. `allows_model_stages` is `true` for a stage that a model reports.
 pub(super) fn check_name(name: &str, allows_model_stages: bool) -> Result<String, FramingError> {
