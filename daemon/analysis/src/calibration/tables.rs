@@ -4,7 +4,7 @@ use std::path::Path;
 
 use peernet_clock::{Direction, Span};
 use peernet_statistics::number::{
-    EXACT, NONE as UNKNOWN, bytes, decimals, fixed, fixed_or_less_than, join_ends,
+    BITS_PER_MB, EXACT, NONE as UNKNOWN, bytes, decimals, fixed, fixed_or_less_than, join_ends,
 };
 
 use super::Study;
@@ -17,8 +17,6 @@ use crate::table::{decimals_of, text, write_csv};
 
 /// Maximum number of decimals of a number of ms: a tenth of a microsecond.
 const MAX_MS_DECIMALS: usize = 4;
-/// Number of bits in a megabyte. Throughputs are computed in bits per second and printed in MB/s.
-const BITS_PER_MB: f64 = 8e6;
 /// Columns of one direction, as suffixes of the name of its stage: `upload-bytes`. The column of the delay has no
 /// suffix: `upload`.
 const PASSAGE_COLUMNS: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];

@@ -1,7 +1,7 @@
 //! Scale in which the numbers of a column are shown.
 
 use peernet_logger::{Unit, stage};
-use peernet_statistics::number::{decimals, fixed, milliseconds, significant, throughput};
+use peernet_statistics::number::{BITS_PER_MB, decimals, fixed, milliseconds, significant, throughput};
 
 /// Names of columns other than the stages for which [`is_duration`] returns true.
 const FURTHER_DURATION_COLUMNS: [&str; 7] = [
@@ -79,7 +79,7 @@ impl Scale {
     pub const fn factor(self) -> f64 {
         match self {
             Self::Milliseconds => 1e3,
-            Self::MegabytesPerSecond => 1.0 / 8e6,
+            Self::MegabytesPerSecond => 1.0 / BITS_PER_MB,
             Self::Bytes | Self::AsMeasured => 1.0,
         }
     }

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use peernet_statistics::number::{decimals, fixed};
+use peernet_statistics::number::{BITS_PER_MB, decimals, fixed};
 
 use crate::scale::{Scale, Tick};
 
@@ -28,7 +28,7 @@ impl Unit {
 
     /// Returns the unit of a quantity in bits per second that is shown in MB/s.
     pub fn megabytes_per_second(quantity: &str) -> Self {
-        Self { title: format!("{quantity}, MB/s"), symbol: "MB/s".into(), per_si: 1.0 / 8e6 }
+        Self { title: format!("{quantity}, MB/s"), symbol: "MB/s".into(), per_si: 1.0 / BITS_PER_MB }
     }
 
     /// Returns a unit whose title is its symbol, for pages.

@@ -27,6 +27,8 @@ pub use quantity::{
     times, whole_percent,
 };
 
+/// Number of bits in a megabyte. Throughputs are computed in bits per second and shown in MB/s.
+pub const BITS_PER_MB: f64 = 8e6;
 /// Text for a number that is absent or unknown.
 pub const NONE: &str = "—";
 /// Narrow no-break space between a number and its unit on a page.

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::{SPACE, decimals, fixed, fixed_or_less_than, significant};
+use super::{BITS_PER_MB, SPACE, decimals, fixed, fixed_or_less_than, significant};
 
 /// Maximum number of decimals of a throughput in MB/s. The sixth decimal is one byte per second.
 const MAX_DECIMALS: usize = 6;
@@ -69,14 +69,14 @@ pub fn rate(hz: f64) -> String {
 
 /// Formats bits per second in MB/s with three significant digits: `0.00625`, `0.690`, `106`.
 pub fn throughput(bits_per_second: f64) -> String {
-    let value = bits_per_second / 8e6;
+    let value = bits_per_second / BITS_PER_MB;
     if value == 0.0 { "0".to_owned() } else { fixed(value, decimals(value, 3).min(MAX_DECIMALS)) }
 }
 
 /// Formats bits per second and their margin in MB/s, both down to the second significant digit of the margin: `943 ±
 /// 14`.
 pub fn throughput_with_margin(bits_per_second: f64, margin: f64) -> String {
-    let [rate, margin] = [bits_per_second, margin].map(|bits| bits / 8e6);
+    let [rate, margin] = [bits_per_second, margin].map(|bits| bits / BITS_PER_MB);
     let decimals = if margin > 0.0 { decimals(margin, 2) } else { decimals(rate, 3) }.min(MAX_DECIMALS);
     format!("{} ± {}", fixed(rate, decimals), fixed(margin, decimals))
 }
@@ -88,8 +88,8 @@ pub fn throughput_between((lo, hi): (f64, Option<f64>)) -> String {
     if lo == hi {
         return throughput(lo);
     }
-    let decimals = decimals((hi - lo) / 2.0 / 8e6, 2).min(MAX_DECIMALS);
-    super::join_ends([lo, hi].map(|end| fixed(end / 8e6, decimals)))
+    let decimals = decimals((hi - lo) / 2.0 / BITS_PER_MB, 2).min(MAX_DECIMALS);
+    super::join_ends([lo, hi].map(|end| fixed(end / BITS_PER_MB, decimals)))
 }
 
 /// Formats a size in the largest decimal unit in which the number is at least 1: `412 B`, `151 kB`, `1.2 MB`. Zeros at
