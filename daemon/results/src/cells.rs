@@ -59,9 +59,8 @@ impl Header {
     /// Appends the line of a row to `out`. Values without a column are left out.
     pub fn write_row(&self, out: &mut Vec<u8>, row: &Row) {
         let fixed = FIXED_COLUMNS.iter().map(|(name, kind)| match kind {
-            ColumnKind::Iteration => iteration_cell(row, name),
-            ColumnKind::Delay => delay_cell(row, name),
-            ColumnKind::Node => number_cell(row.value(name)),
+            ColumnKind::Text => text_cell(row, name),
+            ColumnKind::Node | ColumnKind::Property => number_cell(row.value(name)),
         });
         write_line(out, fixed.chain(self.further_columns().iter().map(|name| number_cell(row.value(name)))));
     }
@@ -85,23 +84,16 @@ fn write_line(out: &mut Vec<u8>, cells: impl Iterator<Item = impl AsRef<str>>) {
     out.push(b'\n');
 }
 
-fn iteration_cell(row: &Row, name: &str) -> String {
-    match name {
-        "outcome" => row.outcome.name().to_owned(),
-        "reason" => row.reason.clone().unwrap_or_default(),
-        _ => number_cell(row.value(name)),
-    }
-}
-
-fn delay_cell(row: &Row, name: &str) -> String {
+fn text_cell(row: &Row, name: &str) -> String {
     let verdict = |delay: Option<OneWayDelay>| delay.map_or("", |delay| delay.verdict.name()).to_owned();
     let source = |delay: Option<OneWayDelay>| delay.map_or("", |delay| delay.source.name()).to_owned();
     match name {
+        "outcome" => row.outcome.name().to_owned(),
         "upload-verdict" => verdict(row.upload),
         "upload-source" => source(row.upload),
         "download-verdict" => verdict(row.download),
         "download-source" => source(row.download),
-        _ => number_cell(row.value(name)),
+        _ => row.reason.clone().unwrap_or_default(),
     }
 }
 

@@ -160,9 +160,7 @@ impl RowParser {
 impl ColumnParser {
     /// Returns whether the column contains text.
     fn is_text(&self) -> bool {
-        let text_columns =
-            ["outcome", "reason", "upload-verdict", "upload-source", "download-verdict", "download-source"];
-        self.kind.is_some() && text_columns.contains(&self.name.as_ref())
+        self.kind == Some(ColumnKind::Text)
     }
 
     /// Returns whether the number is meaningful. Infinity is meaningful only as an upper bound.

@@ -15,13 +15,12 @@ pub const LATENESS: &str = "lateness";
 /// Kind of the cells of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnKind {
-    /// Property of the iteration itself: its position in the run, its start time, its outcome, or whether it is
-    /// warm-up.
-    Iteration,
     /// Value of a node of the tree.
     Node,
-    /// Property of a one-way delay other than its value, such as its bounds or its verdict.
-    Delay,
+    /// Other number: a property of the iteration, such as its start time, or of a one-way delay, such as its bounds.
+    Property,
+    /// Text: the outcome with its reason, or the verdict and the source of a one-way delay.
+    Text,
 }
 
 /// Number of columns of the paper's original program.
@@ -30,7 +29,7 @@ pub const PUBLISHED_COLUMN_COUNT: usize = 13;
 /// Columns of every `data.csv`: first the columns of the paper's original program in their order, then the columns of
 /// this program. After these columns, the file of a run has the columns of its further measurements.
 pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
-    ("iteration", ColumnKind::Iteration),
+    ("iteration", ColumnKind::Property),
     ("sensing", ColumnKind::Node),
     ("upload", ColumnKind::Node),
     ("preprocessing", ColumnKind::Node),
@@ -43,16 +42,16 @@ pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
     ("upload-logger-bytes", ColumnKind::Node),
     ("upload-throughput", ColumnKind::Node),
     ("download-throughput", ColumnKind::Node),
-    ("upload-raw", ColumnKind::Delay),
-    ("upload-lo", ColumnKind::Delay),
-    ("upload-hi", ColumnKind::Delay),
-    ("upload-verdict", ColumnKind::Delay),
-    ("upload-source", ColumnKind::Delay),
-    ("download-raw", ColumnKind::Delay),
-    ("download-lo", ColumnKind::Delay),
-    ("download-hi", ColumnKind::Delay),
-    ("download-verdict", ColumnKind::Delay),
-    ("download-source", ColumnKind::Delay),
+    ("upload-raw", ColumnKind::Property),
+    ("upload-lo", ColumnKind::Property),
+    ("upload-hi", ColumnKind::Property),
+    ("upload-verdict", ColumnKind::Text),
+    ("upload-source", ColumnKind::Text),
+    ("download-raw", ColumnKind::Property),
+    ("download-lo", ColumnKind::Property),
+    ("download-hi", ColumnKind::Property),
+    ("download-verdict", ColumnKind::Text),
+    ("download-source", ColumnKind::Text),
     ("upload-throughput-lo", ColumnKind::Node),
     ("upload-throughput-hi", ColumnKind::Node),
     ("download-throughput-lo", ColumnKind::Node),
@@ -71,12 +70,12 @@ pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
     ("unattributed", ColumnKind::Node),
     ("top-1", ColumnKind::Node),
     ("top-5", ColumnKind::Node),
-    ("at", ColumnKind::Iteration),
-    ("episode", ColumnKind::Iteration),
-    ("step", ColumnKind::Iteration),
-    ("warm-up", ColumnKind::Iteration),
-    ("outcome", ColumnKind::Iteration),
-    ("reason", ColumnKind::Iteration),
+    ("at", ColumnKind::Property),
+    ("episode", ColumnKind::Property),
+    ("step", ColumnKind::Property),
+    ("warm-up", ColumnKind::Property),
+    ("outcome", ColumnKind::Text),
+    ("reason", ColumnKind::Text),
 ];
 
 /// Returns the names of the columns of the paper's original program, in their order.
