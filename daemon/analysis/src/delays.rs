@@ -38,18 +38,10 @@ impl DelaySummary {
         self.count
     }
 
-    /// Returns the median of the medians of all seconds. Each second has its number of delays as weight. The lower
-    /// bound of the result is the median of the lower bounds, and the upper bound is the median of the upper bounds, as
-    /// in [`median_bounds`]. `None` if no second has a median.
+    /// Returns the [median](median_delay) of the medians of all seconds. Each second has its number of delays as
+    /// weight. `None` if no second has a median.
     pub fn median(&self) -> Option<DelayPoint> {
-        let lo = self.weighted_median(|point| point.bounds.lo)?.bounds.lo;
-        let hi = self.weighted_median(|point| point.bounds.hi)?.bounds.hi;
-        Some(DelayPoint { bounds: Interval { lo, hi }, ..self.weighted_median(|point| point.value)? })
-    }
-
-    /// Returns the [`weighted_median`] of the seconds' medians, which are compared by `key`.
-    fn weighted_median(&self, key: fn(&DelayPoint) -> Span) -> Option<DelayPoint> {
-        weighted_median(self.medians.clone(), |a, b| key(a).cmp(&key(b)))
+        median_delay(|key| weighted_median(self.medians.clone(), |a, b| key(a).cmp(&key(b))))
     }
 
     /// Returns the [summary verdict](Verdict::summarise) of all delays; `None` if no delay was judged. A delay counts
@@ -72,6 +64,15 @@ impl<'a> FromIterator<&'a DelaySecond> for DelaySummary {
             summary
         })
     }
+}
+
+/// Returns the median delay. Its bounds are the medians of all lower and of all upper bounds, between which the median
+/// of the true delays lies, as in [`median_bounds`]. `median_by` returns the delay whose key is the median; `None`
+/// without delays.
+pub fn median_delay(median_by: impl Fn(fn(&DelayPoint) -> Span) -> Option<DelayPoint>) -> Option<DelayPoint> {
+    let lo = median_by(|point| point.bounds.lo)?.bounds.lo;
+    let hi = median_by(|point| point.bounds.hi)?.bounds.hi;
+    Some(DelayPoint { bounds: Interval { lo, hi }, ..median_by(|point| point.value)? })
 }
 
 /// Returns the median width of these bounds; `None` without bounds.

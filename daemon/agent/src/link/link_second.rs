@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use peernet_analysis::delays::VerdictCounts;
-use peernet_clock::{Direction, Exchange, Interval, OneWayDelay, Span, Verdict, WallTime};
+use peernet_analysis::delays::{VerdictCounts, median_delay};
+use peernet_clock::{Direction, Exchange, OneWayDelay, Span, Verdict, WallTime};
 use peernet_probes::ProbeResult;
 use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTrip};
 
@@ -168,21 +168,14 @@ impl Delays {
     fn summary(&self) -> Option<DelaySecond> {
         let verdict = Verdict::summarise(self.verdicts.counts())?;
         let count = u32::try_from(self.verdicts.total()).unwrap_or(u32::MAX);
-        Some(DelaySecond { count, median: self.median(), verdict })
-    }
-
-    /// Returns the median delay. Its bounds are the medians of all lower and of all upper bounds, between which the
-    /// median of the true delays lies.
-    fn median(&self) -> Option<DelayPoint> {
-        let lo = self.points.median(|point| point.bounds.lo)?.bounds.lo;
-        let hi = self.points.median(|point| point.bounds.hi)?.bounds.hi;
-        Some(DelayPoint { bounds: Interval { lo, hi }, ..self.points.median(|point| point.value)? })
+        let median = median_delay(|key| self.points.median(key));
+        Some(DelaySecond { count, median, verdict })
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::RawTime;
+    use peernet_clock::{Interval, RawTime};
 
     use super::*;
 
