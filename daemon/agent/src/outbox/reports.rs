@@ -6,25 +6,13 @@ use std::path::Path;
 use peernet_clock::{LogThrottle, MonoTime};
 use peernet_logger::Slug;
 use peernet_networks::Address;
+use peernet_statistics::number::{count, counted, counted_with_plural};
 use peernet_stream::{Accounting, IncidentKind};
 
 use super::dropping::{DroppingReport, DroppingWatch};
 use super::spool::{QuarantinedSpool, RecoveryCounts};
 use crate::incidents::{IncidentSubject, Incidents};
 use crate::reconnect_backoff::ReconnectBackoff;
-
-/// Formats a number with commas between thousands.
-fn with_thousands_separators(number: u64) -> String {
-    let digits = number.to_string();
-    let mut text = String::with_capacity(digits.len() * 4 / 3);
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}
 
 /// State at the time when the aggregator accepts the agent.
 #[derive(Clone, Copy, Debug)]
@@ -81,14 +69,14 @@ impl Reports {
         let waiting_text = match waiting {
             0 => String::new(),
             1 => "; 1 event waits here".to_owned(),
-            waiting => format!("; {} events wait here", with_thousands_separators(waiting)),
+            waiting => format!("; {} events wait here", count(waiting)),
         };
         let unreported_text = match unreported_ends {
             0 => String::new(),
             1 => "; 1 connection to a cloud ended in the meantime; its traffic since the last live update is not stored".to_owned(),
             ends => format!(
                 "; {} connections to clouds ended in the meantime; their traffic since the last live update is not stored",
-                with_thousands_separators(ends)
+                count(ends)
             ),
         };
         // With the usual name the text would be "the aggregator aggregator".
@@ -228,13 +216,8 @@ impl Reports {
 fn describe_quarantine(quarantined: &QuarantinedSpool) -> String {
     let QuarantinedSpool { reason, new_path, bytes, recovered } = quarantined;
     let path = new_path.display();
-    let count_of = |number: u64, singular: &str, plural: &str| {
-        format!("{} {}", with_thousands_separators(number), if number == 1 { singular } else { plural })
-    };
-    let batches_of = |number: u64| count_of(number, "batch", "batches");
-    let events_of = |number: u64| count_of(number, "event", "events");
-    let moved =
-        format!("{reason}; the file ({} bytes) was moved to {path}", with_thousands_separators(*bytes));
+    let batches_of = |number: u64| counted_with_plural(number, "batch", "batches");
+    let moved = format!("{reason}; the file ({} bytes) was moved to {path}", count(*bytes));
     let advice = format!(
         "check the disk, for example with smartctl, and delete {path} when you do not need these events"
     );
@@ -252,14 +235,14 @@ fn describe_quarantine(quarantined: &QuarantinedSpool) -> String {
         Some(lost) => format!(
             "{} from the damage on, with at least {}, are only in that file and are not sent",
             batches_of(*lost),
-            events_of(*lost_events)
+            counted(*lost_events, "event")
         ),
         None => "the batches from the damage on are only in that file and are not sent; their number cannot be read".to_owned(),
     };
     format!(
         "{moved}; a new spool has the {} before the damage, with {}, which are sent; {lost}; {advice}",
         batches_of(*batches),
-        events_of(*events)
+        counted(*events, "event")
     )
 }
 
@@ -294,12 +277,5 @@ mod tests {
         }
         quarantined.recovered = Ok(RecoveryCounts { lost_batches: None, ..recovered });
         assert!(describe_quarantine(&quarantined).contains("their number cannot be read"));
-    }
-
-    #[test]
-    fn thousands_are_separated() {
-        for (number, text) in [(7, "7"), (999, "999"), (1_000, "1,000"), (12_345_678, "12,345,678")] {
-            assert_eq!(with_thousands_separators(number), text);
-        }
     }
 }
