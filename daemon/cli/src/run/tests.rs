@@ -47,7 +47,7 @@ pub(super) fn plan(folder: &Path, text: &str) -> Plan {
     Plan::new(&file.experiment, None, file.configurations(&[]).expect("reads").0)
 }
 
-fn record(folder: &Path) -> Record {
+pub(super) fn record(folder: &Path) -> Record {
     Record::new(plan(folder, FILE), "id".to_owned(), "e.toml".to_owned(), "1".to_owned())
 }
 
@@ -324,30 +324,6 @@ fn set_values_replace_fields_but_not_axes() {
     assert!(
         wrong.exit == Exit::Configuration && wrong.to_string().contains("experiment.iterations"),
         "{wrong}"
-    );
-}
-
-#[test]
-fn unknown_durations_are_readable() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let record = record(folder.path());
-    let describe_plan = |expected: [Option<f64>; 4]| {
-        table::describe_plan(&record.plan.runs, &record, &DurationEstimates::new(expected.to_vec()))
-    };
-    assert_eq!(describe_plan([Some(3.0), Some(0.2), Some(5.0), Some(1.0)]), "4 runs, about 10 s");
-    assert_eq!(describe_plan([None; 4]), "4 runs, how long they take is not known");
-    assert_eq!(
-        describe_plan([Some(3.0), None, Some(5.0), Some(1.0)]),
-        "4 runs, about 10 s and one of unknown length"
-    );
-    let nothing = DurationEstimates::new(vec![None; 4]);
-    let one = table::describe_plan(&record.plan.runs[..1], &record, &nothing);
-    assert_eq!(one, "1 of 4 runs to do, how long it takes is not known");
-    let message = table::runs(&record, &DurationEstimates::new(vec![Some(0.23), None, Some(5.0), None]));
-    let times: Vec<_> = message.lines().skip(1).filter_map(|line| line.split("to do").nth(1)).collect();
-    assert_eq!(
-        times.iter().map(|time| time.trim()).collect::<Vec<_>>(),
-        ["0.2 s", "unknown", "5.0 s", "unknown"]
     );
 }
 
