@@ -8,6 +8,7 @@
 
 mod address;
 mod address_group;
+mod bind_failure;
 pub mod datagram;
 mod host_checks;
 mod memory;
@@ -22,6 +23,7 @@ pub use address::{
     UnsupportedEventStreamNetwork,
 };
 pub use address_group::AddressGroup;
+pub use bind_failure::BindFailure;
 pub use host_checks::{UnusableAddress, UnusableSetting};
 
 use std::fmt;
@@ -371,23 +373,6 @@ pub(crate) enum DialFailure {
     Refused(String),
     /// The time limit has passed.
     TimedOut,
-}
-
-/// Reason why a listener could not be bound.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum BindFailure {
-    /// Another socket has the port.
-    #[error("another program uses the port")]
-    InUse,
-    /// The port needs a privilege.
-    #[error("permission denied")]
-    Denied,
-    /// The address does not belong to this machine.
-    #[error("this machine has no such address")]
-    NotLocal,
-    /// Another error, in the words of the system.
-    #[error("{0}")]
-    Other(String),
 }
 
 #[cfg(test)]

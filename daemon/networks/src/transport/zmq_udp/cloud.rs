@@ -41,8 +41,7 @@ pub(crate) async fn bind(
     let resolved = tokio::net::lookup_host(address.authority()).await;
     let resolved = resolved.map_err(|error| BindFailure::Other(error.to_string()))?.next();
     let local_address = resolved.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
-    let socket =
-        UdpPort::bind(local_address, socket_buffer_bytes(settings)).map_err(|error| bind_failure(&error))?;
+    let socket = UdpPort::bind(local_address, socket_buffer_bytes(settings))?;
     let bound = socket.address();
     let caveat = socket.caveat().map(str::to_owned);
     let limits = EndpointLimits {
@@ -62,15 +61,6 @@ pub(crate) async fn bind(
     let sender = Box::new(UdpCloudSender(Arc::clone(&port)));
     let address = address.with_ip(bound.ip(), bound.port());
     Ok(BoundPort { address, caveat, sender, receiver: Box::new(UdpCloudReceiver { port, deliveries }) })
-}
-
-fn bind_failure(error: &io::Error) -> BindFailure {
-    match error.kind() {
-        io::ErrorKind::AddrInUse => BindFailure::InUse,
-        io::ErrorKind::PermissionDenied => BindFailure::Denied,
-        io::ErrorKind::AddrNotAvailable => BindFailure::NotLocal,
-        _ => BindFailure::Other(error.to_string()),
-    }
 }
 
 /// The state machine of a cloud's socket.

@@ -87,8 +87,8 @@ impl ZmtpListener {
         authority: &str,
         limits: ListenerLimits,
     ) -> Result<Self, BindFailure> {
-        let listener = listen(authority).await.map_err(|error| bind_failure(&error))?;
-        let address = listener.local_addr().map_err(|error| bind_failure(&error))?;
+        let listener = listen(authority).await?;
+        let address = listener.local_addr()?;
         let budgets = Budgets {
             unadmitted: MemoryBudget::new(MAX_ALL_UNADMITTED_BYTES),
             admitted: MemoryBudget::new(limits.unfinished_budget()),
@@ -206,15 +206,6 @@ async fn listen(authority: &str) -> io::Result<TcpListener> {
     socket.bind(&address.into())?;
     socket.listen(BACKLOG)?;
     TcpListener::from_std(socket.into())
-}
-
-fn bind_failure(error: &io::Error) -> BindFailure {
-    match error.kind() {
-        io::ErrorKind::AddrInUse => BindFailure::InUse,
-        io::ErrorKind::PermissionDenied => BindFailure::Denied,
-        io::ErrorKind::AddrNotAvailable => BindFailure::NotLocal,
-        _ => BindFailure::Other(error.to_string()),
-    }
 }
 
 /// Accepts connections until the listener stops.
