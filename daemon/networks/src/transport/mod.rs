@@ -38,6 +38,7 @@ use peernet_clock::SharedClock;
 use peernet_logger::HostId;
 use peernet_stream::NetworkName;
 use serde::{Deserialize, Serialize};
+use tokio::sync::mpsc;
 use tokio::time::Instant;
 
 use self::address::AddressForm;
@@ -278,6 +279,16 @@ pub(crate) enum EdgeEvent {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct Disconnection(pub(crate) String);
+
+/// Reason for the end of a connection that this program closed.
+pub(crate) const CLOSED_HERE: &str = "the connection was closed here";
+
+/// Closes a connection's or port's queue of deliveries and discards the deliveries in it. They are of no use any more,
+/// and the task that delivers must not wait until they are received.
+pub(crate) fn discard_deliveries<T>(deliveries: &mut mpsc::Receiver<T>) {
+    deliveries.close();
+    while deliveries.try_recv().is_ok() {}
+}
 
 /// The receiving half of the edge's end.
 pub(crate) trait EdgeReceiver: Send + fmt::Debug {

@@ -21,9 +21,9 @@ use zeromq::{
 use super::tcp_info::tcp_statistics;
 use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
-    AddressForm, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, DialContext, DialFailure,
-    Disconnection, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames, HostChecks, ListenerEvent,
-    Peer, SendFailure, SendOptions,
+    AddressForm, BindFailure, BoundPort, CLOSED_HERE, CloudReceiver, CloudSender, ConnectionId, DialContext,
+    DialFailure, Disconnection, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames, HostChecks,
+    ListenerEvent, Peer, SendFailure, SendOptions,
 };
 use crate::descriptors::DescriptorShare;
 use crate::message::MAX_FRAMES;
@@ -106,7 +106,7 @@ fn to_send_result(result: Result<(), TrySendError>) -> Result<(), SendFailure> {
 fn reason_text(reason: &DisconnectReason) -> String {
     match reason {
         DisconnectReason::PeerClosed => "the peer closed the connection".into(),
-        DisconnectReason::LocalClose => "the connection was closed here".into(),
+        DisconnectReason::LocalClose => CLOSED_HERE.into(),
         DisconnectReason::Error(text) => text.clone(),
         other => format!("{other:?}"),
     }

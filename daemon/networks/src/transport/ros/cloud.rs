@@ -31,7 +31,7 @@ use crate::descriptors::DescriptorShare;
 use crate::statistics::TransportStatistics;
 use crate::transport::{
     BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, Frames, ListenerEvent, Peer,
-    SendFailure, SendOptions,
+    SendFailure, SendOptions, discard_deliveries,
 };
 use crate::{Address, SessionSettings};
 
@@ -202,9 +202,7 @@ impl CloudReceiver for RosCloudReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // Further deliveries are of no use, and the tasks must not wait until the deliveries are received.
-            self.deliveries.close();
-            while self.deliveries.try_recv().is_ok() {}
+            discard_deliveries(&mut self.deliveries);
             self.tasks.close(linger).await;
             self.node.end(linger).await;
         })

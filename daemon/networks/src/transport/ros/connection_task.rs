@@ -15,6 +15,7 @@ use super::interface::{NodeFailure, PublisherChanges, SessionSubscriber, TopicMe
 use super::limits::ReceiveLimits;
 use super::payload;
 use super::second_publishers::SecondPublishers;
+use crate::transport::CLOSED_HERE;
 
 /// Receiver of the events of a connection.
 pub(super) trait Sink: Send {
@@ -72,7 +73,7 @@ impl<S: Sink> ConnectionTask<S> {
         let channel = Arc::clone(&self.channel);
         self.run_until_end(goodbye).await;
         // Senders may still hold the channel. A message to a closed connection is an error.
-        channel.lock().end("the connection was closed here".to_owned());
+        channel.lock().end(CLOSED_HERE.to_owned());
     }
 
     async fn run_until_end(mut self, goodbye: &str) {

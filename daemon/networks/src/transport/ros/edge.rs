@@ -24,8 +24,8 @@ use super::names::{TopicPair, edge_node_prefix, refusals_topic, sessions_topic, 
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialContext, DialFailure, Disconnection, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames,
-    SendFailure, SendOptions,
+    CLOSED_HERE, DialContext, DialFailure, Disconnection, EdgeConnection, EdgeEvent, EdgeReceiver,
+    EdgeSender, Frames, SendFailure, SendOptions, discard_deliveries,
 };
 use crate::{Address, SessionSettings};
 
@@ -296,16 +296,14 @@ impl EdgeReceiver for RosEdgeReceiver {
         Box::pin(async {
             match self.deliveries.recv().await {
                 Some((event, _reserved)) => event,
-                None => Err(Disconnection("the connection was closed here".into())),
+                None => Err(Disconnection(CLOSED_HERE.into())),
             }
         })
     }
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // Further deliveries are of no use, and the task must not wait until the deliveries are received.
-            self.deliveries.close();
-            while self.deliveries.try_recv().is_ok() {}
+            discard_deliveries(&mut self.deliveries);
             self.stop.cancel();
             if let Some(task) = self.task.take()
                 && timeout(linger, task).await.is_err()

@@ -22,7 +22,7 @@ use crate::transport::datagram::endpoint::{Endpoint, EndpointLimits, Route};
 use crate::transport::datagram::sending::Batch;
 use crate::transport::{
     BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, Frames, ListenerEvent, Peer,
-    SendFailure, SendOptions,
+    SendFailure, SendOptions, discard_deliveries,
 };
 use crate::{Address, SessionSettings};
 
@@ -155,9 +155,7 @@ impl CloudReceiver for UdpCloudReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // Further deliveries are of no use, and the task must not wait until the deliveries are received.
-            self.deliveries.close();
-            while self.deliveries.try_recv().is_ok() {}
+            discard_deliveries(&mut self.deliveries);
             self.port.close(linger).await;
         })
     }

@@ -25,8 +25,8 @@ use crate::transport::datagram::packet_writer::PacketWriter;
 use crate::transport::datagram::sending::Batch;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialContext, DialFailure, Disconnection, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames,
-    SendFailure, SendOptions,
+    CLOSED_HERE, DialContext, DialFailure, Disconnection, EdgeConnection, EdgeEvent, EdgeReceiver,
+    EdgeSender, Frames, SendFailure, SendOptions, discard_deliveries,
 };
 use crate::{Address, SessionSettings};
 
@@ -320,16 +320,14 @@ impl EdgeReceiver for UdpEdgeReceiver {
         Box::pin(async {
             match self.deliveries.recv().await {
                 Some((event, _reserved)) => event,
-                None => Err(Disconnection("the connection was closed here".into())),
+                None => Err(Disconnection(CLOSED_HERE.into())),
             }
         })
     }
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // Further deliveries are of no use, and the task must not wait until the deliveries are received.
-            self.deliveries.close();
-            while self.deliveries.try_recv().is_ok() {}
+            discard_deliveries(&mut self.deliveries);
             self.port.close(linger).await;
         })
     }

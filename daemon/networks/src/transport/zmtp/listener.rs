@@ -20,7 +20,9 @@ use super::rejections::{LOG_INTERVAL, Rejection, RejectionCounts};
 use super::table::{ConnectionTable, InsertedConnection};
 use crate::statistics::ConnectionAddresses;
 use crate::transport::memory::{MemoryBudget, Reservation};
-use crate::transport::{AddressGroup, BindFailure, ConnectionId, Frames, ListenerEvent, SendFailure};
+use crate::transport::{
+    AddressGroup, BindFailure, CLOSED_HERE, ConnectionId, Frames, ListenerEvent, SendFailure,
+};
 
 /// Maximum number of messages of all connections that wait to be received. Their memory is reserved until then.
 const MAX_QUEUED_DELIVERIES: usize = 1_024;
@@ -306,7 +308,7 @@ async fn serve_connection(mut driver: Driver, state: Arc<ListenerState>, deliver
         }
         ConnectionEnd::Closed => {
             driver.finish(state.close_deadline()).await;
-            "the connection was closed here".into()
+            CLOSED_HERE.into()
         }
     };
     // The connection is removed before its end is reported: the socket closes with the last reference, and nothing can

@@ -14,7 +14,7 @@ use crate::transport::ros::channel::Channel;
 use crate::transport::ros::connection::Event;
 use crate::transport::ros::connection_task::{Directive, Sink};
 use crate::transport::ros::limits::ReceiveLimits;
-use crate::transport::{ListenerEvent, Peer};
+use crate::transport::{CLOSED_HERE, ListenerEvent, Peer};
 
 /// Hands the events of a connection to the layer above, and sets the connection's limits according to its admission.
 pub(super) struct CloudSink {
@@ -94,7 +94,7 @@ impl Sink for CloudSink {
                 let admission = *self.admission.borrow_and_update();
                 match changed {
                     Ok(()) => self.apply_admission(admission, channel),
-                    Err(_) => Directive::End("the connection was closed here".to_owned()),
+                    Err(_) => Directive::End(CLOSED_HERE.to_owned()),
                 }
             }
             () = hello_timeout_passed => Directive::End("no session was opened in time".to_owned()),
