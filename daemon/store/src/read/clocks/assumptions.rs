@@ -4,7 +4,7 @@ use peernet_clock::{RelatedClocks, Span, WallTime};
 use peernet_stream::NetworkName;
 use sqlx::FromRow;
 
-use super::WHAT;
+use super::{WHAT, link_id};
 use crate::error::StoreError;
 use crate::read::{sql, value_of_number};
 use crate::readers::Readers;
@@ -100,16 +100,9 @@ impl PeriodAssumptions {
 /// Returns the assumptions of a link's newest relation period, or `None` for an unknown link.
 pub(crate) async fn link_assumptions(
     readers: &Readers,
-    LinkKey { edge, cloud, network }: &LinkKey,
+    key: &LinkKey,
 ) -> Result<Option<DelayAssumptions>, StoreError> {
-    let link: Option<i64> = sqlx::query_scalar(sql::LINK)
-        .bind(edge.to_string())
-        .bind(cloud.to_string())
-        .bind(network.as_str())
-        .fetch_optional(&readers.pool())
-        .await
-        .map_err(readers.error_for(WHAT))?;
-    let Some(link) = link else { return Ok(None) };
+    let Some(link) = link_id(readers, key).await? else { return Ok(None) };
     let newest: Option<RelationPeriod> = sqlx::query_as(sql::NEWEST_ASSUMED_PERIOD)
         .bind(link)
         .fetch_optional(&readers.pool())

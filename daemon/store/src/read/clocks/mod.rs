@@ -103,21 +103,28 @@ pub(crate) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError>
     Ok(links)
 }
 
-pub(crate) async fn series(
+/// Returns the row of a link; `None` for an unknown link.
+async fn link_id(
     readers: &Readers,
     LinkKey { edge, cloud, network }: &LinkKey,
-    (from, to): (WallTime, WallTime),
-    max_points: u32,
-) -> Result<ClockSeries, StoreError> {
-    let empty_series = ClockSeries { bucket_s: BUCKET_WIDTHS_S[0], points: Vec::new() };
-    let link: Option<i64> = sqlx::query_scalar(sql::LINK)
+) -> Result<Option<i64>, StoreError> {
+    sqlx::query_scalar(sql::LINK)
         .bind(edge.to_string())
         .bind(cloud.to_string())
         .bind(network.as_str())
         .fetch_optional(&readers.pool())
         .await
-        .map_err(readers.error_for(WHAT))?;
-    let Some(link) = link else { return Ok(empty_series) };
+        .map_err(readers.error_for(WHAT))
+}
+
+pub(crate) async fn series(
+    readers: &Readers,
+    key: &LinkKey,
+    (from, to): (WallTime, WallTime),
+    max_points: u32,
+) -> Result<ClockSeries, StoreError> {
+    let empty_series = ClockSeries { bucket_s: BUCKET_WIDTHS_S[0], points: Vec::new() };
+    let Some(link) = link_id(readers, key).await? else { return Ok(empty_series) };
     // The width is computed from the times of the stored samples. The requested times may be much further apart.
     let extent: (Option<i64>, Option<i64>) = sqlx::query_as(sql::CLOCK_EXTENT)
         .bind(link)
