@@ -1,10 +1,11 @@
 //! The answer to a sample: the outputs of the model, converted as the task of the card requires.
 
 use bytes::Bytes;
-use peernet_sample::{Description, ElementType, MediaType, Part, Sample};
+use peernet_sample::{Description, MediaType, Part, Sample};
 
 use super::card::{Card, Embedding, Task, TensorOutput};
 use super::classify::classify;
+use super::data_type::DataType;
 use super::geometry::PictureTransform;
 use super::outputs::{Output, OutputError, Outputs};
 use super::{detection, segment};
@@ -86,16 +87,13 @@ fn embedding(task: &Embedding, output: &Output<'_>) -> Result<Part, OutputError>
         (true, None) => return Err(OutputError::NoDirection(name())),
     };
     let bytes = numbers.iter().flat_map(|number| ((f64::from(*number) / divisor) as f32).to_le_bytes());
-    let shape = vec![u32::try_from(length).unwrap_or(u32::MAX)];
-    let description = Description { media: MediaType::Tensor, shape, element: Some(ElementType::F32) };
+    let description = DataType::Float32.array(&[length]);
     Ok(Part { description, bytes: bytes.collect::<Vec<u8>>().into() })
 }
 
 /// Returns an output as a part: an array with its type and shape.
 fn tensor_part(output: &Output<'_>) -> Result<Part, OutputError> {
-    let shape = output.shape.iter().map(|length| u32::try_from(*length).unwrap_or(u32::MAX)).collect();
-    let element = Some(output.data_type.element());
-    let description = Description { media: MediaType::Tensor, shape, element };
+    let description = output.data_type.array(&output.shape);
     Ok(Part { description, bytes: output.bytes()?.into() })
 }
 

@@ -4,7 +4,7 @@ use std::fmt;
 use std::ops::RangeInclusive;
 
 use ort::value::TensorElementType;
-use peernet_sample::ElementType;
+use peernet_sample::{Description, ElementType, MediaType};
 use serde::Deserialize;
 
 /// Type of the elements of an input or output, by its name in cards.
@@ -55,6 +55,12 @@ impl DataType {
     /// Returns the type's name in descriptions of samples.
     pub(super) fn element(self) -> ElementType {
         self.names().2
+    }
+
+    /// Returns the description of an array of this type and shape.
+    pub(super) fn array(self, shape: &[usize]) -> Description {
+        let shape = shape.iter().map(|length| u32::try_from(*length).unwrap_or(u32::MAX)).collect();
+        Description { media: MediaType::Tensor, shape, element: Some(self.element()) }
     }
 
     pub(super) const fn is_float(self) -> bool {

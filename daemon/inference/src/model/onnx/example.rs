@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use bytes::Bytes;
-use peernet_sample::{Description, MediaType, Part, PixelFormat, Sample};
+use peernet_sample::{Description, Part, PixelFormat, Sample};
 
 use super::CARD;
 use super::card::{Card, Input, Source};
@@ -33,11 +33,8 @@ fn example_part(input: &Input) -> Option<Part> {
             Some(pixels(width, height))
         }
         Source::Array => {
-            let shape = input.shape.iter().map(|length| u32::try_from(*length).unwrap_or(u32::MAX)).collect();
-            let element = input.data_type.element();
-            let bytes = vec![0; input.element_count() * element.bytes() as usize];
-            let description = Description { media: MediaType::Tensor, shape, element: Some(element) };
-            Some(Part { description, bytes: bytes.into() })
+            let bytes = vec![0; input.element_count() * input.data_type.element().bytes() as usize];
+            Some(Part { description: input.data_type.array(&input.shape), bytes: bytes.into() })
         }
         Source::Constant(_) => None,
     }

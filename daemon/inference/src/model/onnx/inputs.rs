@@ -194,9 +194,7 @@ impl InputBuffer {
 
     /// Returns the description of the array that fills a row.
     fn array_description(&self) -> Description {
-        let shape =
-            self.input.shape.iter().map(|length| u32::try_from(*length).unwrap_or(u32::MAX)).collect();
-        Description { media: MediaType::Tensor, shape, element: Some(self.input.data_type.element()) }
+        self.input.data_type.array(&self.input.shape)
     }
 
     /// Returns what a sensor in Python must return for this input, for the text of an error.
