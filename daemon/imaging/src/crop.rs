@@ -1,6 +1,6 @@
 //! Cropping of pictures.
 
-use crate::size::check_size;
+use crate::size::{check_inside, check_size};
 use crate::{ImageError, Picture};
 
 /// Rectangle of a picture.
@@ -27,18 +27,7 @@ pub fn crop(picture: &Picture, crop: Crop, target: &mut Picture) -> Result<(), I
     let (picture_width, picture_height) = (picture.width(), picture.height());
     let x = x.unwrap_or_else(|| picture_width.saturating_sub(width) / 2);
     let y = y.unwrap_or_else(|| picture_height.saturating_sub(height) / 2);
-    let is_inside =
-        |start: u32, length: u32, limit: u32| start.checked_add(length).is_some_and(|end| end <= limit);
-    if !is_inside(x, width, picture_width) || !is_inside(y, height, picture_height) {
-        return Err(ImageError::Outside {
-            width,
-            height,
-            x,
-            y,
-            outer_width: picture_width,
-            outer_height: picture_height,
-        });
-    }
+    check_inside((x, y), (width, height), (picture_width, picture_height))?;
     let channels = picture.format().channels() as usize;
     let (row_bytes, crop_bytes) = (picture_width as usize * channels, width as usize * channels);
     let rows = picture.pixels().chunks_exact(row_bytes).skip(y as usize);

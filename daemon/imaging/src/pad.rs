@@ -1,6 +1,6 @@
 //! Padding of pictures to a larger size.
 
-use crate::size::check_size;
+use crate::size::{check_inside, check_size};
 use crate::{ImageError, Picture};
 
 /// Position of a picture in a larger one, and the value of the bytes around it.
@@ -27,18 +27,7 @@ pub fn pad(picture: &Picture, padding: Padding, target: &mut Picture) -> Result<
     check_size(u64::from(width), u64::from(height))?;
     // An empty picture would make `chunks_exact` panic.
     check_size(u64::from(picture.width()), u64::from(picture.height()))?;
-    let is_inside =
-        |start: u32, length: u32, limit: u32| start.checked_add(length).is_some_and(|end| end <= limit);
-    if !is_inside(x, picture.width(), width) || !is_inside(y, picture.height(), height) {
-        return Err(ImageError::Outside {
-            width: picture.width(),
-            height: picture.height(),
-            x,
-            y,
-            outer_width: width,
-            outer_height: height,
-        });
-    }
+    check_inside((x, y), (picture.width(), picture.height()), (width, height))?;
     let channels = picture.format().channels() as usize;
     let (row_bytes, picture_row_bytes) = (width as usize * channels, picture.width() as usize * channels);
     let pixels = target.reshape(picture.format(), width, height);

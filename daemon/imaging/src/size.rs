@@ -50,3 +50,18 @@ pub(crate) fn check_size(width: u64, height: u64) -> Result<(), ImageError> {
         Err(ImageError::Size { width, height })
     }
 }
+
+/// Returns an error if a rectangle at the position (`x`, `y`) reaches beyond a picture of the outer size.
+pub(crate) fn check_inside(
+    (x, y): (u32, u32),
+    (width, height): (u32, u32),
+    (outer_width, outer_height): (u32, u32),
+) -> Result<(), ImageError> {
+    let is_inside =
+        |start: u32, length: u32, limit: u32| start.checked_add(length).is_some_and(|end| end <= limit);
+    if is_inside(x, width, outer_width) && is_inside(y, height, outer_height) {
+        Ok(())
+    } else {
+        Err(ImageError::Outside { width, height, x, y, outer_width, outer_height })
+    }
+}
