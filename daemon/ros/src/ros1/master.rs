@@ -155,7 +155,7 @@ pub(super) fn split_answer(answer: Value) -> Option<(i64, String, Value)> {
 }
 
 /// Returns the elements of an array of texts.
-fn texts(value: &Value) -> Option<Vec<String>> {
+pub(super) fn texts(value: &Value) -> Option<Vec<String>> {
     value.as_array()?.iter().map(|text| text.as_text().map(str::to_owned)).collect()
 }
 

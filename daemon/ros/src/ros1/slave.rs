@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::master::{SUCCESS, split_answer};
+use super::master::{SUCCESS, split_answer, texts};
 use super::node::NodeState;
 use super::publisher::PublishedTopic;
 use super::subscriber::{PublisherState, SubscribedTopic};
@@ -43,9 +43,6 @@ pub(super) enum CallError {
 impl SlaveCall {
     /// Reads a call.
     pub(super) fn read(call: &Call) -> Result<Self, CallError> {
-        let texts = |value: &Value| -> Option<Vec<String>> {
-            value.as_array()?.iter().map(|text| text.as_text().map(str::to_owned)).collect()
-        };
         let slave_call = match (call.method.as_str(), call.params.as_slice()) {
             ("getBusStats", [_]) => Some(Self::BusStats),
             ("getBusInfo", [_]) => Some(Self::BusInfo),
