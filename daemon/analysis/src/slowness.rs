@@ -121,8 +121,7 @@ impl Medians {
         let cause = |name: &Name, value, median: Option<f64>| {
             median.map(|median| Cause { name: name.clone(), value, median })
         };
-        let is_separate =
-            |name: &Name| times.both_ways.is_none() || ![stage::UPLOAD, stage::DOWNLOAD].contains(name);
+        let is_separate = |name: &Name| times.both_ways.is_none() || !stage::is_one_way(name);
         let stages = times.stages.iter().filter(|(name, _)| is_separate(name));
         let stages = stages.filter_map(|(name, value)| cause(name, *value, self.median(name)));
         let lateness = times.lateness.and_then(|value| cause(&lateness_name, value, Some(median_lateness)));

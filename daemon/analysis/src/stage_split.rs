@@ -62,7 +62,7 @@ impl StageSplit {
         let mut parts: Vec<(Name, f64)> =
             stage::ORDER.iter().filter_map(|name| Some((name.clone(), mean(name)?))).collect();
         let was_sent = sent.iter().any(|count| *count > 0);
-        let is_direction = |(name, _): &(Name, f64)| [stage::UPLOAD, stage::DOWNLOAD].contains(name);
+        let is_direction = |(name, _): &(Name, f64)| stage::is_one_way(name);
         if was_sent && !parts.iter().any(is_direction) {
             let others = parts.iter().map(|(_, seconds)| *seconds);
             let recorded_unattributed = mean_of(&stage::UNATTRIBUTED).map(|(_, mean)| mean);

@@ -50,7 +50,7 @@ impl UnaccountedTime {
             (None, false) => (None, unattributed),
             // Neither the time in the network nor the unattributed time is known, but their sum is.
             (None, true) if durations.is_answered => {
-                let others = stages.iter().filter(|(name, _)| !is_one_way(name));
+                let others = stages.iter().filter(|(name, _)| !stage::is_one_way(name));
                 let rest = total - others.map(|(_, seconds)| seconds).sum::<f64>();
                 (Some((NETWORK_AND_REST, rest)), None)
             }
@@ -69,7 +69,7 @@ impl UnaccountedTime {
         let Self { network, unattributed } = Self::of(durations);
         // The sum of both directions already contains a direction whose delay is known, so that this direction is left
         // out.
-        let is_separate = |(name, _): &&(Name, f64)| network.is_none() || !is_one_way(name);
+        let is_separate = |(name, _): &&(Name, f64)| network.is_none() || !stage::is_one_way(name);
         let mut parts: Vec<(Name, f64)> = durations.stages.iter().filter(is_separate).cloned().collect();
         if let Some((name, seconds)) = network {
             parts.insert(index_of_network(&parts), (Name::from_static(name), seconds));
@@ -77,11 +77,6 @@ impl UnaccountedTime {
         parts.extend(unattributed.map(|seconds| (stage::UNATTRIBUTED, seconds)));
         parts
     }
-}
-
-/// Returns whether the stage is a one-way delay between hosts.
-pub fn is_one_way(name: &str) -> bool {
-    name == stage::UPLOAD.as_str() || name == stage::DOWNLOAD.as_str()
 }
 
 #[cfg(test)]

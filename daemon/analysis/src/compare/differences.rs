@@ -127,7 +127,7 @@ impl StageDifference {
 /// Returns half the mean width of a delay's clock bounds, seconds. `None` for stages that are not delays, and if no
 /// delay has bounds.
 fn mean_clock_half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
-    ["upload", "download"].contains(&stage).then_some(())?;
+    stage::is_one_way(stage).then_some(())?;
     let width =
         |row: RowRef<'_>| Some(row.value(&format!("{stage}-hi"))? - row.value(&format!("{stage}-lo"))?);
     let rows = runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_in_statistics());

@@ -301,7 +301,7 @@ impl Line {
     /// a note reports it. `None` for other latencies.
     fn small_known_share(&self, name: &str) -> Option<f64> {
         let share = self.latency(name)?.count as f64 / self.count as f64;
-        (["upload", "download"].contains(&name) && share < MIN_KNOWN_SHARE).then_some(share)
+        (stage::is_one_way(name) && share < MIN_KNOWN_SHARE).then_some(share)
     }
 }
 

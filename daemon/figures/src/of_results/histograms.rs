@@ -1,5 +1,6 @@
 //! Histograms of a run: the six histograms of the paper's original program, or the histogram of a column.
 
+use peernet_logger::stage;
 use peernet_statistics::number::{fixed, interval_ms, is_exact, throughput_between};
 use peernet_stream::PlacementKind;
 
@@ -64,8 +65,7 @@ fn histogram(record: &RunRecord, rows: &Rows, column: &str, title: &str) -> Hist
 /// are measured if the clocks are not related, as in results of other programs.
 fn negative_delays_note(column: &str, values: &SortedValues) -> Option<String> {
     let count = values.values().partition_point(|value| *value < 0.0) as u64;
-    let is_delay = ["upload", "download"].contains(&column);
-    (is_delay && count > 0)
+    (stage::is_one_way(column) && count > 0)
         .then(|| format!("below zero because of the clocks' error: {}", fixed(count as f64, 0)))
 }
 

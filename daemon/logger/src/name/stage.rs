@@ -38,6 +38,11 @@ macro_rules! standard_names {
     };
 }
 
+/// Returns whether the stage is a one-way delay between hosts.
+pub fn is_one_way(name: &str) -> bool {
+    name == UPLOAD.as_str() || name == DOWNLOAD.as_str()
+}
+
 /// Returns the standard names that have a number on the wire, in the order of the numbers.
 pub fn all() -> impl Iterator<Item = Name> {
     NAMES.iter().copied().map(Name::from_static)

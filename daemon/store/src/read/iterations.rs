@@ -239,8 +239,7 @@ fn complete_row(
     let is_direction_unknown = delays.iter().any(|delay| delay.value.is_none());
     // If a one-way delay is unknown, only the sum of both directions is known.
     let both_ways = is_direction_unknown.then(|| {
-        let directions = [stage::UPLOAD, stage::DOWNLOAD];
-        let other_stages = stages.iter().filter(|(stage, _)| !directions.contains(stage));
+        let other_stages = stages.iter().filter(|(name, _)| !stage::is_one_way(name));
         Some(slowness::both_ways(row.total?, other_stages.map(|(_, seconds)| *seconds), unattributed?))
     });
     let both_ways = both_ways.flatten();
