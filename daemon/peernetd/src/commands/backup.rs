@@ -1,6 +1,5 @@
 //! The command `peernetd backup`.
 
-use std::io::IsTerminal;
 use std::path::Path;
 use std::time::Duration;
 
@@ -77,11 +76,8 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
     }
 }
 
-/// Returns the progress bar of the copy; hidden if standard error is not a terminal.
+/// Returns the progress bar of the copy, which indicatif hides if standard error is not a terminal.
 fn progress_bar(expected_bytes: u64) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
     let bar = ProgressBar::with_draw_target(Some(expected_bytes), ProgressDrawTarget::stderr());
     let style = ProgressStyle::with_template("{wide_bar} {bytes} of about {total_bytes}, {eta} left");
     bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))

@@ -1,7 +1,5 @@
 //! The command `peernetd rebuild-rollups`.
 
-use std::io::IsTerminal;
-
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::{print_to_stderr, print_to_stdout};
@@ -64,11 +62,8 @@ fn exit_code(error: &RebuildError) -> Exit {
     }
 }
 
-/// Returns the progress display; hidden if standard error is not a terminal.
+/// Returns the progress display, which indicatif hides if standard error is not a terminal.
 fn progress_spinner() -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
     let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
     let style = ProgressStyle::with_template("{spinner} {msg}, {elapsed}");
     bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()))
