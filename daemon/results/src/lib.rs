@@ -25,7 +25,7 @@ pub use error::FolderError;
 pub use file_names::{DATA, RECORD, SENSOR_STUDY};
 pub use finish::WrittenResults;
 pub use folder::ResultFolder;
-pub use preparation::Overwrite;
+pub use preparation::{Overwrite, remove_if_exists};
 pub use writer::RowWriter;
 
 #[cfg(test)]

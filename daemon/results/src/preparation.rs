@@ -86,14 +86,20 @@ pub(crate) fn replaced_files(dir: &Path) -> impl Iterator<Item = String> {
 /// Removes the files of an earlier run.
 pub(crate) fn clear(dir: &Path) -> Result<(), FolderError> {
     for path in replaced_files(dir).map(|name| dir.join(name)) {
-        match std::fs::remove_file(&path) {
-            Err(error) if error.kind() != ErrorKind::NotFound => {
-                return Err(WriteError::at(&path)(error).into());
-            }
-            _ => {}
-        }
+        remove_if_exists(&path).map_err(WriteError::at(&path))?;
     }
     Ok(())
+}
+
+/// Removes a file that may be missing.
+///
+/// # Errors
+/// When the file exists and cannot be removed.
+pub fn remove_if_exists(path: &Path) -> std::io::Result<()> {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
 }
 
 /// Creates the first subfolder that does not exist. Creation is atomic, so that two programs never get the same

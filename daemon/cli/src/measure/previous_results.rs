@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use crate::output::print_to_stderr;
 use anyhow::Context;
-use peernet_results::{DATA, RECORD, ResultFolder};
+use peernet_results::{DATA, RECORD, ResultFolder, remove_if_exists};
 use tempfile::TempDir;
 
 /// Prefix of the folders that contain moved results.
@@ -125,12 +125,9 @@ impl PreviousResultsGuard {
         let Some(previous_results) = self.moved_results.take() else { return String::new() };
         // Files of the new results that have no counterpart would otherwise stay and look like a part of the restored
         // ones.
-        let removed = replaced_file_names(&self.results_dir).iter().try_for_each(|name| {
-            match remove_file(self.results_dir.join(name)) {
-                Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
-                _ => Ok(()),
-            }
-        });
+        let removed = replaced_file_names(&self.results_dir)
+            .iter()
+            .try_for_each(|name| remove_if_exists(&self.results_dir.join(name)));
         match removed.and_then(|()| move_back(previous_results.path(), &self.results_dir)) {
             Ok(()) => "; the previous results are restored".to_owned(),
             Err(error) => {
@@ -212,7 +209,7 @@ fn move_back(kept: &Path, results_dir: &Path) -> std::io::Result<()> {
 }
 
 /// Moves a file if it exists.
-fn rename_if_exists(from: &Path, to: &Path) -> std::io::Result<()> {
+pub(super) fn rename_if_exists(from: &Path, to: &Path) -> std::io::Result<()> {
     match rename(from, to) {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
         _ => Ok(()),

@@ -5,12 +5,14 @@
 
 use std::fmt;
 use std::fs::{self, File, TryLockError};
-use std::io::{self, ErrorKind};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use peernet_agent::spool::{SpoolReadError, pending_events};
 use peernet_networks::Address;
 use peernet_statistics::number::counted;
+
+use super::previous_results::rename_if_exists;
 
 /// File name of the single spool that earlier versions used for all aggregators.
 const OLD_SPOOL: &str = "spool.sqlite";
@@ -62,10 +64,7 @@ fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
     // The database file itself is renamed last. If the program is killed before that, the next start continues with
     // the renaming.
     for suffix in ["-wal", "-reserve", ""] {
-        match fs::rename(with_suffix(&old, suffix), with_suffix(spool, suffix)) {
-            Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
-            _ => {}
-        }
+        rename_if_exists(&with_suffix(&old, suffix), &with_suffix(spool, suffix))?;
     }
     for suffix in ["-shm", "-lock"] {
         // An obsolete file that remains does no harm.

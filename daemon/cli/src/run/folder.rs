@@ -12,6 +12,7 @@ use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_analysis::figure_files::figure_files;
 use peernet_external::exec::with_arguments;
+use peernet_results::remove_if_exists;
 
 use super::plan::{Plan, Run};
 use super::plan_differences::differences;
@@ -113,12 +114,7 @@ impl Folder {
     pub(super) fn remove_tables_and_figures(&self) -> Result<(), Failure> {
         let tables = TABLES.iter().flat_map(|table| FORMATS.map(|format| format!("{table}.{format}")));
         for path in tables.chain(figure_files(&self.path)).map(|name| self.path.join(name)) {
-            match fs::remove_file(&path) {
-                Err(error) if error.kind() != ErrorKind::NotFound => {
-                    return Err(cannot_remove(&path, &error));
-                }
-                _ => {}
-            }
+            remove_if_exists(&path).map_err(|error| cannot_remove(&path, &error))?;
         }
         Ok(())
     }

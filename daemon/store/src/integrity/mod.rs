@@ -192,7 +192,12 @@ pub(crate) fn recorded_damage(database: &Path) -> io::Result<Option<String>> {
 
 /// Removes the record of damage that was found earlier.
 pub(crate) fn delete_record(database: &Path) -> io::Result<()> {
-    match fs::remove_file(record_path(database)) {
+    remove_if_exists(&record_path(database))
+}
+
+/// Removes a file that may be missing.
+pub(crate) fn remove_if_exists(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
         _ => Ok(()),
     }

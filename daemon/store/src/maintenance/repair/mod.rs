@@ -29,7 +29,7 @@ use crate::database::MIGRATIONS;
 use crate::database_error::{DatabaseError, is_damage};
 use crate::foreign_log::{ForeignLog, assign_id, refuse_foreign_log};
 use crate::integrity::pages::PageFile;
-use crate::integrity::{delete_record, find_damage_with_sqlite, recorded_damage};
+use crate::integrity::{delete_record, find_damage_with_sqlite, recorded_damage, remove_if_exists};
 use crate::lock::{DatabaseLock, LockError};
 use crate::rebuild::rebuild;
 
@@ -455,13 +455,6 @@ fn remove_leftover_files(new: &Path) -> Result<(), RepairError> {
         remove_if_exists(&path).map_err(|source| file_error(&path, source))?;
     }
     Ok(())
-}
-
-fn remove_if_exists(path: &Path) -> io::Result<()> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(()),
-    }
 }
 
 fn file_error(path: &Path, source: io::Error) -> RepairError {
