@@ -6,6 +6,7 @@ use std::io;
 use std::path::Path;
 
 use peernet_external::exec::FingerprintKey;
+use peernet_stream::bytes_from_hexadecimal;
 use uuid::Uuid;
 
 use crate::identity::{IdentityError, cannot, read_or_create};
@@ -54,24 +55,12 @@ fn read_key(folder: &Path) -> Result<Option<[u8; KEY_BYTES]>, IdentityError> {
         cannot("use", &path)(io::Error::new(io::ErrorKind::InvalidData, reason))
     };
     match fs::read_to_string(&path) {
-        Ok(text) => parse(text.trim()).map(Some).ok_or_else(invalid_key),
+        Ok(text) => bytes_from_hexadecimal(text.trim()).map(Some).ok_or_else(invalid_key),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         // The file is not UTF-8.
         Err(error) if error.kind() == io::ErrorKind::InvalidData => Err(invalid_key()),
         Err(error) => Err(cannot("read", &path)(error)),
     }
-}
-
-fn parse(text: &str) -> Option<[u8; KEY_BYTES]> {
-    let mut key = [0; KEY_BYTES];
-    // `from_str_radix` alone would accept a sign.
-    if text.len() != 2 * KEY_BYTES || !text.bytes().all(|digit| digit.is_ascii_hexdigit()) {
-        return None;
-    }
-    for (index, byte) in key.iter_mut().enumerate() {
-        *byte = u8::from_str_radix(&text[2 * index..2 * index + 2], 16).ok()?;
-    }
-    Some(key)
 }
 
 #[cfg(test)]

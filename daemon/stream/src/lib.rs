@@ -91,7 +91,7 @@ pub use receiving::{
     Arrival, Challenges, HelloResult, HighWaterMark, MissingBatches, MissingPreviousBatches, ProofResult,
     Receiving, ReceivingConfig, StreamRecord,
 };
-pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};
+pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode, bytes_from_hexadecimal};
 pub use sending::{Action, Compression, Notice, Sending, SendingConfig};
 pub use spool::{SpoolState, SpooledBatch, Usage};
 pub use totals::{NewestSendableBatch, Totals};

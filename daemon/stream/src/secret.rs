@@ -113,18 +113,21 @@ impl FromStr for HostSecret {
 
     /// Reads the format of [`expose_text`](Self::expose_text).
     fn from_str(text: &str) -> Result<Self, InvalidSecret> {
-        // The digits are checked first, because `from_str_radix` also accepts a sign.
-        let digits = text.as_bytes();
-        if digits.len() != 2 * BYTES || !digits.iter().all(u8::is_ascii_hexdigit) {
-            return Err(InvalidSecret);
-        }
-        let mut bytes = [0; BYTES];
-        for (byte, pair) in bytes.iter_mut().zip(text.as_bytes().chunks_exact(2)) {
-            let pair = std::str::from_utf8(pair).map_err(|_| InvalidSecret)?;
-            *byte = u8::from_str_radix(pair, 16).map_err(|_| InvalidSecret)?;
-        }
-        Ok(Self(bytes))
+        bytes_from_hexadecimal(text).map(Self).ok_or(InvalidSecret)
     }
+}
+
+/// Reads bytes from hexadecimal digits; `None` if the text is anything else or has another number of digits.
+pub fn bytes_from_hexadecimal<const COUNT: usize>(text: &str) -> Option<[u8; COUNT]> {
+    let mut bytes = [0; COUNT];
+    // Slicing below needs single-byte characters, and `from_str_radix` alone would accept a sign.
+    if text.len() != 2 * COUNT || !text.bytes().all(|digit| digit.is_ascii_hexdigit()) {
+        return None;
+    }
+    for (index, byte) in bytes.iter_mut().enumerate() {
+        *byte = u8::from_str_radix(&text[2 * index..2 * index + 2], 16).ok()?;
+    }
+    Some(bytes)
 }
 
 impl Nonce {
