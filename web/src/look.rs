@@ -4,7 +4,6 @@ use std::sync::LazyLock;
 
 pub(crate) use peernet_analysis::rows::LATENESS;
 use peernet_analysis::stage_split::part_order;
-pub(crate) use peernet_analysis::unaccounted_time::is_one_way;
 pub(crate) use peernet_figures::look::label;
 use peernet_logger::Name;
 

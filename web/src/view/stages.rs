@@ -193,7 +193,7 @@ impl StageRow {
 
 impl BoundCell {
     fn of(name: &str, bound: Option<&DelayAccuracy>) -> Self {
-        let (Some(bound), true) = (bound, look::is_one_way(name)) else {
+        let (Some(bound), true) = (bound, stage::is_one_way(name)) else {
             return Self {
                 text: NONE.to_owned(),
                 sign: None,

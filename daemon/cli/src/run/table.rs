@@ -81,13 +81,13 @@ mod tests {
     fn unknown_durations_are_readable() {
         let folder = tempfile::tempdir().expect("a folder");
         let record = record(folder.path());
-        let describe_plan = |expected: [Option<f64>; 4]| {
+        let describe_all = |expected: [Option<f64>; 4]| {
             describe_plan(&record.plan.runs, &record, &DurationEstimates::new(expected.to_vec()))
         };
-        assert_eq!(describe_plan([Some(3.0), Some(0.2), Some(5.0), Some(1.0)]), "4 runs, about 10 s");
-        assert_eq!(describe_plan([None; 4]), "4 runs, how long they take is not known");
+        assert_eq!(describe_all([Some(3.0), Some(0.2), Some(5.0), Some(1.0)]), "4 runs, about 10 s");
+        assert_eq!(describe_all([None; 4]), "4 runs, how long they take is not known");
         assert_eq!(
-            describe_plan([Some(3.0), None, Some(5.0), Some(1.0)]),
+            describe_all([Some(3.0), None, Some(5.0), Some(1.0)]),
             "4 runs, about 10 s and one of unknown length"
         );
         let nothing = DurationEstimates::new(vec![None; 4]);
