@@ -136,6 +136,9 @@ impl<S: Sink> ConnectionTask<S> {
                 .chain(left_topic.as_ref().map(|(_, deadline)| *deadline))
                 .min();
             let can_receive = queued_deliveries.is_empty();
+            // A closed connection only hands its last events over. Its deadlines have passed and would end every wait
+            // at once.
+            let is_closed = self.channel.lock().is_closed();
             let Self { channel, companion_subscriber, payload_subscriber, sink, deliveries, stop, abort } =
                 &mut self;
             let step = tokio::select! {
@@ -148,7 +151,7 @@ impl<S: Sink> ConnectionTask<S> {
                     }
                     return;
                 }
-                () = stop.cancelled(), if !is_closing && !channel.lock().is_closed() => {
+                () = stop.cancelled(), if !is_closing && !is_closed => {
                     channel.send_goodbye(goodbye);
                     // In ROS 2, topics may end without their last messages. The other end's goodbye confirms that all
                     // messages have arrived.
@@ -172,7 +175,7 @@ impl<S: Sink> ConnectionTask<S> {
                 // publisher.
                 message = companion_subscriber.recv(), if can_receive => Step::Companion(message),
                 message = receive(payload_subscriber), if can_receive => Step::Payload(message),
-                directive = sink.next_directive(channel) => Step::Directive(directive),
+                directive = sink.next_directive(channel), if !is_closed => Step::Directive(directive),
                 () = channel.wait_for_remark() => Step::Other,
                 kind = channel.wait_for_payload_type() => {
                     let channel = Arc::clone(channel);
@@ -180,7 +183,9 @@ impl<S: Sink> ConnectionTask<S> {
                     Step::Other
                 }
                 () = publisher_change => Step::Publishers,
-                () = sleep_until(next_timer.unwrap_or_else(Instant::now)), if next_timer.is_some() => Step::Other,
+                () = sleep_until(next_timer.unwrap_or_else(Instant::now)), if next_timer.is_some() && !is_closed => {
+                    Step::Other
+                }
             };
             self.handle_step(step, &mut second_publishers);
         }
