@@ -100,14 +100,13 @@ impl EventCounter {
             return Err(io::Error::other(format!("{SHARED_MEMORY} is not a tmpfs")));
         }
         let name = format!("peernet-{}.count", Uuid::new_v4());
-        let file = create_file(&name)?;
         // The whole file is written now, so that later writes need no more memory and cannot fail because memory is
         // full.
         let mut bytes = vec![0; FILE_BYTES];
         bytes[..MAGIC.len()].copy_from_slice(MAGIC);
         let owner = owner.encode();
         bytes[OWNER_OFFSET..OWNER_OFFSET + owner.len()].copy_from_slice(&owner);
-        file.write_all_at(&bytes, 0)?;
+        let file = create_file(&name, &bytes)?;
         let unused_records = (1..=MAX_COUNTED_RUNS).rev().collect();
         let count_file = CountFile {
             file,
@@ -225,9 +224,7 @@ impl CountFile {
         let mut bytes = vec![0; FILE_BYTES];
         // The open file keeps its content, although its name is gone.
         self.file.read_exact_at(&mut bytes, 0)?;
-        let file = create_file(&self.name)?;
-        file.write_all_at(&bytes, 0)?;
-        self.file = file;
+        self.file = create_file(&self.name, &bytes)?;
         tracing::warn!(
             "{SHARED_MEMORY}/{} was deleted while the agent counted its events in it; the agent created it again",
             self.name
@@ -249,14 +246,17 @@ impl CountFile {
     }
 }
 
-/// Creates an empty file and locks it.
+/// Creates a locked file with this content. After a failure, such as that of a full memory, no file remains.
 // The file is locked before anything is written, because a complete file without a lock belongs to a process that has
 // ended.
-fn create_file(name: &str) -> io::Result<File> {
+fn create_file(name: &str, bytes: &[u8]) -> io::Result<File> {
     let path = Path::new(SHARED_MEMORY).join(name);
     let file = File::options().read(true).write(true).create_new(true).mode(0o600).open(path)?;
-    file.lock()?;
-    Ok(file)
+    let result = file.lock().and_then(|()| file.write_all_at(bytes, 0));
+    if result.is_err() {
+        remove(name);
+    }
+    result.map(|()| file)
 }
 
 /// Opens the file of this name in shared memory for reading, if it belongs to this user.
