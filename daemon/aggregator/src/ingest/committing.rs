@@ -13,7 +13,7 @@ use std::fmt::Display;
 use std::sync::Arc;
 use std::time::Duration;
 
-use peernet_clock::{SharedClock, Stamp};
+use peernet_clock::{LogThrottle, SharedClock, Stamp};
 use peernet_logger::HostId;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::MissedTickBehavior;
@@ -114,6 +114,8 @@ struct WriterState {
     /// Incidents of the aggregator itself.
     incidents: PendingIncidents,
     connections: ConnectionLog,
+    /// Limits the log lines about failed deletions: on a full disk, a deletion is tried every second.
+    failed_deletions: LogThrottle,
     /// Start and reason of the current storage outage; `None` while commits succeed.
     outage: Option<(Stamp, String)>,
 }
@@ -161,6 +163,7 @@ pub(crate) async fn run(
         backoff: Backoff::new(),
         incidents,
         connections: ConnectionLog::default(),
+        failed_deletions: LogThrottle::default(),
         outage: None,
     };
     loop {
@@ -206,7 +209,7 @@ async fn serve(
                 first = context.queue.recv() => first,
                 // Retention runs only while no work waits.
                 () = std::future::ready(()), if retention_step == StepResult::More => {
-                    retention_step = run_retention_step(writer, context).await;
+                    retention_step = run_retention_step(writer, context, &mut state.failed_deletions).await;
                     continue;
                 }
                 _ = check_interval.tick() => {
@@ -254,7 +257,7 @@ async fn serve(
         commits += 1;
         retention_step = StepResult::More;
         if commits.is_multiple_of(COMMITS_PER_RETENTION) {
-            retention_step = run_retention_step(writer, context).await;
+            retention_step = run_retention_step(writer, context, &mut state.failed_deletions).await;
             match check_and_maintain(writer, context, state).await {
                 // The next commit reports the damage.
                 Ok(()) | Err(CommitError::Damaged(_)) => {}
@@ -291,15 +294,22 @@ async fn check_and_maintain(
 }
 
 /// Deletes a small part of the expired data. A failed deletion is retried in the next step.
-async fn run_retention_step(writer: &mut Writer, context: &TaskContext) -> StepResult {
+async fn run_retention_step(
+    writer: &mut Writer,
+    context: &TaskContext,
+    failed_deletions: &mut LogThrottle,
+) -> StepResult {
     // Deletion writes to freed pages. In a damaged file freed pages must stay unchanged, because a repair may read rows
     // from them.
     if context.integrity.damage().is_some() {
         return StepResult::Done;
     }
-    writer.retain(context.clock.stamp()).await.unwrap_or_else(|error| {
+    let now = context.clock.stamp();
+    writer.retain(now).await.unwrap_or_else(|error| {
         context.integrity.record_if_damage(&error);
-        tracing::warn!(%error, "cannot delete expired data; the deletion is retried");
+        if let Some(times) = failed_deletions.count_event(&error.to_string(), None, now.mono) {
+            tracing::warn!(%error, times, "cannot delete expired data; the deletion is retried");
+        }
         StepResult::Done
     })
 }
