@@ -18,8 +18,16 @@ pub struct LineFormat {
 impl Default for LineFormat {
     fn default() -> Self {
         // journald stamps each line itself and reads a leading <N> as the priority.
-        Self { is_under_journald: std::env::var_os("JOURNAL_STREAM").is_some() }
+        Self { is_under_journald: is_under_journald() }
     }
+}
+
+/// Returns whether journald reads standard error. systemd sets `JOURNAL_STREAM` to the device and inode of the
+/// journal's socket, and programs with another standard error, such as a terminal, inherit the variable.
+fn is_under_journald() -> bool {
+    let Ok(journal) = std::env::var("JOURNAL_STREAM") else { return false };
+    rustix::fs::fstat(std::io::stderr())
+        .is_ok_and(|stream| journal == format!("{}:{}", stream.st_dev, stream.st_ino))
 }
 
 impl<S, N> FormatEvent<S, N> for LineFormat

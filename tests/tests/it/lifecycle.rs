@@ -1,6 +1,7 @@
 //! Tests of start, readiness, watchdog, stop and exit codes, as systemd sees them.
 
 use std::os::unix::net::UnixDatagram;
+use std::path::Path;
 
 use peernet_tests::{LoopbackDeployment, Process, TEST_TIMEOUT, program, wait_until};
 use rustix::process::Signal;
@@ -83,16 +84,23 @@ fn ctrl_c_and_closed_terminal_stop_daemon() {
 fn under_journald_lines_carry_priorities_instead_of_times() {
     let deployment = LoopbackDeployment::new();
     deployment.write("edge.toml", AGENT);
-    // The daemon checks only that the variable is set. systemd sets it to the device and inode of the journal's socket.
-    let daemon = Process::start(
-        &program("peernetd"),
-        &["run", "edge.toml"],
-        deployment.folder(),
-        &[("JOURNAL_STREAM", "8:1")],
-    );
+    // systemd sets the variable to the device and inode of the journal's socket, which is then standard error.
+    let script = "exec env JOURNAL_STREAM=$(stat -L -c %d:%i /proc/self/fd/2) \"$0\" run edge.toml";
+    let daemon_path = program("peernetd").display().to_string();
+    let daemon = Process::start(Path::new("sh"), &["-c", script, &daemon_path], deployment.folder(), &[]);
     let line = daemon.wait_for("ready");
     // 6 is the priority of informational lines.
     assert!(line.starts_with("<6>"), "{line}");
+    assert_eq!(daemon.stop().code(), 0);
+}
+
+#[test]
+fn inherited_variable_of_journald_is_ignored() {
+    let deployment = LoopbackDeployment::new();
+    deployment.write("edge.toml", AGENT);
+    let daemon = deployment.start_with("edge.toml", &[("JOURNAL_STREAM", "8:1")]);
+    let line = daemon.wait_for("ready");
+    assert!(line.starts_with("20"), "the line begins with the time: {line}");
     assert_eq!(daemon.stop().code(), 0);
 }
 
