@@ -8,6 +8,11 @@ use tracing_subscriber::registry::LookupSpan;
 /// Environment variable that sets the level of the log.
 pub const LEVEL_VARIABLE: &str = "PEERNET_LOG";
 
+/// Returns the level that the environment sets; `None` if the variable is empty or not set.
+pub fn level_from_environment() -> Option<String> {
+    std::env::var(LEVEL_VARIABLE).ok().filter(|level| !level.is_empty())
+}
+
 /// Formatter of lines such as `12:00:00 INFO agent: text key=value`, with a priority instead of the time under
 /// journald.
 #[derive(Debug)]

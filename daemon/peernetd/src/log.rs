@@ -2,7 +2,7 @@
 
 use std::io::IsTerminal;
 
-use peernet_cli::log::{LEVEL_VARIABLE, LineFormat};
+use peernet_cli::log::{LEVEL_VARIABLE, LineFormat, level_from_environment};
 use serde::{Deserialize, Serialize};
 use tracing::Subscriber;
 use tracing_subscriber::filter::{EnvFilter, ParseError};
@@ -41,7 +41,8 @@ fn origin(from_environment: bool) -> String {
 /// Installs a log for this thread, until the guard is dropped. The log is used until the configuration has been read.
 pub(crate) fn install_temporary() -> tracing::subscriber::DefaultGuard {
     // An invalid level is reported later: `check` examines the same variable.
-    let filter = EnvFilter::try_from_env(LEVEL_VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
+    let filter = level_from_environment().and_then(|level| EnvFilter::try_new(level).ok());
+    let filter = filter.unwrap_or_else(|| EnvFilter::new("info"));
     subscriber(filter).set_default()
 }
 
@@ -55,9 +56,9 @@ impl LogConfig {
     }
 
     fn filter(&self) -> Result<EnvFilter, LevelError> {
-        let (level, from_environment) = match std::env::var(LEVEL_VARIABLE) {
-            Ok(level) => (level, true),
-            Err(_) => (self.level.clone(), false),
+        let (level, from_environment) = match level_from_environment() {
+            Some(level) => (level, true),
+            None => (self.level.clone(), false),
         };
         EnvFilter::try_new(&level).map_err(|source| LevelError { level, from_environment, source })
     }

@@ -105,6 +105,16 @@ fn inherited_variable_of_journald_is_ignored() {
 }
 
 #[test]
+fn empty_log_variable_counts_as_not_set() {
+    let deployment = LoopbackDeployment::new();
+    deployment.write("edge.toml", AGENT);
+    let daemon = deployment.start_with("edge.toml", &[("PEERNET_LOG", "")]);
+    // This line has the level `info`, the default.
+    daemon.wait_for("ready");
+    assert_eq!(daemon.stop().code(), 0);
+}
+
+#[test]
 fn second_signal_ends_daemon_immediately() {
     // After the first signal, the daemon waits several seconds for the model, which computes for ten minutes.
     let deployment = LoopbackDeployment::new();

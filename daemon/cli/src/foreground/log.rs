@@ -7,7 +7,7 @@ use std::fmt::{self, Write as _};
 use std::io::{self, Write};
 
 use crate::exit::{Exit, Failure};
-use crate::log::{LEVEL_VARIABLE, LineFormat};
+use crate::log::{LEVEL_VARIABLE, LineFormat, level_from_environment};
 use crate::output::print_to_stdout;
 use peernet_agent::REMARK_LOG_TARGET;
 use peernet_inference::bank::LOAD_LOG_TARGET;
@@ -43,7 +43,7 @@ const WARNING_TARGETS: [&str; 2] = [REMARK_LOG_TARGET, LOAD_LOG_TARGET];
 /// When the variable does not contain a valid level (exit code 78).
 pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
     let configuration_failure = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
-    let level = std::env::var(LEVEL_VARIABLE).unwrap_or_else(|_| default_level());
+    let level = level_from_environment().unwrap_or_else(default_level);
     let filter = EnvFilter::try_new(&level).map_err(|error| {
         configuration_failure(anyhow::anyhow!(
             "{level:?} (from {LEVEL_VARIABLE}) is not a log level: {error}; use error, warn, info, debug or trace"
