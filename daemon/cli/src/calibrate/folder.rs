@@ -44,10 +44,10 @@ impl Folder {
     }
 
     /// Removes the folder if it was created for this calibration, because there is no study to write.
-    pub(super) fn discard(self) {
+    pub(super) fn discard(&self) {
         if self.is_created {
             // A folder that is not empty is not removed. It does no harm.
-            let _ = std::fs::remove_dir(self.path);
+            let _ = std::fs::remove_dir(&self.path);
         }
     }
 }

@@ -51,7 +51,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let folder = Folder::make(arguments, &plan.peer, started)?;
 
     let mut observer = SweepObserver::new(&plan, ready_agent.clock.clone(), arguments.quiet);
-    let AgentResult { end, name: edge, missed_iterations } = ready_agent.watch(&mut observer)?;
+    let result = ready_agent.watch(&mut observer).inspect_err(|_| folder.discard());
+    let AgentResult { end, name: edge, missed_iterations } = result?;
     let measurements = observer.measurements;
     let failure = match &end {
         AgentEnd::Finished => None,
