@@ -70,12 +70,13 @@ struct Iteration {
 async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathRejection>) -> Page {
     let (run_number, number) = path(numbers)?;
     let store = app.store();
+    let detail = store.iteration(run_number, number).await?;
     let run = store.run(run_number).await?;
     let run = run.ok_or_else(|| WebError::NotFound(format!("no run #{run_number} is stored")))?;
-    reject_deleted(&run.summary, number, app.aggregator.retention())?;
-    let detail = store.iteration(run_number, number).await?;
-    let detail = detail
-        .ok_or_else(|| WebError::NotFound(format!("run #{run_number} has no stored iteration {number}")))?;
+    let Some(detail) = detail else {
+        reject_deleted(&run.summary, number, app.aggregator.retention())?;
+        return Err(WebError::NotFound(format!("run #{run_number} has no stored iteration {number}")));
+    };
     page(&assemble(&app, &run, &detail))
 }
 

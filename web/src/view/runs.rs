@@ -98,7 +98,7 @@ fn deletion_reason(retention: &RetentionConfig) -> String {
     }
 }
 
-/// Rejects a request for an iteration whose tree was deleted by retention.
+/// Rejects a request for an iteration that is not stored, if retention deleted it.
 pub(crate) fn reject_deleted(
     run: &RunSummary,
     iteration: u64,

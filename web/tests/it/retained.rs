@@ -80,4 +80,14 @@ async fn deleted_data_is_named_and_remaining_data_shown() {
     assert_eq!(run(2).await["deleted_through"], json!(0), "a pinned run loses nothing");
     assert_eq!(dashboard.get("/runs/2/iterations/7").await.status, StatusCode::OK);
     assert!(!dashboard.get("/runs/2").await.text().contains("The statistics remain"));
+
+    // As if iteration 50 had been deleted before the other iterations of run 2 arrived.
+    let deleted_out_of_order = "UPDATE run SET nodes_from = 50 WHERE number = 2";
+    sqlx::query(deleted_out_of_order).execute(&mut database).await.expect("the database can be written");
+    assert_eq!(run(2).await["deleted_through"], json!(50));
+    let list = dashboard.get("/api/v1/runs/2/iterations?limit=1").await.json();
+    assert_eq!(list["iterations"][0]["number"], json!(1), "{list}");
+    for path in ["/api/v1/runs/2/iterations/7", "/runs/2/iterations/7"] {
+        assert_eq!(dashboard.get(path).await.status, StatusCode::OK, "{path}");
+    }
 }

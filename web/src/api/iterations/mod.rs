@@ -63,7 +63,7 @@ async fn list(
 ) -> Result<Json<IterationList>, WebError> {
     let number = path(number)?;
     let limit = parse_bounded("limit", query.limit.as_deref(), 100, 1..=1_000)?;
-    let run = app.store().run(number).await?.ok_or_else(|| WebError::no_run(number))?;
+    app.store().run(number).await?.ok_or_else(|| WebError::no_run(number))?;
     if query.order == Order::Slowest {
         if query.after.is_some() || query.unsuccessful {
             let text = "query parameter order: slowest cannot be combined with after or unsuccessful";
@@ -75,8 +75,8 @@ async fn list(
             next: None,
         }));
     }
-    let after = query.after.unwrap_or(0).max(run.summary.last_deleted_iteration);
-    let filter = IterationFilter { after, limit, failed_only: query.unsuccessful };
+    // Iterations that arrived late are stored although retention has deleted later numbers.
+    let filter = IterationFilter { after: query.after.unwrap_or(0), limit, failed_only: query.unsuccessful };
     let rows = app.store().iterations(number, &filter).await?;
     // Whether more rows follow a full page is not known: the next page may be empty.
     let next = rows.last().filter(|_| rows.len() == limit as usize).map(|row| row.number);
@@ -96,10 +96,10 @@ async fn get(
     numbers: Result<Path<(i64, u64)>, PathRejection>,
 ) -> Result<Json<Iteration>, WebError> {
     let (run, number) = path(numbers)?;
+    if let Some(iteration) = app.store().iteration(run, number).await? {
+        return Ok(Json(Iteration::try_from(&iteration)?));
+    }
     let detail = app.store().run(run).await?.ok_or_else(|| WebError::no_run(run))?;
     reject_deleted(&detail.summary, number, app.aggregator.retention())?;
-    let iteration = app.store().iteration(run, number).await?;
-    let iteration =
-        iteration.ok_or_else(|| WebError::NotFound(format!("run {run} has no stored iteration {number}")))?;
-    Ok(Json(Iteration::try_from(&iteration)?))
+    Err(WebError::NotFound(format!("run {run} has no stored iteration {number}")))
 }
