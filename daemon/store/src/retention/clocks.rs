@@ -26,8 +26,11 @@ const AFTER: &str = "SELECT at_ns FROM clock_sample WHERE link = ?1 AND at_ns BE
      ORDER BY at_ns LIMIT 1 OFFSET ?4";
 /// Deletes the samples within a range of time. Parameters as in `OLDEST`.
 const DELETE: &str = "DELETE FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
-/// Deletes the statistics of connections within a range of time. Parameters as in `OLDEST`.
-const CONNECTIONS: &str = "DELETE FROM connection_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
+/// Deletes the statistics of connections since the first deleted sample and before the sample that follows the last
+/// deleted sample. Parameters as in `OLDEST`.
+// The next sample may have arrived later, so the statistics between both samples are in no range of arrivals.
+const CONNECTIONS: &str = "DELETE FROM connection_sample WHERE link = ?1 AND at_ns >= ?2 \
+     AND at_ns < coalesce((SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns > ?3), 9223372036854775807)";
 /// Deletes the relation periods that ended at a time or before and have no more samples. The newest relation period is
 /// kept, because it may continue. ?1 link, ?2 time.
 const RELATION_PERIODS: &str = "DELETE FROM clock_window WHERE link = ?1 AND last_ns <= ?2 \

@@ -404,6 +404,28 @@ async fn data_of_unpinned_run_stays_for_another_period() {
 }
 
 #[tokio::test]
+async fn connection_between_two_arrivals_of_clock_samples_is_deleted() {
+    let mut test_store = TestStore::new().await;
+    for (second, arrived) in [(1, 0.0), (2, 1.0)] {
+        let event = Event::Clock(Box::new(sample(test_store.cloud, second, 40)));
+        store_arrival(&mut test_store, vec![event], day(arrived)).await;
+    }
+    let mut connection = test_store.second_connection().await;
+    sqlx::query(
+        "INSERT INTO connection_sample (link, at_ns, pipeline, sent_bytes, sent_messages, received_bytes, \
+         received_messages, malformed_messages, late_messages, lost_messages) \
+         SELECT link, at_ns + 500000000, 'line', 0, 0, 0, 0, 0, 0, 0 FROM clock_sample ORDER BY at_ns LIMIT 1",
+    )
+    .execute(&mut connection)
+    .await
+    .expect("stores");
+    let config = RetentionConfig { clock_samples_days: 1, ..unlimited_retention() };
+    run_until_done(&mut Retention::new(config), &mut connection, day(2.05)).await;
+    assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 1);
+    assert_eq!(test_store.count("SELECT count(*) FROM connection_sample").await, 0);
+}
+
+#[tokio::test]
 async fn clock_samples_are_deleted_except_for_pinned_runs() {
     let (mut test_store, [_, pinned]) = store_two_runs().await;
     let seconds = |from: f64| (0..50).map(move |n| (from * DAY) as i64 + n);
