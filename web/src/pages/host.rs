@@ -197,7 +197,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             .filter(|fact| !fact.is_empty())
             .collect(),
         links: links(snapshot, &name),
-        line: HostLine::new(host, &faulty_clocks, aggregator_clock, app.zone),
+        line: HostLine::new(host, &faulty_clocks, aggregator_clock, snapshot.at, app.zone, &app.warn),
         agent: agent(description),
         hardware: hardware(description),
         clock: vec![

@@ -91,8 +91,13 @@ fn hosts(app: &AppState, snapshot: &LiveState, stored: &[HostRow]) -> Hosts {
     };
     let live: HashSet<_> = snapshot.hosts.iter().map(|host| host.id).collect();
     let past_hosts: Vec<&HostRow> = stored.iter().filter(|row| !live.contains(&row.id)).collect();
-    let (current_hosts, ended_hosts) =
-        HostLine::current_and_ended(list_limits::MAX_IN_LIST, snapshot, app.clock.identity(), app.zone);
+    let (current_hosts, ended_hosts) = HostLine::current_and_ended(
+        list_limits::MAX_IN_LIST,
+        snapshot,
+        app.clock.identity(),
+        app.zone,
+        &app.warn,
+    );
     Hosts {
         shell: Shell::new(app, snapshot, "/hosts", "Hosts").live(TOPIC),
         title,

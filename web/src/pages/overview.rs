@@ -173,8 +173,13 @@ pub(super) fn overview(
     let health = Health::of(snapshot, app.zone, app.started_at, &app.warn);
     let shown = ShownPipelines::of(snapshot);
     let pipelines = &shown.pipelines;
-    let (hosts, ended_hosts) =
-        HostLine::current_and_ended(list_limits::MAX_ON_OVERVIEW, snapshot, app.clock.identity(), app.zone);
+    let (hosts, ended_hosts) = HostLine::current_and_ended(
+        list_limits::MAX_ON_OVERVIEW,
+        snapshot,
+        app.clock.identity(),
+        app.zone,
+        &app.warn,
+    );
     let charts: Vec<ChartCard> =
         pipelines.iter().map(|pipeline| ChartCard::new(pipeline, snapshot, app.zone)).collect();
     let marks = incidents.as_ref().map(|rows| IncidentMark::all(rows)).unwrap_or_default();

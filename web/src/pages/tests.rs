@@ -78,13 +78,8 @@ async fn pipeline_with_deadline_adds_column_of_miss_rates() {
     assert!(html.contains("title=\"no deadline\">—</span>"), "{html}");
 }
 
-#[tokio::test]
-async fn spread_latencies_and_busy_processors_cause_notes() {
-    let mut live = pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
-    let values = live.windows[MINUTE_WINDOW].values.iter_mut();
-    for (_, statistics) in values.filter(|(name, _)| name.as_str() == "total") {
-        (statistics.p50, statistics.p99) = (0.018, Some(0.311));
-    }
+/// Returns a host whose processors have been busy for ten seconds.
+fn busy_host() -> peernet_aggregator::HostSnapshot {
     let mut busy = host("cam-1", "Orin");
     busy.metrics.cpu = Some(0.94);
     busy.history = [10, 5, 0]
@@ -93,10 +88,20 @@ async fn spread_latencies_and_busy_processors_cause_notes() {
             std::sync::Arc::new(peernet_aggregator::MetricsPoint { at, metrics: busy.metrics.clone() })
         })
         .to_vec();
-    let html = overview_of(&snapshot(vec![busy], vec![live]), Vec::new()).await;
+    busy
+}
+
+#[tokio::test]
+async fn spread_latencies_and_busy_processors_cause_notes() {
+    let mut live = pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
+    let values = live.windows[MINUTE_WINDOW].values.iter_mut();
+    for (_, statistics) in values.filter(|(name, _)| name.as_str() == "total") {
+        (statistics.p50, statistics.p99) = (0.018, Some(0.311));
+    }
+    let html = overview_of(&snapshot(vec![busy_host()], vec![live]), Vec::new()).await;
     assert!(html.contains("1 pipeline running, 2 to look at"), "{html}");
     assert!(html.contains("has a p99 of 311\u{202f}ms in the last minute"), "{html}");
-    assert!(html.contains("has had busy processors for 10\u{202f}s, never below 94\u{202f}%"), "{html}");
+    assert!(html.contains(">cam-1:</a> the processors have been busy for 10\u{202f}s, never below 94\u{202f}%"), "{html}");
 }
 
 #[tokio::test]

@@ -205,7 +205,7 @@ pub(crate) fn remarks(host: &HostSnapshot) -> Vec<Remark> {
 }
 
 /// Returns the most severe remark on a host's events; of equally severe remarks the first one.
-pub(crate) fn most_severe_remark(host: &HostSnapshot) -> Option<Remark> {
+fn most_severe_remark(host: &HostSnapshot) -> Option<Remark> {
     // `max_by_key` would return the last one of equally severe remarks.
     remarks(host).into_iter().min_by_key(|remark| Reverse(remark.chip.tone))
 }

@@ -1,6 +1,6 @@
 //! The health of the system in sentences: the title of the overview and the notes under it.
 
-use peernet_aggregator::{HostSnapshot, LiveState, PipelineSnapshot};
+use peernet_aggregator::{LiveState, PipelineSnapshot};
 use peernet_analysis::trust::NOTABLE_SHARE;
 use peernet_clock::WallTime;
 use peernet_logger::Name;
@@ -8,7 +8,6 @@ use peernet_statistics::number::{count, counted, percent};
 use peernet_stream::PipelineState;
 
 use super::chip::{Chip, Tone};
-use super::events::{self, Remark};
 use super::notes::Note;
 use super::pipeline_table::{state_chip, state_reason};
 use super::{hosts, link, place, startup, warnings};
@@ -42,7 +41,7 @@ impl Health {
             text: format!("was refused at {}: {}", zone.moment(refused.at).time_of_day(), refused.reason),
             link: None,
         }));
-        notes.extend(snapshot.hosts.iter().flat_map(|host| host_notes(host, snapshot.at, zone, warn)));
+        notes.extend(snapshot.hosts.iter().flat_map(|host| hosts::notes(host, snapshot.at, zone, warn)));
         notes.extend(snapshot.pipelines.iter().flat_map(|pipeline| pipeline_notes(pipeline, snapshot, warn)));
         // The most severe notes come first. The sort is stable, so notes of the same severity keep their order.
         notes.sort_by_key(|note| std::cmp::Reverse(note.chip.tone));
@@ -84,22 +83,6 @@ impl Health {
             hidden_notes,
         }
     }
-}
-
-fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig) -> Vec<Note> {
-    let name = host.description.name.as_str();
-    let href = format!("/hosts/{name}");
-    let note = |subject: String, chip, text| Note { chip, subject, href: href.clone(), text, link: None };
-    let away = hosts::away_chip(host).map(|chip| {
-        let seen = zone.moment(host.last_seen).time_of_day();
-        note(name.to_owned(), chip, format!("has not reported since {seen}."))
-    });
-    // A quiet remark, such as `catching up`, needs no attention.
-    let remarks = events::remarks(host).into_iter().filter(|remark| remark.chip.tone >= Tone::Warn);
-    let remarks = remarks.map(|Remark { chip, text }| note(format!("{name}:"), chip, text));
-    let warning =
-        warnings::host_warning(host, now, warn).map(|(chip, text)| note(name.to_owned(), chip, text));
-    away.into_iter().chain(remarks).chain(warning).collect()
 }
 
 fn pipeline_notes(pipeline: &PipelineSnapshot, snapshot: &LiveState, warn: &WarnConfig) -> Vec<Note> {

@@ -1,7 +1,9 @@
-//! Hosts in a table.
+//! Hosts in a table, and the notes on them.
+
+use std::cmp::Reverse;
 
 use peernet_aggregator::{HostSnapshot, LiveState, MetricsPoint};
-use peernet_clock::{ClockIdentity, Span};
+use peernet_clock::{ClockIdentity, Span, WallTime};
 use peernet_figures::drawing::sparkline;
 use peernet_statistics::number::{NONE, SPACE, count, fixed, gigabytes, long_duration, whole_percent};
 use peernet_stream::{Hardware, HostMetrics};
@@ -10,6 +12,9 @@ use super::chip::{Chip, Tone};
 use super::clock_fault::FaultyClocks;
 use super::events::{self, FAR_BEHIND, Remark};
 use super::link::panels::describe_synchronisation;
+use super::notes::Note;
+use super::warnings;
+use crate::config::WarnConfig;
 use crate::picture::Picture;
 use crate::zone::{Zone, ZonedTime};
 
@@ -17,8 +22,9 @@ use crate::zone::{Zone, ZonedTime};
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct HostLine {
     pub name: String,
+    /// Tone of the most severe of the [`notes`] on the host.
     pub tone: Tone,
-    /// Reason for the tone; `None` if there is nothing to remark.
+    /// Most severe remark; `None` if there is nothing to remark.
     pub remark: Option<Remark>,
     /// Time of the last report, for a host that does not report now.
     pub away: Option<ZonedTime>,
@@ -81,9 +87,31 @@ const POINT_INTERVAL_S: f64 = 5.0;
 /// If two points are further apart than this, the host counts as absent between them.
 const MIN_ABSENCE: Span = Span::from_seconds(15);
 
-/// Returns the chip of a host that became silent without a goodbye.
-pub(crate) fn away_chip(host: &HostSnapshot) -> Option<Chip> {
-    (!host.connected && !host.has_left).then_some(Chip::new(Tone::Warn, "gap", "away"))
+/// Returns the notes on everything about a host that needs attention.
+pub(crate) fn notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig) -> Vec<Note> {
+    let name = host.description.name.as_str();
+    let note = |subject: String, chip, text| Note {
+        chip,
+        subject,
+        href: format!("/hosts/{name}"),
+        text,
+        link: None,
+    };
+    // An agent that said goodbye was stopped on purpose.
+    let away = (!host.connected && !host.has_left).then(|| {
+        let seen = zone.moment(host.last_seen).time_of_day();
+        let chip = Chip::new(Tone::Warn, "gap", "away");
+        note(name.to_owned(), chip, format!("has not reported since {seen}."))
+    });
+    // A quiet remark, such as `catching up`, needs no attention.
+    let remarks = remarks(host, now, warn).filter(|remark| remark.chip.tone >= Tone::Warn);
+    let remarks = remarks.map(|Remark { chip, text }| note(format!("{name}:"), chip, text));
+    away.into_iter().chain(remarks).collect()
+}
+
+/// Returns the remarks on a host's events and on its processors.
+fn remarks(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> impl Iterator<Item = Remark> {
+    events::remarks(host).into_iter().chain(warnings::host_warning(host, now, warn))
 }
 
 /// Returns the values of a sparkline, oldest first. `None` makes a gap.
@@ -156,10 +184,11 @@ impl HostLine {
         snapshot: &LiveState,
         ours: &ClockIdentity,
         zone: Zone,
+        warn: &WarnConfig,
     ) -> (Vec<Self>, Vec<Self>) {
         let faulty_clocks = FaultyClocks::of(snapshot);
         let lines = snapshot.hosts.iter().take(limit);
-        let lines = lines.map(|host| Self::new(host, &faulty_clocks, ours, zone));
+        let lines = lines.map(|host| Self::new(host, &faulty_clocks, ours, snapshot.at, zone, warn));
         lines.partition(|line| line.ended.is_none())
     }
 
@@ -167,22 +196,22 @@ impl HostLine {
         host: &HostSnapshot,
         faulty_clocks: &FaultyClocks,
         ours: &ClockIdentity,
+        now: WallTime,
         zone: Zone,
+        warn: &WarnConfig,
     ) -> Self {
         let name = host.description.name.to_string();
         let metrics = &host.metrics;
         let (clock, clock_title) = clock_words(&host.description.clock, ours, host.clock_ahead);
         let is_far_behind = host.behind.is_some_and(|behind| behind > FAR_BEHIND);
         // A quiet remark, such as `compressed`, is shown only while storage lags far behind.
-        let remark =
-            events::most_severe_remark(host).filter(|remark| is_far_behind || remark.chip.tone >= Tone::Warn);
-        let chips = [away_chip(host), remark.as_ref().map(|remark| remark.chip)];
-        let tone = if host.has_left {
-            // An agent that said goodbye was stopped on purpose, so its host needs no attention.
-            Tone::Quiet
-        } else {
-            chips.into_iter().flatten().map(|chip| chip.tone).max().unwrap_or(Tone::Ok)
-        };
+        let remark = remarks(host, now, warn)
+            .min_by_key(|remark| Reverse(remark.chip.tone))
+            .filter(|remark| is_far_behind || remark.chip.tone >= Tone::Warn);
+        let notes = notes(host, now, zone, warn);
+        let chips = notes.iter().map(|note| note.chip).chain(remark.as_ref().map(|remark| remark.chip));
+        let least = if host.has_left { Tone::Quiet } else { Tone::Ok };
+        let tone = chips.map(|chip| chip.tone).fold(least, Tone::max);
         let spark = |quantity: &str, share_of: fn(&HostMetrics) -> Option<f64>| {
             let items = sparkline(&history(&host.history, share_of));
             Picture::of_items(&items, "spark", &format!("{quantity} of {name}, last 10 minutes"))

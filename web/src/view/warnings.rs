@@ -11,15 +11,15 @@ use peernet_statistics::number::{SPACE, duration, percent, times};
 use peernet_store::QuantityStatistics;
 
 use super::chip::{Chip, Tone};
+use super::events::Remark;
 use super::stack::Stack;
 use crate::config::WarnConfig;
 
 /// Minimum time for which the processors must have been busy.
 const MIN_BUSY_TIME: Span = Span::from_seconds(10);
 
-/// Returns a warning if a host's processors have been busy for ten seconds: a chip, and the rest of a sentence about
-/// the host.
-pub(crate) fn host_warning(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> Option<(Chip, String)> {
+/// Returns a warning if a host's processors have been busy for ten seconds.
+pub(crate) fn host_warning(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> Option<Remark> {
     let limit = warn.cpu_percent / 100.0;
     let current = host.metrics.cpu.filter(|_| host.connected)?;
     // Checks all points of the last `MIN_BUSY_TIME`, and the newest point before them, so that the points cover the
@@ -35,11 +35,11 @@ pub(crate) fn host_warning(host: &HostSnapshot, now: WallTime, warn: &WarnConfig
     }
     let text = || {
         format!(
-            "has had busy processors for 10{SPACE}s, never below {}{SPACE}%: latencies contain waiting.",
+            "the processors have been busy for 10{SPACE}s, never below {}{SPACE}%: latencies contain waiting.",
             percent(lowest)
         )
     };
-    (lowest > limit).then(|| (Chip::new(Tone::Warn, "remark", "busy"), text()))
+    (lowest > limit).then(|| Remark { chip: Chip::new(Tone::Warn, "remark", "busy"), text: text() })
 }
 
 /// Returns the warnings about a pipeline's last minute: for each a chip, and the rest of a sentence about the pipeline.
@@ -204,7 +204,7 @@ mod tests {
             });
             host.history = points.collect();
             host.metrics = metrics(shares[0]);
-            host_warning(&host, NOW, &WarnConfig::default()).map(|(_, text)| text)
+            host_warning(&host, NOW, &WarnConfig::default()).map(|remark| remark.text)
         };
         assert!(busy(&[0.97, 0.95, 0.94]).is_some_and(|text| text.contains("94")));
         assert_eq!(busy(&[0.97, 0.95]), None, "for five seconds only");

@@ -89,3 +89,16 @@ async fn overview_notes_remarks_that_need_attention() {
         assert_eq!(notes.contains(&chip), needs_attention, "{word}: {notes}");
     }
 }
+
+#[tokio::test]
+async fn dot_of_host_has_tone_of_its_notes() {
+    let mut lossy = host("cam-1", "Orin");
+    lossy.accounting = samples::accounting();
+    (lossy.connected, lossy.has_left) = (false, true);
+    for (noted, word) in [(lossy, "lost"), (busy_host(), "busy")] {
+        let html = overview_of(&snapshot(vec![noted], Vec::new()), Vec::new()).await;
+        assert!(html.contains(", 1 to look at</h1>"), "{html}");
+        let row = html.split_once("<span class=\"dot warn\">").expect("a dot with the tone of the note").1;
+        assert!(row.contains(&format!("</svg>{word}</span>")), "{row}");
+    }
+}
