@@ -6,6 +6,7 @@ use peernet_logger::{Measure, Name, Node, NodeId};
 use peernet_statistics::number::{NONE, SPACE, bytes, throughput, throughput_between, times};
 use peernet_store::{IterationDetail, QuantityStatistics};
 
+use super::speed;
 use crate::timeline::NodeStatistics;
 
 /// Sizes and throughput of one direction.
@@ -91,14 +92,13 @@ fn throughput_text(detail: &IterationDetail, nodes: &DirectionNodes) -> (String,
         Some(Measure::Transit(transit)) => transit.delay.map(|delay| delay.verdict),
         _ => None,
     };
+    let note = speed::clock_obstacle(verdict).unwrap_or_default();
     // `is_speed_interval_only` returns `Some(true)` for the verdict `limited`, and `None` if the verdict permits no
     // throughput.
     match (rate.value, rate.bounds, is_speed_interval_only(verdict)) {
-        (Some(_), Some((lo, hi)), Some(true)) => {
-            (throughput_between((lo, Some(hi))), "the delay is known only within its clock bound")
-        }
+        (Some(_), Some((lo, hi)), Some(true)) => (throughput_between((lo, Some(hi))), note),
         (Some(value), _, Some(_)) => (throughput(value), ""),
-        (Some(_), _, None) => (NONE.to_owned(), "the clocks do not determine the delay of this direction"),
+        (Some(_), _, None) => (NONE.to_owned(), note),
         (None, ..) => (NONE.to_owned(), "the delay of this direction is not known"),
     }
 }

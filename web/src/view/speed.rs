@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use peernet_aggregator::{LiveSecond, Window};
 use peernet_analysis::delays::{ClockInterval, VerdictCounts};
-use peernet_analysis::transfer::{DirectionNodes, KnownSpeed, Transfers};
+use peernet_analysis::transfer::{DirectionNodes, KnownSpeed, Transfers, is_speed_interval_only};
 use peernet_clock::{Direction, Verdict};
 use peernet_statistics::Merge;
 use peernet_statistics::number::{NONE, throughput, throughput_between};
@@ -50,11 +50,18 @@ pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: Direction) -> O
 /// iterations.
 fn find_obstacle(verdict: Option<Verdict>, successful_iterations: u64) -> Option<&'static str> {
     match verdict {
-        Some(Verdict::Ok) => None,
-        Some(Verdict::Limited) => Some("known only within its clock bound"),
-        Some(_) => Some("the clocks do not determine this direction's delay"),
+        Some(_) => clock_obstacle(verdict),
         None if successful_iterations == 0 => Some("no successful iteration in this time"),
         None => Some("nothing was sent in this direction"),
+    }
+}
+
+/// Returns the reason why the verdict on the delays permits no single speed; `None` if it permits one.
+pub(crate) const fn clock_obstacle(verdict: Option<Verdict>) -> Option<&'static str> {
+    match is_speed_interval_only(verdict) {
+        Some(false) => None,
+        Some(true) => Some("known only within its clock bound"),
+        None => Some("the clocks do not determine this direction's delay"),
     }
 }
 
