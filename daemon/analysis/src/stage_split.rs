@@ -10,9 +10,9 @@ use crate::slowness::{self, BOTH_DIRECTIONS, REST_OF_UNATTRIBUTED};
 const MIN_UNATTRIBUTED_SHARE: f64 = 1e-9;
 /// If at least this share of the total is unexplained, the trust report has a caveat and the overview warns.
 pub const NOTABLE_UNEXPLAINED_SHARE: f64 = 0.05;
-/// Unexplained time that is shorter than this number of seconds is negligible, even if it is a large share of the
-/// total: it is the normal cost of instructions and of the scheduler.
-pub const NEGLIGIBLE_UNEXPLAINED_S: f64 = 1e-4;
+/// Unexplained time or lateness that is shorter than this number of seconds is negligible, even if it is a large share
+/// of the total: it is the normal cost of instructions and of the scheduler.
+const NEGLIGIBLE_S: f64 = 1e-4;
 
 /// Parts that add up to the mean total latency, unless the clocks show a stage as longer than it was.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -110,11 +110,10 @@ impl StageSplit {
         if self.total > 0.0 { seconds / self.total } else { 0.0 }
     }
 
-    /// Returns whether this unexplained time is long enough to be reported: longer than negligible, and at least the
-    /// share `notable_share` of the total.
-    pub fn is_notable(&self, unexplained: f64, notable_share: f64) -> bool {
-        unexplained.abs() >= NEGLIGIBLE_UNEXPLAINED_S
-            && self.share_of_mean_total(unexplained.abs()) >= notable_share
+    /// Returns whether this unexplained time or lateness is long enough to be reported: longer than negligible, and at
+    /// least the share `notable_share` of the total.
+    pub fn is_notable(&self, seconds: f64, notable_share: f64) -> bool {
+        seconds.abs() >= NEGLIGIBLE_S && self.share_of_mean_total(seconds.abs()) >= notable_share
     }
 
     /// Returns the split of the rows of a run that are in the statistics.
@@ -304,7 +303,7 @@ mod tests {
         let unexplained = split.unexplained().expect("stages are known");
         assert!((unexplained - 0.001).abs() < 1e-12 && !split.is_notable(unexplained, 0.06), "{split:?}");
         assert!(split.is_notable(unexplained, 0.04) && split.is_notable(-unexplained, 0.04));
-        assert!(!split.is_notable(0.9 * NEGLIGIBLE_UNEXPLAINED_S, 0.0));
+        assert!(!split.is_notable(0.9 * NEGLIGIBLE_S, 0.0));
         // No iteration has a value of `unattributed`, so the other 10 ms may belong to a stage whose duration is unknown.
         assert_eq!(split_of(&[("total", 50, 0.020), ("sensing", 50, 0.010)]).unexplained(), None);
         let overlap = split_of(&[("total", 50, 0.020), ("sensing", 50, 0.030), ("unattributed", 50, -0.010)]);

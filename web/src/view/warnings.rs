@@ -3,7 +3,7 @@
 
 use peernet_aggregator::{HostSnapshot, MetricsPoint, Window};
 use peernet_analysis::rows::SKIPPED_STARTS;
-use peernet_analysis::stage_split::{NEGLIGIBLE_UNEXPLAINED_S, StageSplit};
+use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::trust::Starts;
 use peernet_clock::{Span, WallTime};
 use peernet_logger::stage;
@@ -100,15 +100,13 @@ fn skipped_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)>
 
 /// Returns the warning about iterations that start later than intended.
 fn late_warning(split: &StageSplit, warn: &WarnConfig) -> Option<(Chip, String)> {
-    // A lateness that would be negligible as unexplained time is negligible, too.
-    let seconds = split.lateness.filter(|seconds| *seconds >= NEGLIGIBLE_UNEXPLAINED_S)?;
-    let share = split.share_of_mean_total(seconds);
+    let seconds = split.lateness.filter(|seconds| split.is_notable(*seconds, warn.late_percent / 100.0))?;
     let text = format!(
         "starts {} late on average, {}{SPACE}% of its total in the last minute.",
         duration(seconds),
-        percent(share)
+        percent(split.share_of_mean_total(seconds))
     );
-    (share > warn.late_percent / 100.0).then_some((Chip::new(Tone::Warn, "slow", "late"), text))
+    Some((Chip::new(Tone::Warn, "slow", "late"), text))
 }
 
 #[cfg(test)]
