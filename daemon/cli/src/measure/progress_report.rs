@@ -36,9 +36,9 @@ pub(crate) struct ProgressReport {
 }
 
 impl ProgressReport {
-    /// Returns the fraction of the iterations that are finished, 0 to 1; 0 if only a time limits the run.
-    pub(crate) fn fraction_done(&self) -> f64 {
-        self.iterations.map_or(0.0, |count| self.done as f64 / count.max(1) as f64)
+    /// Returns the fraction of the iterations that are finished, 0 to 1; `None` if only a time limits the run.
+    pub(crate) fn fraction_done(&self) -> Option<f64> {
+        self.iterations.map(|count| self.done as f64 / count.max(1) as f64)
     }
 }
 

@@ -107,23 +107,23 @@ impl RunProgress {
 
     /// Returns the progress to be shown in this phase.
     fn report(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> ProgressReport {
-        let (done, iterations) = (self.done(), self.iterations);
         let seconds_since = |start: MonoTime| (now - start).seconds();
-        let fraction_done = iterations.map(|all| done as f64 / all as f64);
         let limit_s = self.limit.duration_s.zip(self.measuring_since);
         let limit_s = limit_s.map(|(seconds, since)| seconds - seconds_since(since));
-        ProgressReport {
+        let report = ProgressReport {
             phase,
-            done,
+            done: self.done(),
             failed: self.counts.all_failed(),
             failed_in_warm_up: self.failed_in_warm_up,
             first_failure: self.first_failure.clone(),
-            iterations,
+            iterations: self.iterations,
             rate: self.starts.starts().actual_hz(),
             totals: self.totals.clone(),
-            left_s: remaining_seconds(fraction_done, self.started_at.map_or(0.0, seconds_since), limit_s),
+            left_s: None,
             trouble,
-        }
+        };
+        let elapsed_s = self.started_at.map_or(0.0, seconds_since);
+        ProgressReport { left_s: remaining_seconds(report.fraction_done(), elapsed_s, limit_s), ..report }
     }
 }
 

@@ -36,7 +36,7 @@ impl ProgressDisplay for ClientProgress {
             self.progress.end();
             return;
         }
-        let state = || (report.to_string(), report.fraction_done());
+        let state = || (report.to_string(), report.fraction_done().unwrap_or(0.0));
         self.progress.show(self.clock.mono(), report.trouble.clone(), state);
     }
 }

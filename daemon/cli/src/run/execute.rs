@@ -93,7 +93,7 @@ impl Execution<'_> {
                 // `left` replaces the time left of this run alone.
                 (
                     format!("{name}: {}{left}", ProgressReport { left_s: None, ..report.clone() }),
-                    share_before + report.fraction_done() * run_share,
+                    share_before + report.fraction_done().unwrap_or(0.0) * run_share,
                 )
             };
             progress.show(self.clock.mono(), trouble, state);
