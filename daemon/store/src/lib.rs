@@ -44,7 +44,7 @@ use readers::Readers;
 pub use database_error::DatabaseError;
 pub use error::{OpenError, StoreError};
 pub use lock::{DatabaseLock, LockError};
-pub use quantity_statistics::{DelayAccuracy, QuantityStatistics, table_order};
+pub use quantity_statistics::{DelayAccuracy, QuantityStatistics, SENSING_CHILDREN, table_order};
 pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, StoredCounts};
 pub use types::{

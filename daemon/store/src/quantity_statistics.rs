@@ -121,6 +121,9 @@ impl DelayAccuracy {
     }
 }
 
+/// Children of `sensing`, in their order.
+pub const SENSING_CHILDREN: [&str; 2] = ["capture", "transform"];
+
 /// Returns the sort key of a name in tables: the stages in their order, then `total`, `stages-total`, `unattributed`,
 /// throughputs, sizes, and custom names in alphabetical order.
 pub fn table_order(name: &str) -> (usize, &str) {
@@ -135,17 +138,12 @@ pub fn table_order(name: &str) -> (usize, &str) {
         stage::UPLOAD_LOGGER_BYTES,
         stage::DOWNLOAD_LOGGER_BYTES,
     ];
-    // The positions of the standard names are multiples of three, and `sensing` has position 0. The two children of
-    // `sensing` have positions between `sensing` and the next stage, as in a tree.
+    // `sensing` has position 0. Its children have positions between `sensing` and the next stage, as in a tree.
     let standard_position = || {
         let index = stage::ORDER.iter().chain(&NAMES_AFTER_STAGES).position(|standard| standard == name)?;
-        Some(3 * index)
+        Some((SENSING_CHILDREN.len() + 1) * index)
     };
-    let sensing_child = match name {
-        "capture" => Some(1),
-        "transform" => Some(2),
-        _ => None,
-    };
+    let sensing_child = SENSING_CHILDREN.iter().position(|child| *child == name).map(|index| index + 1);
     (sensing_child.or_else(standard_position).unwrap_or(usize::MAX), name)
 }
 

@@ -5,7 +5,7 @@ use peernet_analysis::stage_split::share_of_total;
 use peernet_figures::drawing::{StagePart, share_bar};
 use peernet_logger::stage;
 use peernet_statistics::number::{self, DurationFormat, EXACT, NONE, bound_ms};
-use peernet_store::{DelayAccuracy, QuantityStatistics, StageStatistics, table_order};
+use peernet_store::{DelayAccuracy, QuantityStatistics, SENSING_CHILDREN, StageStatistics, table_order};
 
 use super::chip::{Chip, Sign};
 use super::clocks;
@@ -62,7 +62,7 @@ impl StageRow {
         };
         Self {
             look: look::class(name),
-            depth: u8::from(matches!(name, "capture" | "transform" | look::LATENESS)),
+            depth: u8::from(name == look::LATENESS || SENSING_CHILDREN.contains(&name)),
             occurrence: None,
             mean: text(|statistics| Some(statistics.mean)),
             std: statistics.and_then(|statistics| statistics.std).map(|std| format.number(std)),
@@ -173,8 +173,8 @@ impl StageRow {
         let share = |name: &str| share_of_total(name, sent, count_and_mean_of);
         let mut rows = Vec::new();
         let network = stack.parts.iter().find(|part| part.name == look::NETWORK);
-        // `sensing` is the first of `parts` and is skipped there, because its own parts follow it here.
-        let order = ["sensing", "capture", "transform"].into_iter().chain(look::parts().skip(1));
+        // `sensing` is the first of `parts`. Its children follow it.
+        let order = look::parts().take(1).chain(SENSING_CHILDREN).chain(look::parts().skip(1));
         // Lateness is a part of the unattributed time, so its row follows that row.
         let order = order.filter(|name| *name != look::LATENESS).chain([look::LATENESS, "total"]);
         for name in order {
