@@ -18,9 +18,14 @@ pub(crate) fn parts() -> impl Iterator<Item = &'static str> {
     PARTS.iter().map(Name::as_str)
 }
 
-/// Returns the names of [`parts`], separated by commas, for the scripts of pages.
-pub(crate) fn part_names() -> String {
-    parts().collect::<Vec<_>>().join(",")
+/// Returns the [`parts`], separated by commas, for the scripts of pages: of each its name, its [`class`], and `edge` if
+/// its fill is pale and has a darker edge, such as `ipc:encode:edge`.
+pub(crate) fn part_looks() -> String {
+    let looks = parts().map(|name| {
+        let stage = peernet_figures::look::stage(name);
+        format!("{name}:{}:{}", stage.class, if stage.edge.is_some() { "edge" } else { "" })
+    });
+    looks.collect::<Vec<_>>().join(",")
 }
 
 /// Returns the entries of the colour key. Stages of the same colour, such as `queue` and `send-queue`, share an entry.
@@ -69,6 +74,20 @@ mod tests {
         key_entry_label(key_entry)
             .split(", ")
             .any(|known| name == known || name.ends_with(&format!("-{known}")))
+    }
+
+    #[test]
+    fn style_sheet_has_colours_of_every_part() {
+        let tokens = include_str!("../assets/css/tokens.css");
+        for part in part_looks().split(',') {
+            let fields: Vec<&str> = part.split(':').collect();
+            let [_, class, edge] = fields[..] else { panic!("{part}") };
+            // The script draws both directions in the colours of the two.
+            if class != "network" {
+                assert!(tokens.contains(&format!("--s-{class}:")), "{part}");
+            }
+            assert_eq!(tokens.contains(&format!("--e-{class}:")), edge == "edge", "{part}");
+        }
     }
 
     #[test]

@@ -1,9 +1,10 @@
 // Functions that all charts share: colours of app.css, axes, tooltips, gaps and marks. Charts are redrawn when the theme changes.
 const PEER = (() => {
-  // Parts of a total in the order of every stack: stages, both directions together, the unattributed time. The server sets the attribute.
-  const PARTS = document.documentElement.dataset.parts.split(",");
-  // Stages whose areas are too pale for a line. Lines of these stages have a darker colour.
-  const PALE = new Set(["encode", "queue", "preprocessing", "unattributed"]);
+  // Parts of a total in the order of every stack: stages, both directions together, the unattributed time. The server sets the attribute:
+  // of each part its name, the class of its colour, and `edge` if its area is too pale for a line, which then has the darker colour of the edge.
+  const looks = document.documentElement.dataset.parts.split(",").map((part) => part.split(":"));
+  const PARTS = looks.map(([name]) => name), CLASSES = new Map(looks);
+  const EDGED = new Set(looks.filter(([, , edge]) => edge).map(([, name]) => name));
   const drawn = new Set();
   // Hidden element, by which the browser computes colours.
   let probe = null;
@@ -26,8 +27,8 @@ const PEER = (() => {
     return getComputedStyle(probe).color;
   });
   const px = (rem) => rem * cached("rem", () => parseFloat(getComputedStyle(document.documentElement).fontSize));
-  // Returns the name of the stage whose colour a stage has.
-  const look = (stage) => ({ "send-queue": "queue", "batch-wait": "queue", ipc: "encode", "upload + download": "network" })[stage] ?? stage;
+  // Returns the class of the colour of a stage, which may also be given as a class.
+  const look = (stage) => CLASSES.get(stage) ?? stage;
 
   // Returns a hatched fill. Its lines rise to the right if `angle` is positive, else they fall.
   function hatch(ground, line, angle) {
@@ -60,11 +61,11 @@ const PEER = (() => {
   const fill = (stage) => cached(`fill ${stage}`, () => {
     if (look(stage) === "queue") return hatch(css("--s-queue"), css("--e-queue"), 1);
     if (look(stage) === "network") return both(css("--s-upload"), css("--s-download"));
-    if (stage === "unattributed") return hatch(css("--s-unattributed"), css("--e-unattributed"), -1);
-    return css(`--s-${stage}`);
+    if (look(stage) === "unattributed") return hatch(css("--s-unattributed"), css("--e-unattributed"), -1);
+    return css(`--s-${look(stage)}`);
   });
   // Returns the colour of lines and points of a stage.
-  const lineColour = (stage) => (look(stage) === "network" ? css("--s-upload") : css((PALE.has(look(stage)) ? "--e-" : "--s-") + look(stage)));
+  const lineColour = (stage) => (look(stage) === "network" ? css("--s-upload") : css((EDGED.has(look(stage)) ? "--e-" : "--s-") + look(stage)));
 
   const offset = () => Number(document.documentElement.dataset.offset) * 1000;
   // Formats a time of day: to the minute; to the second if `precision` is true; to the millisecond if it is "ms".

@@ -123,12 +123,13 @@
         row.reported = true;
         if (card.n[index] > 0) { seconds.push(index); row.n += card.n[index]; }
       }
+      // Equals `mean_of_groups` of stage_split.rs, which makes the table of the chart.
       const mean = (list) => {
         let sum = 0, hasValue = false;
         for (const index of seconds) if (list?.[index] != null) { sum += list[index] * card.n[index]; hasValue = true; }
         return hasValue ? sum / row.n : null;
       };
-      // Speed is bytes divided by transfer time; bytes per microsecond are MB/s.
+      // Speed is bytes divided by transfer time, as in `Transfer::speed` of transfer.rs; bytes per microsecond are MB/s.
       const speed = (list) => {
         let bytes = 0, time = 0;
         for (const index of seconds) if (list[index]) { bytes += list[index][0]; time += list[index][1]; }
