@@ -62,6 +62,8 @@ impl Difference {
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeanEstimate {
     mean: f64,
+    /// `true` if each run with values has [enough values](have_enough_values) for an interval.
+    has_enough_values: bool,
     /// Means of batches; empty if a run has too few values.
     batches: Vec<f64>,
 }
@@ -80,7 +82,8 @@ impl MeanEstimate {
     pub fn from_buckets(mean: f64, runs: &[Vec<(u64, f64)>]) -> Self {
         let has_run_without_buckets = runs.iter().any(|run| run.as_slice().total_count() == 0);
         let estimate = Self::from_series(runs.iter().map(Vec::as_slice)).filter(|_| !has_run_without_buckets);
-        Self { mean, batches: estimate.map_or_else(Vec::new, |estimate| estimate.batches) }
+        let unknown = Self { mean, has_enough_values: false, batches: Vec::new() };
+        estimate.map_or(unknown, |estimate| Self { mean, ..estimate })
     }
 
     fn from_series<'a, S: Series + ?Sized + 'a>(runs: impl Iterator<Item = &'a S> + Clone) -> Option<Self> {
@@ -91,14 +94,19 @@ impl MeanEstimate {
             sum += (0..run.bucket_count()).map(|bucket| run.sum(bucket)).sum::<f64>();
         }
         (count > 0).then_some(())?;
-        let have_enough_values = runs_with_values.clone().all(|run| run.total_count() >= MIN_VALUES as u64);
-        let batches = runs_with_values.filter(|_| have_enough_values).flat_map(batch_means).collect();
-        Some(Self { mean: sum / count as f64, batches })
+        let has_enough_values = have_enough_values(runs_with_values.clone().map(S::total_count));
+        let batches = runs_with_values.filter(|_| has_enough_values).flat_map(batch_means).collect();
+        Some(Self { mean: sum / count as f64, has_enough_values, batches })
     }
 
     /// Returns the mean of all values.
     pub fn mean(&self) -> f64 {
         self.mean
+    }
+
+    /// Returns whether each run with values has [`MIN_VALUES`] or more.
+    pub(super) fn has_enough_values(&self) -> bool {
+        self.has_enough_values
     }
 
     /// Returns the number of batches from which the interval of a difference is computed.
@@ -113,6 +121,12 @@ impl MeanEstimate {
         let variance = moments.variance().filter(|_| moments.count >= MIN_BATCHES as u64)? / count;
         Some(MeanVariance { variance, degrees_of_freedom: count - 1.0 })
     }
+}
+
+/// Returns whether each run has enough values for an interval, from the number of values of each run. Runs without
+/// values are ignored.
+pub(super) fn have_enough_values(counts: impl IntoIterator<Item = u64>) -> bool {
+    counts.into_iter().all(|count| count == 0 || count >= MIN_VALUES as u64)
 }
 
 /// Returns the means of the batches of a run: at most 30 batches with at least ten values each. A run of fewer than 50
@@ -156,6 +170,7 @@ mod tests {
     fn interval_is_that_of_welch() {
         let estimate = |values: &[f64]| MeanEstimate {
             mean: values.iter().sum::<f64>() / values.len() as f64,
+            has_enough_values: true,
             batches: values.to_vec(),
         };
         let (first, second) =

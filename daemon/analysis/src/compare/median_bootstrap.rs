@@ -4,7 +4,7 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 
 use super::blocks;
-use super::difference::{Difference, MIN_VALUES};
+use super::difference::{Difference, have_enough_values};
 use crate::order::SortedValues;
 
 /// Number of resamples. With 2000 resamples, the ends of a 95 % interval are the 50th smallest and the 50th largest
@@ -36,9 +36,8 @@ impl<'a> PooledValues<'a> {
         self.sorted.median()
     }
 
-    /// Returns whether each run has enough values for an interval. Runs without values are ignored.
     fn has_enough_values(&self) -> bool {
-        self.runs.iter().all(|run| run.is_empty() || run.len() >= MIN_VALUES)
+        have_enough_values(self.runs.iter().map(|run| run.len() as u64))
     }
 }
 

@@ -10,6 +10,9 @@ pub struct Ranking {
     /// Index of each other ranked configuration, and its mean minus the smallest mean. The difference is `None` if the
     /// configuration has no mean.
     pub differences: Vec<(usize, Option<Difference>)>,
+    /// Indexes of the ranked configurations that have a mean and enough values for an interval: at least
+    /// [`MIN_VALUES`](super::MIN_VALUES) of each run with values.
+    pub with_enough_values: Vec<usize>,
 }
 
 /// Total latency of a configuration, by which it is ranked.
@@ -37,7 +40,9 @@ impl Ranking {
         let difference =
             |index: &usize| (*index, mean(index).map(|mean| Difference::between_means(smallest, mean)));
         let differences = others.map(difference).collect();
-        Some(Self { best, differences })
+        let has_enough_values = |index: &usize| mean(index).is_some_and(MeanEstimate::has_enough_values);
+        let with_enough_values = ranked.iter().copied().filter(has_enough_values).collect();
+        Some(Self { best, differences, with_enough_values })
     }
 
     /// Returns the indexes of the configurations whose difference from the smallest mean may be chance: the 95 %

@@ -261,9 +261,14 @@ fn title_without_significant_difference_names_no_fastest() {
     let text = title_of(&short, &totals(&short, 3), 0);
     let expected = "A has the smallest mean of the 3 configurations, 16.0\u{202f}ms; too short for this page (needs 5\u{202f}s): peernet compare can tell";
     assert_eq!(text, expected);
-    let mut few = comparison_of_scales(&[1.0, 1.5, 2.0]);
-    few.configurations[1].runs[0].counts.ok = 29;
-    let text = title_of(&few, &totals(&few, 3), 0);
+    let mut failed_repeat = comparison_of_scales(&[1.0, 1.5, 2.0]);
+    let failed = RunSummary { counts: OutcomeCounts::default(), ..run(9, PlacementKind::Remote) };
+    failed_repeat.configurations[1].runs.push(failed);
+    let text = title_of(&failed_repeat, &totals(&failed_repeat, 3), 0);
+    assert_eq!(text, expected, "`peernet compare` ignores a run without a total, too");
+    let few = comparison_of_scales(&[1.0, 1.5, 2.0]);
+    // One bucket has 20 iterations.
+    let text = title_of(&few, &totals(&few, 1), 0);
     assert!(
         text.ends_with("; too little is known to tell more"),
         "`peernet compare` has too few iterations, too: {text}"

@@ -1,6 +1,6 @@
 //! Title of a comparison: its finding in a sentence.
 
-use peernet_analysis::compare::{Difference, MIN_BATCHES, MIN_VALUES, Ranking};
+use peernet_analysis::compare::{Difference, MIN_BATCHES, Ranking};
 use peernet_statistics::number::{Estimate, SPACE, column_decimals, duration};
 
 use super::table::difference_decimals;
@@ -35,12 +35,12 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         return format!("{} and {} do not differ by more than chance", best.name, join_names(all, &ties));
     }
     if !untested.is_empty() {
-        // If all runs of the untested configurations and of the best one have enough iterations,
-        // then only the buckets of whole seconds that this page reads are too few.
+        // If the untested configurations and the best one have enough iterations, then only the
+        // buckets of whole seconds that this page reads are too few.
         // `peernet compare` reads single iterations and can therefore tell more.
-        let mut untested_and_best_runs =
-            untested.iter().chain([&ranking.best]).flat_map(|index| &all[*index].runs);
-        let have_enough_iterations = untested_and_best_runs.all(|run| run.counts.ok >= MIN_VALUES as u64);
+        let mut untested_and_best = untested.iter().chain([&ranking.best]);
+        let have_enough_iterations =
+            untested_and_best.all(|index| ranking.with_enough_values.contains(index));
         let statement = match ranking.differences.len() {
             1 => format!("{} has the smaller mean, {mean}", best.name),
             others => {
