@@ -29,7 +29,7 @@ pub use progress::{mean_rate, remaining_seconds};
 pub use recent_seconds::RecentSeconds;
 pub use sketch::{PackedError, Sketch};
 pub use splitmix::SplitMix64;
-pub use summary::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99, Summary};
+pub use summary::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99, Summary, VALUES_PER_POINT};
 
 /// Possible widths of the buckets of a time axis, seconds, everywhere in PEERNet.
 // Each is a multiple of a width that the aggregator stores (1 s, 10 s, 1 min, 1 h): at most 15 times that width, except

@@ -6,6 +6,9 @@ use crate::{Merge, Moments, Sketch};
 
 /// Minimum number of values for p5 and p95, everywhere in PEERNet.
 pub const MIN_VALUES_FOR_P95: u64 = 60;
+/// Number of values that a point of a line over time should have, everywhere in PEERNet: a tenth more than p95 needs,
+/// because values are not spread evenly over the points.
+pub const VALUES_PER_POINT: u64 = MIN_VALUES_FOR_P95 + MIN_VALUES_FOR_P95 / 10;
 /// Minimum number of values for p99, everywhere in PEERNet.
 pub const MIN_VALUES_FOR_P99: u64 = 300;
 

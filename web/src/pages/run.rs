@@ -29,7 +29,7 @@ use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
 use crate::view::histogram::histogram;
 use crate::view::notes::Note;
-use crate::view::run::{Bucket, FailedRow, OtherStatistics, SlowIteration, StoredRun};
+use crate::view::run::{Bucket, FailedRow, OtherStatistics, SlowIteration, StoredRun, number_of_points};
 use crate::view::runs::End;
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW, directions};
@@ -173,7 +173,7 @@ async fn show(
     let (statistics, stored_histogram, series, slowest, failed, episodes, trust) = tokio::try_join!(
         store.statistics_of(number),
         store.histogram(number, &stage_name, MAX_BINS),
-        store.series(number, &names, MAX_POINTS),
+        store.series(number, &names, number_of_points(run.summary.counts.ok, MAX_POINTS)),
         store.slowest_iterations(number, DRAWN_SLOWEST),
         store.iterations(number, &failed_only),
         store.episodes(number),

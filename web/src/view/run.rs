@@ -7,6 +7,7 @@ use peernet_clock::{Direction, WallTime};
 use peernet_figures::drawing::StageBar;
 use peernet_figures::scale::Scale as AxisScale;
 use peernet_logger::stage;
+use peernet_statistics::VALUES_PER_POINT;
 use peernet_statistics::number::{
     DurationFormat, NONE, SPACE, count, fixed, long_duration, throughput, times,
 };
@@ -45,6 +46,15 @@ pub(crate) struct OtherStatistics {
     pub p50: String,
     pub max: String,
     pub unit: String,
+}
+
+/// Minimum number of points over time that are requested for a run.
+const MIN_POINTS: usize = 20;
+
+/// Returns the number of points over time that are requested for a run with this number of iterations: so many that
+/// each has enough iterations for a 95th percentile, but at least [`MIN_POINTS`].
+pub(crate) fn number_of_points(iterations: u64, max_points: usize) -> usize {
+    ((iterations / VALUES_PER_POINT) as usize).clamp(MIN_POINTS, max_points)
 }
 
 /// One bucket of the time series of the total.

@@ -48,6 +48,20 @@ async fn runs_with_episodes_are_drawn_over_time() {
 }
 
 #[tokio::test]
+async fn pages_show_p95_over_time_of_slow_run() {
+    let slow = TestPipeline { hz: 10.0, ..TestPipeline::local() };
+    let (dashboard, mut site) = TestDashboard::with_pipelines(vec![slow]).await;
+    // A chart with points of 2 s has no percentile: each point has 20 iterations.
+    site.store_run_of_each_pipeline(3_000).await;
+    let run = dashboard.get("/runs/2").await;
+    let label = "aria-label=\"Total over the run: median and 95th percentile of 10 s\"";
+    assert!(run.text().contains(label), "{}", run.text());
+    let compared = dashboard.get("/compare?runs=1,2").await;
+    let panel = compared.text().split("id=\"cc-h\"").nth(1).expect("a panel");
+    assert!(panel.contains("points of 10\u{202f}s") && panel.contains("</svg>p95 ("), "{panel}");
+}
+
+#[tokio::test]
 async fn run_without_episodes_mentions_none() {
     let (dashboard, _site) =
         TestDashboard::with_pipelines(vec![TestPipeline::local(), TestPipeline::full()]).await;

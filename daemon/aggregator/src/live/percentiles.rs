@@ -2,15 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use peernet_statistics::{BUCKET_WIDTHS_S, MIN_VALUES_FOR_P95, Moments, Sketch, Summary};
+use peernet_statistics::{BUCKET_WIDTHS_S, Moments, Sketch, Summary, VALUES_PER_POINT};
 use peernet_store::QuantityStatistics;
 
 use crate::live_state::{PercentilePoint, PercentileSeries};
 
 /// Maximum length of a bucket, seconds.
 const MAX_BUCKET_S: u32 = 600;
-/// Safety factor for the number of iterations of a bucket, because they are not spread evenly over the buckets.
-const COUNT_MARGIN: f64 = 1.1;
 /// Longest pause between two seconds with iterations that counts completely as running time. Of a longer pause only
 /// this part counts, because the pause is an interruption, which must not lower the rate. A pipeline with longer
 /// intervals between its iterations has too few iterations for a percentile even in the longest bucket.
@@ -125,7 +123,6 @@ impl Percentiles {
 
 /// Returns the length of the shortest bucket with enough iterations for a 95th percentile at this rate, seconds.
 fn bucket_length(rate_hz: f64) -> Option<u32> {
-    let min_iterations = MIN_VALUES_FOR_P95 as f64 * COUNT_MARGIN;
     let mut lengths = BUCKET_WIDTHS_S.into_iter().take_while(|seconds| *seconds <= MAX_BUCKET_S);
-    lengths.find(|seconds| rate_hz * f64::from(*seconds) >= min_iterations)
+    lengths.find(|seconds| rate_hz * f64::from(*seconds) >= VALUES_PER_POINT as f64)
 }

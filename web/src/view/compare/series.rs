@@ -20,14 +20,11 @@ use super::differences::{CONCURRENT_READS, compared_stages};
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 use crate::picture::Picture;
+use crate::view::run::number_of_points;
 use crate::view::{episodes, stack};
 
 /// Maximum number of points that are requested for a run.
 const MAX_POINTS: usize = 100;
-/// Minimum number of points that are requested for a run.
-const MIN_POINTS: u64 = 20;
-/// Number of iterations that a point should have: enough for a 95th percentile.
-const ITERATIONS_PER_POINT: u64 = 60;
 /// Minimum number of points of a run that is drawn. The drawn length of a shorter run would be too inexact.
 const MIN_DRAWN_POINTS: usize = 3;
 /// If a run has fewer points than this, the caption states its length, because the drawn length is inexact by up to one
@@ -95,8 +92,7 @@ pub(crate) async fn run_time_series(
     let names = &compared_stages();
     let request = |(_, run, name): ChosenRun<'_, Name>| {
         let iterations = comparison.summary(run.number, &name).map_or(0, |summary| summary.count());
-        let points = (iterations / ITERATIONS_PER_POINT).clamp(MIN_POINTS, MAX_POINTS as u64) as usize;
-        (run.number, [name], points)
+        (run.number, [name], number_of_points(iterations, MAX_POINTS))
     };
     let read = |(run, main, points): (i64, [Name; 1], usize)| async move {
         let (series, means, episodes) = tokio::try_join!(
