@@ -2,6 +2,7 @@
 //! same axes. The plots are drawn only on web pages, not in files.
 
 use peernet_analysis::stage_split::part_order;
+use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::Name;
 use peernet_statistics::MIN_VALUES_FOR_P95;
 
@@ -201,14 +202,15 @@ impl OverTimeAxes {
     }
 
     /// Returns the entries of the legend for the lines, marks and shades that these runs have, without the entries for
-    /// stages.
-    pub fn legend(runs: &[StagesOverTime]) -> Vec<Key> {
+    /// stages. The median is that of `total`.
+    pub fn legend(runs: &[StagesOverTime], total: TotalColumn) -> Vec<Key> {
         let any = |condition: fn(&StagesOverTime) -> bool| runs.iter().any(condition);
         let line = |class| Swatch::Line(Style::of_page(class));
+        let median_text = format!("median of the {}", total.title().to_lowercase());
         // With fewer iterations, a bucket has no 95th percentile.
         let p95_text = format!("p95 (points of at least {MIN_VALUES_FOR_P95} iterations)");
         let keys = [
-            (true, line("median"), "median of the total"),
+            (true, line("median"), median_text.as_str()),
             (any(StagesOverTime::has_p95), line("p95"), p95_text.as_str()),
             (any(|run| !run.borders.is_empty()), line("border"), "new episode"),
             (any(|run| !run.warm_up.is_empty()), Swatch::Area(Style::shade()), "warm-up"),

@@ -11,7 +11,7 @@ use peernet_analysis::trust::{ReplayedLatencies, Report, TrustInput};
 use peernet_clock::Verdict;
 use peernet_logger::stage;
 use peernet_statistics::Summary;
-use peernet_store::{MergeableStatistics, RunSummary};
+use peernet_store::{MergeableStatistics, RunSummary, StageStatistics};
 use peernet_stream::ExperimentPosition;
 use peernet_stream::PlacementKind::{Local, Remote};
 
@@ -326,6 +326,28 @@ async fn totals_and_inferences_are_boxes() {
     let html = page_of(two).await;
     assert!(html.contains("How the total spreads") && html.contains("whiskers from p5 to p95"), "{html}");
     assert_eq!(html.matches("class=\"stages thin boxed\"").count(), 4, "two totals, two inferences: {html}");
+}
+
+#[tokio::test]
+async fn all_panels_name_the_sum_of_stages() {
+    let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
+    for one in &mut two {
+        let total = one.stages.iter().find(|statistics| statistics.stage == stage::TOTAL).expect("a total");
+        let sum = StageStatistics { stage: stage::STAGES_TOTAL, ..total.clone() };
+        one.stages.push(sum);
+        let summary = one.summary(&stage::TOTAL).expect("samples").clone();
+        Arc::make_mut(&mut one.mergeable).add(stage::STAGES_TOTAL, "s", &summary);
+    }
+    // One iteration has no total. All configurations are therefore compared by the sum of their stages.
+    two[0].runs[0].counts.ok += 1;
+    let html = page_of(two).await;
+    assert!(html.contains("How the sum of stages spreads") && html.contains(">sum of stages, ms<"), "{html}");
+    let differences = panel(&html, "cd-h");
+    assert!(differences.contains(">sum of stages<span class=\"u\"> ms"), "{differences}");
+    let over_time = panel(&html, "cc-h");
+    assert!(over_time.contains("</svg>median of the sum of stages<"), "{over_time}");
+    // Each iteration of run 2 has a total.
+    assert!(over_time.contains("aria-label=\"Run 2, stages-total over time: "), "{over_time}");
 }
 
 #[tokio::test]

@@ -6,7 +6,6 @@ use std::collections::HashMap;
 use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::compare::{Latency, LatencyBar};
 use peernet_analysis::stage_split::sent_in_part;
-use peernet_analysis::total_column::TotalColumn;
 use peernet_clock::WallTime;
 use peernet_figures::drawing::{OverTimeAxes, StageBucket, StagePart, StagesOverTime};
 use peernet_logger::{Name, stage};
@@ -64,21 +63,13 @@ pub(crate) struct RunPicture {
     pub picture: Picture,
 }
 
-/// Chooses the runs that are drawn, each with the drawn quantity: [`TotalColumn`], or `sensing` in a run without a
-/// model. If not all runs with data are drawn, also returns the number of all runs with data.
+/// Chooses the runs that are drawn, each with the drawn quantity: the latency by which all runs are compared, or
+/// `sensing` in a run without a model. If not all runs with data are drawn, also returns the number of all runs with data.
 fn drawn_runs(comparison: &Comparison) -> (Vec<ChosenRun<'_, Name>>, Option<usize>) {
     choose_runs(comparison, |run| {
-        let names = total_column(comparison, run).latency_names();
+        let names = comparison.total_column.latency_names();
         names.into_iter().find(|name| comparison.summary(run.number, name).is_some())
     })
-}
-
-/// Returns the latency of a run's iterations that is drawn.
-fn total_column(comparison: &Comparison, run: &RunSummary) -> TotalColumn {
-    let count = |column: TotalColumn| {
-        comparison.summary(run.number, column.name()).map_or(0, |summary| summary.count())
-    };
-    TotalColumn::from_counts(run.counts.ok, count(TotalColumn::Measured), count(TotalColumn::SumOfStages))
 }
 
 /// Reads the time series of the runs that are drawn.
@@ -149,7 +140,7 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
     Some(OverTime {
         runs: runs.iter().zip(&all).zip(&labels).map(picture).collect(),
         unit: axes.unit(),
-        legend: Picture::of_legend(&OverTimeAxes::legend(&all), "key plain"),
+        legend: Picture::of_legend(&OverTimeAxes::legend(&all, comparison.total_column), "key plain"),
         all_runs,
         missing: unsuccessful_runs_sentence(comparison),
     })
@@ -205,7 +196,7 @@ fn data(
             let MeanBucket { count, mean, .. } = *mean(name, point.at)?;
             Some(Latency { mean, std: None, count })
         };
-        let bar = LatencyBar::new(total_column(comparison, run), point.count, sent_in_bucket, latency_of);
+        let bar = LatencyBar::new(comparison.total_column, point.count, sent_in_bucket, latency_of);
         let parts = stack::bar_parts(bar.unwrap_or_default().parts);
         let single_part = || vec![StagePart { name: name.to_string(), seconds: point.mean, bound: None }];
         StageBucket {
