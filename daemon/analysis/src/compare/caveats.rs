@@ -10,7 +10,7 @@ use super::render::with_name;
 use super::{LATENCIES, Line};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
-use crate::trust::{Starts, publication_caveats};
+use crate::trust::{NOTABLE_SHARE, Starts, publication_caveats};
 
 /// Returns sentences about runs that cannot be published as they are, about skipped starts, replayed latencies and
 /// incomplete folders, and about numbers that are missing without a reason.
@@ -59,10 +59,14 @@ fn shared_folder(runs: &[Loaded]) -> PathBuf {
     parents.reduce(shared).unwrap_or_default()
 }
 
-/// Returns a sentence about the configurations with skipped starts. Each configuration is given by its name and its
-/// starts. The name may be empty if there is a single configuration. `None` if no start was skipped.
+/// Returns a sentence about the configurations with a [notable share](NOTABLE_SHARE) of skipped starts. Each
+/// configuration is given by its name and its starts. The name may be empty if there is a single configuration. `None`
+/// if no configuration has such a share.
 pub fn skipped_starts(configurations: impl IntoIterator<Item = (String, Starts)>) -> Option<String> {
-    let describe = |(name, starts): (String, Starts)| Some(with_name(&name, &starts.skipped_text()?));
+    let describe = |(name, starts): (String, Starts)| {
+        (starts.skipped_share() > NOTABLE_SHARE).then_some(())?;
+        Some(with_name(&name, &starts.skipped_text()?))
+    };
     let descriptions: Vec<String> = configurations.into_iter().filter_map(describe).collect();
     (!descriptions.is_empty()).then(|| {
         format!(
@@ -117,9 +121,10 @@ fn is_missing_or_too_large(row: RowRef<'_>, name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::super::tests::paper;
+    use super::skipped_starts;
     use crate::compare::{Comparison, needs_column};
     use crate::loaded::Loaded;
-    use crate::trust::{Publish, Report, TrustInput};
+    use crate::trust::{Publish, Report, Starts, TrustInput};
 
     #[test]
     fn too_large_number_is_reported_as_left_out_of_mean() {
@@ -179,6 +184,10 @@ mod tests {
             "{text}"
         );
         assert!(!Comparison::new(&paper()).text().contains("skipped"));
+        // The trust report calls a share of 0.1 % good.
+        let starts = |started: u64| Starts { started, skipped: 1, ..Starts::default() };
+        let sentence = |started: u64| skipped_starts([("lan".to_owned(), starts(started))]);
+        assert_eq!((sentence(999), sentence(998).is_some()), (None, true));
         assert!(needs_column("skipped-starts"), "a comparison reads only the columns that it needs");
     }
 }

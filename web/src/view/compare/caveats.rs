@@ -2,8 +2,9 @@
 //! iterations.
 
 use peernet_analysis::compare::{replayed_configurations, skipped_starts};
+use peernet_analysis::outcomes::failed_share;
 use peernet_analysis::run_selection::RunState;
-use peernet_analysis::trust::{ReplayedLatencies, publication_caveats};
+use peernet_analysis::trust::{NOTABLE_SHARE, ReplayedLatencies, publication_caveats};
 use peernet_statistics::number::count;
 use peernet_store::RunSummary;
 use peernet_stream::{Grade, OutcomeCounts};
@@ -17,8 +18,8 @@ use crate::view::trust::chip;
 /// interpret.
 const DEFAULT_ADDRESS: &str = "127.0.0.1:8040";
 
-/// Returns the caveats, each with its chip: runs that cannot be published as they are, replayed latencies, unfinished runs, skipped starts, and
-/// failed iterations.
+/// Returns the caveats, each with its chip: runs that cannot be published as they are, replayed latencies, unfinished
+/// runs, and notable shares of skipped starts and of failed iterations.
 pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     let configurations = &comparison.configurations;
     let reports = configurations.iter().flat_map(|one| {
@@ -52,12 +53,11 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<(Chip, String)> {
     let failed_texts = configurations.iter().filter_map(|one| {
         let mut counts = OutcomeCounts::default();
         one.runs.iter().for_each(|run| counts.merge(&run.counts));
-        let failed_count = counts.all_failed();
-        (failed_count > 0).then(|| {
+        (failed_share(&counts)? > NOTABLE_SHARE).then(|| {
             format!(
                 "{}: {} of {} iterations failed; the figures are those of the others.",
                 one.name,
-                count(failed_count),
+                count(counts.all_failed()),
                 count(counts.total())
             )
         })
@@ -149,6 +149,13 @@ mod tests {
                     configured rate: B: 73 of 200 starts (36\u{202f}%).";
         let failed = "B: 37 of 127 iterations failed; the figures are those of the others.";
         assert_eq!(texts(&comparison(vec![one, other])), [text, failed]);
+    }
+
+    #[test]
+    fn losses_that_trust_calls_good_are_no_caveat() {
+        let mut one = configuration(0, Local, 1.0, 1e3);
+        (one.runs[0].counts.ok, one.runs[0].counts.timeout, one.runs[0].skipped_starts) = (1_999, 1, 1);
+        assert!(texts(&comparison(vec![one])).is_empty(), "0.05 %");
     }
 
     #[test]

@@ -10,7 +10,7 @@ use crate::outcomes::{Counts, failed_share, failed_texts};
 use crate::trust::{EndedEarly, Finding, MissingCount, MissingEvents, Starts, TrustInput};
 
 /// A finding about failed iterations, skipped starts or superseded answers is doubtful if their share is above this
-/// value.
+/// value. Comparisons note failed iterations and skipped starts by the same limit.
 pub const NOTABLE_SHARE: f64 = 0.001;
 /// A finding about failed iterations, skipped starts or superseded answers is bad if their share is above this value,
 /// because the latency of the successful iterations is then misleading.
