@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
 use peernet_analysis::WriteError;
-use peernet_analysis::compare::{Comparison, SEED};
+use peernet_analysis::compare::{Comparison, SEED, compare_positions};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::table::CaptionedTable;
 use peernet_analysis::trust::publication_summary;
@@ -39,7 +39,8 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
         return Ok(Report { text: String::new(), figure_error: None });
     }
     // The runs are in the order of the file, not in the order in which they were measured.
-    runs.sort_by_key(|run| (run.configuration, run.repeat));
+    let position = |run: &Run| record.plan.experiment_position(run, &record.id);
+    runs.sort_by(|a, b| compare_positions(&position(a), &position(b)));
     let loaded = runs.iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
     let sensors = SensorsTable::from_runs(&record.plan, &runs, &loaded);
     let reports = runs.iter().zip(&loaded).flat_map(|(run, edges)| {
