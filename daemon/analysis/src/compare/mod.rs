@@ -39,7 +39,7 @@ pub use labels::{
 pub use latency_bar::LatencyBar;
 pub use order::{compare_label, compare_positions};
 pub use pairwise::PairwiseDifference;
-pub use ranking::{ConfigurationTotal, Ranking, find_unranked, model_computes};
+pub use ranking::{ConfigurationTotal, Ranking, default_baseline, find_unranked, model_computes};
 
 use peernet_logger::stage;
 use peernet_statistics::{Moments, Summary};

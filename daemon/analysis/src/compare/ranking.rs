@@ -77,6 +77,12 @@ pub fn find_unranked(configurations: &[ConfigurationTotal]) -> Vec<usize> {
         .collect()
 }
 
+/// Returns the index of the configuration that is the baseline unless the user names one: the best, or the first if none
+/// is the best.
+pub fn default_baseline(best: Option<usize>) -> usize {
+    best.unwrap_or(0)
+}
+
 /// Returns whether the model of a run computes something, from the facts of the run. A model that only returns its
 /// input is not ranked with models that compute, because its latency is small without any work.
 pub fn model_computes(facts: &[(String, String)]) -> bool {

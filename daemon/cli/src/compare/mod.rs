@@ -148,10 +148,10 @@ fn missing_comparison_reason(comparison: &Comparison) -> Option<String> {
     Some(format!("nothing is compared with the baseline: {reason}"))
 }
 
-/// Returns the line that is the baseline unless the user names one: the best of two lines, as on the page Compare, or
-/// the first if neither is the best. `None` for any other number of lines.
+/// Returns the [default baseline](peernet_analysis::compare::default_baseline) of two lines. `None` for any other number
+/// of lines.
 pub(crate) fn default_baseline(comparison: &Comparison) -> Option<usize> {
-    (comparison.lines.len() == 2).then(|| comparison.best.unwrap_or(0))
+    (comparison.lines.len() == 2).then(|| peernet_analysis::compare::default_baseline(comparison.best))
 }
 
 /// Returns the differences of each other line from the baseline, stage by stage.

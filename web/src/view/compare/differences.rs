@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::compare::{
-    ConfigurationTotal, Difference, MeanEstimate, Ranking, STAGES, find_unranked,
+    ConfigurationTotal, Difference, MeanEstimate, Ranking, STAGES, default_baseline, find_unranked,
 };
 use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::Name;
@@ -71,7 +71,7 @@ impl StageDifference {
 
 impl Differences {
     /// Compares all configurations with the configuration at index `baseline`. Without an index, the baseline is the
-    /// best configuration, as in `peernet compare`, or the first configuration if there is no ranking.
+    /// [default](default_baseline), as in `peernet compare`.
     pub(crate) fn of(comparison: &Comparison, means: &RunMeans, baseline: impl Into<Option<usize>>) -> Self {
         let names = compared_stages();
         let all = &comparison.configurations;
@@ -96,8 +96,8 @@ impl Differences {
         };
         let totals: Vec<ConfigurationTotal> = all.iter().zip(&estimates).map(total).collect();
         let ranking = Ranking::new(&totals);
-        let best = || ranking.as_ref().map_or(0, |ranking| ranking.best);
-        let baseline = baseline.into().unwrap_or_else(best);
+        let default = || default_baseline(ranking.as_ref().map(|ranking| ranking.best));
+        let baseline = baseline.into().unwrap_or_else(default);
         let stages = |index: usize| {
             let mean =
                 |index: usize, name: &Name| all[index].statistics(name).map(|statistics| statistics.mean);
