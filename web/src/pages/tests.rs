@@ -101,7 +101,10 @@ async fn spread_latencies_and_busy_processors_cause_notes() {
     let html = overview_of(&snapshot(vec![busy_host()], vec![live]), Vec::new()).await;
     assert!(html.contains("1 pipeline running, 2 to look at"), "{html}");
     assert!(html.contains("has a p99 of 311\u{202f}ms in the last minute"), "{html}");
-    assert!(html.contains(">cam-1:</a> the processors have been busy for 10\u{202f}s, never below 94\u{202f}%"), "{html}");
+    assert!(
+        html.contains(">cam-1:</a> the processors have been busy for 10\u{202f}s, never below 94\u{202f}%"),
+        "{html}"
+    );
 }
 
 #[tokio::test]
