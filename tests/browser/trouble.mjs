@@ -51,7 +51,7 @@ describe("failures", () => {
       // Without a connection, the dots of states are hollow.
       const dots = await page.locator("main .dot").evaluateAll((all) => all.map((dot) => getComputedStyle(dot).backgroundColor));
       assert.deepEqual(dots.filter((colour) => colour !== "rgba(0, 0, 0, 0)"), [], name);
-      livePages += Number(live);
+      livePages += Number(isUpdated);
       dotCount += dots.length;
       await close();
     }
