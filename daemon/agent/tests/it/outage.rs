@@ -112,7 +112,7 @@ async fn dead_cloud_loses_iterations_in_flight_and_run_continues() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn cloud_that_ends_each_session_is_reached_after_growing_pauses() {
+async fn cloud_that_closes_sessions_is_reached_after_growing_pauses() {
     let port = free_port();
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");

@@ -34,7 +34,7 @@ pub(super) struct RecordedLatencies {
 /// Reads the latencies in a `data.csv`. A latency is the sum of the cells that a row has in `columns`; if one of these
 /// cells is empty, the row has no latency. Only iterations that are in the statistics count: they have an answer and
 /// are not warm-up. The program that was published with the paper writes files without columns for outcome and warm-up.
-/// Of such a file, all iterations count except the first [`PUBLISHED_WARM_UP_ROWS`].
+/// All iterations of such a file count except the first [`PUBLISHED_WARM_UP_ROWS`].
 ///
 /// # Errors
 /// If the file is not a regular file or cannot be read; if a column is missing or occurs twice; if a row is too long;
